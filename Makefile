@@ -1,0 +1,63 @@
+# make run    one nickel particle on steel, into runs/single_ni
+# make test   format, lint, types and tests
+# make setup  system libraries and .venv; run and test do it themselves when it is needed
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+PYTHON ?= python3
+VENV := .venv
+STAMP := $(VENV)/.setup-done
+
+# Debian packages: gmsh's wheel needs the first group, vtk's the second.
+LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1 \
+             libgl1 libegl1
+
+.PHONY: setup run check test clean
+
+setup: $(STAMP)
+
+$(STAMP): uv.lock pyproject.toml
+	@missing=(); \
+	if command -v dpkg-query >/dev/null; then \
+	  for package in $(LIBRARIES); do \
+	    state=$$(dpkg-query -W -f='$${db:Status-Status}' $$package 2>/dev/null || true); \
+	    [ "$$state" = installed ] || missing+=($$package); \
+	  done; \
+	else \
+	  echo "setup: no dpkg here; these libraries must be there: $(LIBRARIES)"; \
+	fi; \
+	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing+=(python3-venv); \
+	if [ $${#missing[@]} -gt 0 ]; then \
+	  if [ $$(id -u) -ne 0 ] || ! command -v apt-get >/dev/null; then \
+	    echo "setup: packages are missing; please install them and try again:" >&2; \
+	    echo "  apt-get install $${missing[*]}" >&2; \
+	    exit 1; \
+	  fi; \
+	  echo "setup: installing $${missing[*]}"; \
+	  export DEBIAN_FRONTEND=noninteractive; \
+	  apt-get update -qq; \
+	  apt-get install -y -qq --no-install-recommends "$${missing[@]}" >/dev/null; \
+	fi
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
+	  { echo "setup: Python 3.11 to 3.13 is needed; name one with make PYTHON=..." >&2; exit 1; }
+	@[ -x $(VENV)/bin/python ] && $(VENV)/bin/python -m pip --version >/dev/null 2>&1 || \
+	  $(PYTHON) -m venv --clear $(VENV)
+	@$(VENV)/bin/python -m uv --version >/dev/null 2>&1 || \
+	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv
+	UV_PROJECT_ENVIRONMENT=$(VENV) $(VENV)/bin/python -m uv sync --locked --quiet
+	@touch $@
+
+run: setup
+	$(VENV)/bin/coldspray run workflows/single_ni.toml --force
+
+check: setup
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/mypy
+
+test: check
+	$(VENV)/bin/python -m pytest
+
+# Keeps runs/: results are not ours to throw away.
+clean:
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache dist build
+	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +

@@ -1,0 +1,295 @@
+"""Contact of points against triangles: closest points, penalty forces, Coulomb friction with history (numba)."""
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True, inline="always")
+def closest_on_triangle(p, a, b, c):
+    """Barycentric weights (wa, wb, wc) of the point of triangle abc closest to p. Ericson (2005), section 5.1.5."""
+    ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ap0, ap1, ap2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    d1 = ab0 * ap0 + ab1 * ap1 + ab2 * ap2
+    d2 = ac0 * ap0 + ac1 * ap1 + ac2 * ap2
+    if d1 <= 0.0 and d2 <= 0.0:
+        return 1.0, 0.0, 0.0
+    bp0, bp1, bp2 = p[0] - b[0], p[1] - b[1], p[2] - b[2]
+    d3 = ab0 * bp0 + ab1 * bp1 + ab2 * bp2
+    d4 = ac0 * bp0 + ac1 * bp1 + ac2 * bp2
+    if d3 >= 0.0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+        return 1.0 - v, v, 0.0
+    cp0, cp1, cp2 = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+    d5 = ab0 * cp0 + ab1 * cp1 + ab2 * cp2
+    d6 = ac0 * cp0 + ac1 * cp1 + ac2 * cp2
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+        return 1.0 - w, 0.0, w
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return 0.0, 1.0 - w, w
+    inv = 1.0 / (va + vb + vc)
+    return 1.0 - (vb + vc) * inv, vb * inv, vc * inv
+
+
+@njit(cache=True, nogil=True)
+def facet_boxes(x, facets, ids, margin, low, high):
+    """Bounding boxes (k,3) of the triangles `ids`, widened by margin."""
+    for r in range(len(ids)):
+        t = facets[ids[r]]
+        for d in range(3):
+            u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
+            low[r, d] = min(u, v, w) - margin
+            high[r, d] = max(u, v, w) + margin
+
+
+@njit(cache=True, nogil=True)
+def candidates(points, low, high, cell, capacity):
+    """Pairs of points and boxes that overlap, by a hash-free grid over the points' bounding box.
+
+    points (n,3); low, high (k,3) boxes; cell: grid spacing. Returns (start (n+1,), box indices, needed): CSR of the
+    boxes around each point in ascending order; needed > capacity asks for another call with more room.
+    """
+    n, boxes = len(points), len(low)
+    origin = np.empty(3)
+    shape = np.empty(3, np.int64)
+    for d in range(3):
+        origin[d] = points[:, d].min()
+        shape[d] = int((points[:, d].max() - origin[d]) / cell) + 1
+    cells = shape[0] * shape[1] * shape[2]
+    home = np.empty(n, np.int64)
+    count = np.zeros(cells + 1, np.int64)
+    for i in range(n):
+        a = int((points[i, 0] - origin[0]) / cell)
+        b = int((points[i, 1] - origin[1]) / cell)
+        c = int((points[i, 2] - origin[2]) / cell)
+        home[i] = (a * shape[1] + b) * shape[2] + c
+        count[home[i] + 1] += 1
+    for q in range(cells):
+        count[q + 1] += count[q]
+    slot = count[:-1].copy()
+    members = np.empty(n, np.int64)
+    for i in range(n):
+        members[slot[home[i]]] = i
+        slot[home[i]] += 1
+    pair_point = np.empty(capacity, np.int64)
+    pair_box = np.empty(capacity, np.int64)
+    found = 0
+    degree = np.zeros(n + 1, np.int64)
+    for r in range(boxes):
+        outside = False
+        for d in range(3):
+            if high[r, d] < origin[d] or low[r, d] > origin[d] + shape[d] * cell:
+                outside = True
+        if outside:
+            continue
+        a0, a1 = max(int((low[r, 0] - origin[0]) / cell), 0), min(int((high[r, 0] - origin[0]) / cell), shape[0] - 1)
+        b0, b1 = max(int((low[r, 1] - origin[1]) / cell), 0), min(int((high[r, 1] - origin[1]) / cell), shape[1] - 1)
+        c0, c1 = max(int((low[r, 2] - origin[2]) / cell), 0), min(int((high[r, 2] - origin[2]) / cell), shape[2] - 1)
+        for a in range(a0, a1 + 1):
+            for b in range(b0, b1 + 1):
+                base = (a * shape[1] + b) * shape[2]
+                for m in range(count[base + c0], count[base + c1 + 1]):
+                    i = members[m]
+                    if (
+                        low[r, 0] <= points[i, 0] <= high[r, 0]
+                        and low[r, 1] <= points[i, 1] <= high[r, 1]
+                        and low[r, 2] <= points[i, 2] <= high[r, 2]
+                    ):
+                        if found < capacity:
+                            pair_point[found], pair_box[found] = i, r
+                            degree[i + 1] += 1
+                        found += 1
+    kept = min(found, capacity)
+    for i in range(n):
+        degree[i + 1] += degree[i]
+    slot2 = degree[:-1].copy()
+    out = np.empty(kept, np.int64)
+    for q in range(kept):
+        i = pair_point[q]
+        out[slot2[i]] = pair_box[q]
+        slot2[i] += 1
+    return degree, out, found
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _solve3(a, b, c, d, e, f, r0, r1, r2):
+    """Solve the symmetric system [[a, f, e], [f, b, d], [e, d, c]] g = r."""
+    m00, m01, m02 = b * c - d * d, d * e - f * c, f * d - b * e
+    det = a * m00 + f * m01 + e * m02
+    m11, m12, m22 = a * c - e * e, e * f - a * d, a * b - f * f
+    inv = 1.0 / det
+    return (
+        (m00 * r0 + m01 * r1 + m02 * r2) * inv,
+        (m01 * r0 + m11 * r1 + m12 * r2) * inv,
+        (m02 * r0 + m12 * r1 + m22 * r2) * inv,
+    )
+
+
+@njit(cache=True, nogil=True)
+def contact_forces(
+    dt, reach, tiny, stiffness, tangential, mu, xp, vp, rows, start, boxes, facet_ids, facets, x, v, f_point, f_node,
+    spring, heat_point, heat_facet, share, sums, depth,
+):  # fmt: skip
+    """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
+
+    xp, vp (n,3) points; rows: the points that have candidates, with start/boxes the CSR of their candidate
+    triangles (indices into facet_ids); facets (k,3) nodes with outward normals; x, v (N,3) nodes. penetration =
+    reach - signed distance to the closest point of the surface, force stiffness x penetration along the line that
+    joins them (below the distance `tiny`: the normal). spring (n,3): friction force each point remembers, updated.
+    f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet (k,) J receive friction heat, `share` of
+    it the point. sums: [penalty energy, spring energy, friction heat of the step, touching points]. depth (n,):
+    penetration in m, 0 where there is none. The friction pair acts across the gap between the two surfaces; its
+    moment is balanced by a couple on the triangle's nodes, and the slip it works on excludes the triangle's own
+    rotation.
+    """
+    sums[0] = sums[1] = sums[2] = sums[3] = 0.0
+    for q in range(len(rows)):
+        i = rows[q]
+        p = xp[i]
+        best = 1e300
+        facing = -1.0
+        face = -1
+        w0 = w1 = w2 = 0.0
+        for r in range(start[i], start[i + 1]):
+            t = facets[facet_ids[boxes[r]]]
+            A, B, C = x[t[0]], x[t[1]], x[t[2]]
+            a, b, c = closest_on_triangle(p, A, B, C)
+            d0 = p[0] - (a * A[0] + b * B[0] + c * C[0])
+            d1 = p[1] - (a * A[1] + b * B[1] + c * C[1])
+            d2 = p[2] - (a * A[2] + b * B[2] + c * C[2])
+            dd = d0 * d0 + d1 * d1 + d2 * d2
+            if dd > best * (1.0 + 1e-9):
+                continue
+            n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
+            n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
+            n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
+            dn = d0 * n0 + d1 * n1 + d2 * n2
+            align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
+            # on a shared edge or corner the face that looks most towards the point decides inside or outside
+            if dd < best * (1.0 - 1e-9) or align > facing:
+                best, facing, face = dd, align, r
+                w0, w1, w2 = a, b, c
+        if face < 0:
+            depth[i] = 0.0
+            spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
+            continue
+        fid = facet_ids[boxes[face]]
+        t = facets[fid]
+        A, B, C = x[t[0]], x[t[1]], x[t[2]]
+        d0 = p[0] - (w0 * A[0] + w1 * B[0] + w2 * C[0])
+        d1 = p[1] - (w0 * A[1] + w1 * B[1] + w2 * C[1])
+        d2 = p[2] - (w0 * A[2] + w1 * B[2] + w2 * C[2])
+        n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
+        n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
+        n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
+        inside = d0 * n0 + d1 * n1 + d2 * n2 < 0.0
+        gap = sqrt(best)
+        if gap > tiny:
+            scale = 1.0 / gap
+            if inside:
+                scale = -scale
+            n0, n1, n2 = d0 * scale, d1 * scale, d2 * scale
+        else:
+            scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
+        if inside:
+            gap = -gap
+        pen = reach - gap
+        if pen <= 0.0:
+            depth[i] = 0.0
+            lost = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
+            if lost > 0.0:  # what the spring still held is heat when the contact opens
+                sums[2] += 0.5 * lost / tangential
+                heat_point[i] += share * 0.5 * lost / tangential
+                heat_facet[fid] += (1.0 - share) * 0.5 * lost / tangential
+                spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
+            continue
+        depth[i] = pen
+        fn = stiffness * pen
+        sums[0] += 0.5 * stiffness * pen * pen
+        sums[3] += 1.0
+        f0, f1, f2 = fn * n0, fn * n1, fn * n2
+        g0 = g1 = g2 = 0.0
+        m0 = m1 = m2 = 0.0
+        if mu > 0.0:
+            ra0, ra1, ra2 = (2 * A[0] - B[0] - C[0]) / 3, (2 * A[1] - B[1] - C[1]) / 3, (2 * A[2] - B[2] - C[2]) / 3
+            rb0, rb1, rb2 = (2 * B[0] - A[0] - C[0]) / 3, (2 * B[1] - A[1] - C[1]) / 3, (2 * B[2] - A[2] - C[2]) / 3
+            rc0, rc1, rc2 = -ra0 - rb0, -ra1 - rb1, -ra2 - rb2
+            va, vb, vc = v[t[0]], v[t[1]], v[t[2]]
+            xx = ra0 * ra0 + rb0 * rb0 + rc0 * rc0
+            yy = ra1 * ra1 + rb1 * rb1 + rc1 * rc1
+            zz = ra2 * ra2 + rb2 * rb2 + rc2 * rc2
+            xy = ra0 * ra1 + rb0 * rb1 + rc0 * rc1
+            xz = ra0 * ra2 + rb0 * rb2 + rc0 * rc2
+            yz = ra1 * ra2 + rb1 * rb2 + rc1 * rc2
+            h0 = ra1 * va[2] - ra2 * va[1] + rb1 * vb[2] - rb2 * vb[1] + rc1 * vc[2] - rc2 * vc[1]
+            h1 = ra2 * va[0] - ra0 * va[2] + rb2 * vb[0] - rb0 * vb[2] + rc2 * vc[0] - rc0 * vc[2]
+            h2 = ra0 * va[1] - ra1 * va[0] + rb0 * vb[1] - rb1 * vb[0] + rc0 * vc[1] - rc1 * vc[0]
+            # best-fit rotation of the triangle
+            o0, o1, o2 = _solve3(yy + zz, xx + zz, xx + yy, -yz, -xz, -xy, h0, h1, h2)
+            l0, l1, l2 = gap * n0, gap * n1, gap * n2
+            u0 = vp[i, 0] - (w0 * va[0] + w1 * vb[0] + w2 * vc[0]) - (o1 * l2 - o2 * l1)
+            u1 = vp[i, 1] - (w0 * va[1] + w1 * vb[1] + w2 * vc[1]) - (o2 * l0 - o0 * l2)
+            u2 = vp[i, 2] - (w0 * va[2] + w1 * vb[2] + w2 * vc[2]) - (o0 * l1 - o1 * l0)
+            un = u0 * n0 + u1 * n1 + u2 * n2
+            sn = spring[i, 0] * n0 + spring[i, 1] * n1 + spring[i, 2] * n2
+            g0 = spring[i, 0] - sn * n0 - tangential * dt * (u0 - un * n0)
+            g1 = spring[i, 1] - sn * n1 - tangential * dt * (u1 - un * n1)
+            g2 = spring[i, 2] - sn * n2 - tangential * dt * (u2 - un * n2)
+            size = sqrt(g0 * g0 + g1 * g1 + g2 * g2)
+            limit = mu * fn
+            if size > limit:
+                cut = limit / size
+                g0, g1, g2 = g0 * cut, g1 * cut, g2 * cut
+                slip = limit * (size - limit) / tangential
+                sums[2] += slip
+                heat_point[i] += share * slip
+                heat_facet[fid] += (1.0 - share) * slip
+                size = limit
+            spring[i, 0], spring[i, 1], spring[i, 2] = g0, g1, g2
+            sums[1] += 0.5 * size * size / tangential
+            # couple that balances the moment of the friction pair about the foot point: -(l x g)
+            m0, m1, m2 = _solve3(
+                yy + zz,
+                xx + zz,
+                xx + yy,
+                -yz,
+                -xz,
+                -xy,
+                -(l1 * g2 - l2 * g1),
+                -(l2 * g0 - l0 * g2),
+                -(l0 * g1 - l1 * g0),
+            )
+            f_node[t[0], 0] += m1 * ra2 - m2 * ra1
+            f_node[t[0], 1] += m2 * ra0 - m0 * ra2
+            f_node[t[0], 2] += m0 * ra1 - m1 * ra0
+            f_node[t[1], 0] += m1 * rb2 - m2 * rb1
+            f_node[t[1], 1] += m2 * rb0 - m0 * rb2
+            f_node[t[1], 2] += m0 * rb1 - m1 * rb0
+            f_node[t[2], 0] += m1 * rc2 - m2 * rc1
+            f_node[t[2], 1] += m2 * rc0 - m0 * rc2
+            f_node[t[2], 2] += m0 * rc1 - m1 * rc0
+        f0, f1, f2 = f0 + g0, f1 + g1, f2 + g2
+        f_point[i, 0] += f0
+        f_point[i, 1] += f1
+        f_point[i, 2] += f2
+        f_node[t[0], 0] -= w0 * f0
+        f_node[t[0], 1] -= w0 * f1
+        f_node[t[0], 2] -= w0 * f2
+        f_node[t[1], 0] -= w1 * f0
+        f_node[t[1], 1] -= w1 * f1
+        f_node[t[1], 2] -= w1 * f2
+        f_node[t[2], 0] -= w2 * f0
+        f_node[t[2], 1] -= w2 * f1
+        f_node[t[2], 2] -= w2 * f2

@@ -1,0 +1,210 @@
+"""The explicit finite-element target: central differences on tetrahedra with averaged nodal pressure.
+
+The step is the one LAMMPS makes (kick half, drift, forces, kick half), cut at the same place, so that contact can
+be computed once from the positions of both domains at n+1:
+
+    target.advance(dt)          v to n+1/2, x to n+1, stress and internal forces at n+1
+    target.f_ext[...] += ...    contact forces at n+1
+    target.finish()             boundary forces, work of all forces over the step
+"""
+
+import numpy as np
+
+from ..constitutive import LAW, sound_speed, yield_stress
+from ..errors import SolverError
+from . import kernels as k
+from .mesh import TetMesh, facet_areas
+
+LINEAR_VISCOSITY = 0.06
+QUADRATIC_VISCOSITY = 1.2
+COURANT = 0.85
+
+
+class Target:
+    """State and motion of one finite-element domain.
+
+    Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx
+    yy zz yz xz xy; sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the
+    point of impact and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are
+    computed.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        laws: np.ndarray,
+        temperature: float,
+        law_of: np.ndarray | None = None,
+        fixed: tuple[str, ...] = ("bottom",),
+        absorbing: tuple[str, ...] = (),
+        sleeping: bool = True,
+    ):
+        """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
+
+        fixed, absorbing: names of facet sets (top, bottom, sides). sleeping: compute only what a wave can have
+        reached.
+        """
+        n, m = len(mesh.points), len(mesh.conn)
+        self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
+        self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
+        self.law_of_node = np.zeros(n, np.int32)
+        self.law_of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
+        self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
+        self.f, self.f_ext, self.f_old = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        self.f_ext_old = np.zeros((n, 3))
+        self.total = np.zeros((n, 3))
+        self.J, self.p, self.energy = np.ones(n), np.zeros(n), np.zeros(n)
+        self.s, self.fe = np.zeros((m, 6)), np.zeros((m, 4, 3))
+        self.eps_p, self.rate, self.heat, self.volume = np.zeros(m), np.zeros(m), np.zeros(m), mesh.V0.copy()
+        self.T = np.full(m, float(temperature))
+        self.sigma_y = np.array([yield_stress(self.laws[i], 0.0, 0.0, float(temperature)) for i in range(len(laws))])[
+            self.law_of
+        ]
+        self.mass_scale, self.dt_of = np.ones(m), np.zeros(m)
+        self.start, self.table = k.node_to_element(mesh.conn, n)
+        self.mass = mesh.node_volume * self.laws["rho"][self.law_of_node]
+        self.inv_mass = 1.0 / self.mass
+        self.fixed = _nodes_of(mesh, fixed)
+        self.inv_mass[self.fixed] = 0.0
+        self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
+        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and plastic heat, J
+        self.internal_work = self.contact_work = self.absorbed = 0.0
+        self.drag = np.zeros((len(self.dashpot_nodes), 3))
+        self.support, self.impulse = np.zeros(3), np.zeros(3)
+        self.dt_last, self.time = 0.0, 0.0
+        speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
+        self.wave_speed = 1.5 * max(speeds)  # shocks run ahead of sound
+        edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
+        self.reach = np.inf if not sleeping else 16.0 * edge  # the scheme itself runs a little ahead of the wave
+        self.active_nodes = self.active_elements = 0
+        self._wake(0.0)
+
+    def _dashpots(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Lysmer & Kuhlemeyer (1969): a matrix per boundary node, rho (c_p n n^T + c_s (1 - n n^T)) area / 3 from each facet."""
+        nodes = np.setdiff1d(_nodes_of(self.mesh, names), self.fixed)
+        matrix = np.zeros((len(self.mass), 3, 3))
+        for name in names:
+            ids = self.mesh.sets[name]
+            corners = self.mesh.facets[ids]
+            area, normal = facet_areas(self.mesh.points, corners)
+            law = self.laws[self.law_of[self.mesh.facet_element[ids]]]
+            cp = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"])
+            cs = np.sqrt(law["G"] / law["rho"])
+            nn = normal[:, :, None] * normal[:, None, :]
+            share = (law["rho"] * area / 3.0)[:, None, None] * (
+                cp[:, None, None] * nn + cs[:, None, None] * (np.eye(3) - nn)
+            )
+            for i in range(3):
+                np.add.at(matrix, corners[:, i], share)
+        return nodes, matrix[nodes]
+
+    def _wake(self, dt: float) -> None:
+        """Let the front of what is computed run ahead of the waves."""
+        self.reach += self.wave_speed * dt
+        self.active_elements = int(np.searchsorted(self.mesh.reach_element, self.reach))
+        last = self.mesh.conn[: self.active_elements].max() + 1 if self.active_elements else 0
+        self.active_nodes = max(self.active_nodes, int(last))
+
+    def stable_dt(self) -> tuple[float, int]:
+        """Largest stable time step (s, Courant factor and damping included) and the element that sets it."""
+        e = max(self.active_elements, 1)
+        dt, where = k.stable_dt(
+            0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.mass_scale, self.dt_of
+        )  # fmt: skip
+        return COURANT * dt / (1.0 + LINEAR_VISCOSITY), where
+
+    def advance(self, dt: float) -> None:
+        """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s.
+
+        Raises SolverError when a tetrahedron inverts.
+        """
+        n = self.active_nodes
+        kick = 0.5 * (self.dt_last + dt)
+        k.kick(0, n, kick, self.total, self.inv_mass, self.v)
+        self.impulse += kick * self.support
+        self._wake(dt)
+        n, m = self.active_nodes, self.active_elements
+        k.drift(0, n, dt, self.v, self.x)
+        if k.volumes(0, m, self.x, self.mesh.conn, self.volume) <= 0.0:
+            raise SolverError(self._inverted())
+        mesh = self.mesh
+        k.nodal_pressure(
+            0, n, self.start, self.table, self.volume, self.heat, mesh.node_volume, self.laws, self.law_of_node,
+            self.J, self.p, self.energy,
+        )  # fmt: skip
+        self.f, self.f_old = self.f_old, self.f
+        k.element_forces(
+            0, m, dt, LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume,
+            self.p, self.J, self.laws, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe,
+            self.sums,
+        )  # fmt: skip
+        k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
+        self.f_ext, self.f_ext_old = self.f_ext_old, self.f_ext
+        self.f_ext[:n] = 0.0
+        self.dt_last = dt
+        self.time += dt
+
+    def finish(self) -> None:
+        """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
+        n, dt = self.active_nodes, self.dt_last
+        self.internal_work -= k.work_of(0, n, dt, self.f_old, self.f, self.v)
+        self.contact_work += k.work_of(0, n, dt, self.f_ext_old, self.f_ext, self.v)
+        np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
+        self.support = np.zeros(3)
+        if len(self.dashpot_nodes):
+            nodes = self.dashpot_nodes
+            drag = -np.einsum("aij,aj->ai", self.dashpot, self.v[nodes])
+            self.total[nodes] += drag
+            self.absorbed -= 0.5 * dt * float(np.einsum("ai,ai->", drag + self.drag, self.v[nodes]))
+            self.drag = drag
+            self.support += drag.sum(axis=0)
+        if len(self.fixed):
+            self.support -= self.total[self.fixed].sum(axis=0)
+
+    def external_impulse(self) -> np.ndarray:
+        """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
+        return self.impulse + 0.5 * self.dt_last * self.support
+
+    def velocity(self) -> np.ndarray:
+        """Velocities at the same instant as the positions, (n,3) m/s."""
+        return self.v + (0.5 * self.dt_last) * self.total * self.inv_mass[:, None]
+
+    def kinetic(self) -> float:
+        """Kinetic energy in J: sum of m v(n-1/2).v(n+1/2) / 2, the one that central differences conserve together with the work."""
+        next_v = self.v + self.dt_last * self.total * self.inv_mass[:, None]
+        return 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.v, next_v))
+
+    def momentum(self) -> np.ndarray:
+        """Linear momentum (3,) in kg m/s."""
+        return self.mass @ self.velocity()
+
+    def elastic(self) -> float:
+        """Recoverable energy in J: deviators, and the volumetric energy less the heat in it."""
+        shear = k.elastic_shear_energy(0, self.active_elements, self.volume, self.laws, self.law_of, self.s)
+        pending = float(np.sum(self.heat[: self.active_elements]))  # reaches the nodes in the next step
+        return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
+
+    def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
+        """Put heat (J, one for each of `elements`, repeats allowed) into the temperature of elements."""
+        law = self.laws[self.law_of[elements]]
+        cp = law["cp_0"] + law["cp_slope"] * (np.clip(self.T[elements], law["cp_T0"], law["cp_T1"]) - law["cp_T0"])
+        np.add.at(self.T, elements, heat / (law["rho"] * self.mesh.V0[elements] * cp))
+
+    def stress(self) -> np.ndarray:
+        """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""
+        sigma = self.s.copy()
+        sigma[:, :3] -= self.p[self.mesh.conn].mean(axis=1)[:, None]
+        return sigma
+
+    def _inverted(self) -> str:
+        e = int(np.argmin(self.volume[: self.active_elements]))
+        where = self.x[self.mesh.conn[e]].mean(axis=0) * 1e6
+        return (
+            f"element {e} of the target inverted at t = {self.time * 1e9:.3f} ns near "
+            f"({where[0]:.2f}, {where[1]:.2f}, {where[2]:.2f}) um: try a coarser substrate element_size or a smaller dt"
+        )
+
+
+def _nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
+    ids = [mesh.facets[mesh.sets[name]].ravel() for name in names]
+    return np.unique(np.concatenate(ids)) if ids else np.zeros(0, np.int64)

@@ -1,0 +1,352 @@
+"""Kernels of the explicit tetrahedral target: kinematics, averaged nodal pressure, stress, forces, time step.
+
+Each kernel works on a range [lo, hi) of elements or nodes and writes only its own rows, so that any split of the
+range over threads gives the same numbers to the last bit. Voigt order everywhere: xx yy zz yz xz xy. The averaged
+nodal pressure is that of Bonet & Burton (1998): the volume ratio, and with it the pressure, is a nodal quantity; a
+tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from locking in isochoric flow.
+"""
+
+from math import acos, cos, sqrt
+
+import numpy as np
+from numba import njit
+
+from ..constitutive import bulk_stiffness, harden, mie_gruneisen, von_mises
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _gradient(a0, a1, a2, a3, B):
+    """Sum over the four nodes of a_I (x) dN_I/dX, row by row; node 0 carries minus the gradients of the others."""
+    d10, d11, d12 = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
+    d20, d21, d22 = a2[0] - a0[0], a2[1] - a0[1], a2[2] - a0[2]
+    d30, d31, d32 = a3[0] - a0[0], a3[1] - a0[1], a3[2] - a0[2]
+    return (
+        d10 * B[0, 0] + d20 * B[1, 0] + d30 * B[2, 0],
+        d10 * B[0, 1] + d20 * B[1, 1] + d30 * B[2, 1],
+        d10 * B[0, 2] + d20 * B[1, 2] + d30 * B[2, 2],
+        d11 * B[0, 0] + d21 * B[1, 0] + d31 * B[2, 0],
+        d11 * B[0, 1] + d21 * B[1, 1] + d31 * B[2, 1],
+        d11 * B[0, 2] + d21 * B[1, 2] + d31 * B[2, 2],
+        d12 * B[0, 0] + d22 * B[1, 0] + d32 * B[2, 0],
+        d12 * B[0, 1] + d22 * B[1, 1] + d32 * B[2, 1],
+        d12 * B[0, 2] + d22 * B[1, 2] + d32 * B[2, 2],
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cofactor(f00, f01, f02, f10, f11, f12, f20, f21, f22):
+    """Cofactor matrix of F (that is J F^-T), row by row, and J."""
+    c00 = f11 * f22 - f12 * f21
+    c01 = f12 * f20 - f10 * f22
+    c02 = f10 * f21 - f11 * f20
+    c10 = f02 * f21 - f01 * f22
+    c11 = f00 * f22 - f02 * f20
+    c12 = f01 * f20 - f00 * f21
+    c20 = f01 * f12 - f02 * f11
+    c21 = f02 * f10 - f00 * f12
+    c22 = f00 * f11 - f01 * f10
+    return c00, c01, c02, c10, c11, c12, c20, c21, c22, f00 * c00 + f01 * c01 + f02 * c02
+
+
+@njit(cache=True, nogil=True)
+def volumes(lo, hi, x, conn, volume):
+    """Current volume of each tetrahedron, m3; volume (m,) is written. Returns the smallest."""
+    smallest = 1e300
+    for e in range(lo, hi):
+        a, b, c, d = x[conn[e, 0]], x[conn[e, 1]], x[conn[e, 2]], x[conn[e, 3]]
+        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        w0, w1, w2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
+        vol = (u0 * (v1 * w2 - v2 * w1) + u1 * (v2 * w0 - v0 * w2) + u2 * (v0 * w1 - v1 * w0)) / 6.0
+        volume[e] = vol
+        smallest = min(smallest, vol)
+    return smallest
+
+
+@njit(cache=True, nogil=True)
+def nodal_pressure(lo, hi, start, table, volume, heat, V0_node, laws, law_of_node, J, p, energy):
+    """Averaged nodal volume ratio and the pressure that goes with it.
+
+    start (n+1,), table: rows 4 e + local of the elements around each node. volume (m,) m3 now; heat (m,) J put into
+    each element during the last step. J, p (Pa), energy (J per reference m3) of shape (n,) move on in place.
+    """
+    for a in range(lo, hi):
+        vol = 0.0
+        q = 0.0
+        for r in range(start[a], start[a + 1]):
+            e = table[r] >> 2
+            vol += volume[e]
+            q += heat[e]
+        J_new = 0.25 * vol / V0_node[a]
+        law = laws[law_of_node[a]]
+        p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / V0_node[a])
+        J[a] = J_new
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def element_forces(
+    lo, hi, dt, b1, b2, x, v, conn, B, V0, volume, p, J_node, laws, law_of, s, sigma_y, eps_p, rate, T, heat, fe, sums
+):  # fmt: skip
+    """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
+
+    x (n,3) positions at n+1, v (n,3) velocities at n+1/2; B (m,3,3) reference gradients of nodes 1 to 3; s (m,6)
+    Cauchy deviator, updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y (m,).
+    fe (m,4,3) receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T. heat (m,) receives
+    the heat of the step in J. sums (3,) is increased by the plastic work, the work of the bulk viscosity and the
+    plastic heat, J.
+    """
+    plastic = 0.0
+    warmth = 0.0
+    viscous = 0.0
+    half = 0.5 * dt
+    for e in range(lo, hi):
+        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        law = laws[law_of[e]]
+        Be = B[e]
+        f00, f01, f02, f10, f11, f12, f20, f21, f22 = _gradient(x[n0], x[n1], x[n2], x[n3], Be)
+        g00, g01, g02, g10, g11, g12, g20, g21, g22 = _gradient(v[n0], v[n1], v[n2], v[n3], Be)
+        # velocity gradient at mid-step: L = Fdot F^-1, F at n+1/2
+        m00, m01, m02, m10, m11, m12, m20, m21, m22, Jm = _cofactor(
+            f00 - half * g00, f01 - half * g01, f02 - half * g02,
+            f10 - half * g10, f11 - half * g11, f12 - half * g12,
+            f20 - half * g20, f21 - half * g21, f22 - half * g22,
+        )  # fmt: skip
+        inv = 1.0 / Jm
+        l00 = (g00 * m00 + g01 * m01 + g02 * m02) * inv
+        l01 = (g00 * m10 + g01 * m11 + g02 * m12) * inv
+        l02 = (g00 * m20 + g01 * m21 + g02 * m22) * inv
+        l10 = (g10 * m00 + g11 * m01 + g12 * m02) * inv
+        l11 = (g10 * m10 + g11 * m11 + g12 * m12) * inv
+        l12 = (g10 * m20 + g11 * m21 + g12 * m22) * inv
+        l20 = (g20 * m00 + g21 * m01 + g22 * m02) * inv
+        l21 = (g20 * m10 + g21 * m11 + g22 * m12) * inv
+        l22 = (g20 * m20 + g21 * m21 + g22 * m22) * inv
+        div = l00 + l11 + l22
+        third = div / 3.0
+
+        # rotate the old deviator: R = (1 - W/2)^-1 (1 + W/2), W = dt spin, axial vector w/2 below
+        wx, wy, wz = 0.25 * dt * (l21 - l12), 0.25 * dt * (l02 - l20), 0.25 * dt * (l10 - l01)
+        ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
+        r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
+        r01, r10 = ww * (wx * wy - wz), ww * (wx * wy + wz)
+        r02, r20 = ww * (wx * wz + wy), ww * (wx * wz - wy)
+        r12, r21 = ww * (wy * wz - wx), ww * (wy * wz + wx)
+        sxx, syy, szz, syz, sxz, sxy = s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5]
+        t00, t01, t02 = (
+            r00 * sxx + r01 * sxy + r02 * sxz,
+            r00 * sxy + r01 * syy + r02 * syz,
+            r00 * sxz + r01 * syz + r02 * szz,
+        )
+        t10, t11, t12 = (
+            r10 * sxx + r11 * sxy + r12 * sxz,
+            r10 * sxy + r11 * syy + r12 * syz,
+            r10 * sxz + r11 * syz + r12 * szz,
+        )
+        t20, t21, t22 = (
+            r20 * sxx + r21 * sxy + r22 * sxz,
+            r20 * sxy + r21 * syy + r22 * syz,
+            r20 * sxz + r21 * syz + r22 * szz,
+        )
+        # the rotated old deviator, kept for the work it does on the plastic strain of this step
+        oxx, oyy, ozz = (
+            t00 * r00 + t01 * r01 + t02 * r02,
+            t10 * r10 + t11 * r11 + t12 * r12,
+            t20 * r20 + t21 * r21 + t22 * r22,
+        )
+        oyz, oxz, oxy = (
+            t10 * r20 + t11 * r21 + t12 * r22,
+            t00 * r20 + t01 * r21 + t02 * r22,
+            t00 * r10 + t01 * r11 + t02 * r12,
+        )
+        G2dt = 2.0 * law.G * dt
+        sxx, syy, szz = oxx + G2dt * (l00 - third), oyy + G2dt * (l11 - third), ozz + G2dt * (l22 - third)
+        syz, sxz, sxy = oyz + 0.5 * G2dt * (l12 + l21), oxz + 0.5 * G2dt * (l02 + l20), oxy + 0.5 * G2dt * (l01 + l10)
+
+        # radial return to the yield stress the last step left behind
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, J = _cofactor(f00, f01, f02, f10, f11, f12, f20, f21, f22)
+        q_trial = von_mises(sxx, syy, szz, syz, sxz, sxy)
+        sy = sigma_y[e]
+        deps = 0.0
+        flow = sy
+        if q_trial > sy:
+            deps = (q_trial - sy) / (3.0 * law.G)
+            scale = sy / q_trial
+            # the step's mean stress along the plastic flow: what makes stored and dissipated energy add up to the work done
+            along = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
+            flow = 0.5 * (sy + 1.5 * along / q_trial)
+            sxx, syy, szz, syz, sxz, sxy = sxx * scale, syy * scale, szz * scale, syz * scale, sxz * scale, sxy * scale
+        if deps > 0.0 or rate[e] > 0.0:
+            eps_p[e], rate[e], T[e], sy, work = harden(law, deps, dt, J, flow, sy, eps_p[e], rate[e], T[e])
+            sigma_y[e] = sy
+            plastic += V0[e] * work
+            heat[e] = V0[e] * law.taylor_quinney * work
+            warmth += heat[e]
+        else:
+            heat[e] = 0.0
+        s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5] = sxx, syy, szz, syz, sxz, sxy
+
+        # bulk viscosity, linear and quadratic in the rate of compression, over the element's length
+        pressure = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
+        if div < 0.0:
+            length = volume[e] ** (1.0 / 3.0)
+            c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
+            qv = law.rho * length * (b2 * b2 * length * div * div - b1 * c * div)
+            viscous -= qv * div * dt * volume[e]
+            pressure += qv
+
+        # P = sigma cof(F); f_I = -V0 P B_I
+        sxx -= pressure
+        syy -= pressure
+        szz -= pressure
+        P00, P01, P02 = (
+            sxx * c00 + sxy * c10 + sxz * c20,
+            sxx * c01 + sxy * c11 + sxz * c21,
+            sxx * c02 + sxy * c12 + sxz * c22,
+        )
+        P10, P11, P12 = (
+            sxy * c00 + syy * c10 + syz * c20,
+            sxy * c01 + syy * c11 + syz * c21,
+            sxy * c02 + syy * c12 + syz * c22,
+        )
+        P20, P21, P22 = (
+            sxz * c00 + syz * c10 + szz * c20,
+            sxz * c01 + syz * c11 + szz * c21,
+            sxz * c02 + syz * c12 + szz * c22,
+        )
+        V = V0[e]
+        q0 = 0.0
+        q1 = 0.0
+        q2 = 0.0
+        for k in range(3):
+            bx, by, bz = Be[k, 0], Be[k, 1], Be[k, 2]
+            h0 = -V * (P00 * bx + P01 * by + P02 * bz)
+            h1 = -V * (P10 * bx + P11 * by + P12 * bz)
+            h2 = -V * (P20 * bx + P21 * by + P22 * bz)
+            fe[e, k + 1, 0], fe[e, k + 1, 1], fe[e, k + 1, 2] = h0, h1, h2
+            q0 -= h0
+            q1 -= h1
+            q2 -= h2
+        fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
+    sums[0] += plastic
+    sums[1] += viscous
+    sums[2] += warmth
+
+
+@njit(cache=True, nogil=True)
+def gather_forces(lo, hi, start, table, fe, f):
+    """Sum the element forces at each node: f (n,3) is overwritten for nodes [lo, hi)."""
+    for a in range(lo, hi):
+        f0 = 0.0
+        f1 = 0.0
+        f2 = 0.0
+        for r in range(start[a], start[a + 1]):
+            e, k = table[r] >> 2, table[r] & 3
+            f0 += fe[e, k, 0]
+            f1 += fe[e, k, 1]
+            f2 += fe[e, k, 2]
+        f[a, 0], f[a, 1], f[a, 2] = f0, f1, f2
+
+
+@njit(cache=True, nogil=True)
+def kick(lo, hi, dt, f, inv_mass, v):
+    """v += dt f / m; held nodes have inv_mass 0."""
+    for a in range(lo, hi):
+        w = dt * inv_mass[a]
+        v[a, 0] += w * f[a, 0]
+        v[a, 1] += w * f[a, 1]
+        v[a, 2] += w * f[a, 2]
+
+
+@njit(cache=True, nogil=True)
+def drift(lo, hi, dt, v, x):
+    """x += dt v."""
+    for a in range(lo, hi):
+        x[a, 0] += dt * v[a, 0]
+        x[a, 1] += dt * v[a, 1]
+        x[a, 2] += dt * v[a, 2]
+
+
+@njit(cache=True, nogil=True)
+def work_of(lo, hi, dt, f_old, f, v):
+    """Work of nodal forces over a step, sum of dt (f_old + f)/2 . v with v at mid-step, in J."""
+    total = 0.0
+    for a in range(lo, hi):
+        total += (
+            (f_old[a, 0] + f[a, 0]) * v[a, 0] + (f_old[a, 1] + f[a, 1]) * v[a, 1] + (f_old[a, 2] + f[a, 2]) * v[a, 2]
+        )
+    return 0.5 * dt * total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _largest_eigenvalue(a, b, c, d, e, f):
+    """Largest eigenvalue of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""
+    mean = (a + b + c) / 3.0
+    off = f * f + e * e + d * d
+    spread = sqrt(((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2 + 2.0 * off) / 6.0)
+    if spread <= 1e-14 * abs(mean):
+        return mean
+    a, b, c, d, e, f = (a - mean) / spread, (b - mean) / spread, (c - mean) / spread, d / spread, e / spread, f / spread
+    half_det = 0.5 * (a * (b * c - d * d) - f * (f * c - d * e) + e * (f * d - b * e))
+    return mean + 2.0 * spread * cos(acos(min(max(half_det, -1.0), 1.0)) / 3.0)
+
+
+@njit(cache=True, nogil=True)
+def stable_dt(lo, hi, x, conn, J_node, laws, law_of, mass_scale, dt_of):
+    """Bound on the stable time step of each element, s, into dt_of (m,); returns (smallest, its element).
+
+    omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b: the
+    element's largest eigenvalue bounds the mesh's. K stiffens with compression. mass_scale (m,): factor on the
+    element's mass.
+    """
+    smallest = 1e300
+    where = -1
+    for e in range(lo, hi):
+        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        law = laws[law_of[e]]
+        x0, x1, x2, x3 = x[n0], x[n1], x[n2], x[n3]
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = _cofactor(
+            x1[0] - x0[0], x1[1] - x0[1], x1[2] - x0[2],
+            x2[0] - x0[0], x2[1] - x0[1], x2[2] - x0[2],
+            x3[0] - x0[0], x3[1] - x0[1], x3[2] - x0[2],
+        )  # fmt: skip
+        i2 = 1.0 / (det * det)
+        s0, s1, s2 = c00 + c10 + c20, c01 + c11 + c21, c02 + c12 + c22
+        xx = (c00 * c00 + c10 * c10 + c20 * c20 + s0 * s0) * i2
+        yy = (c01 * c01 + c11 * c11 + c21 * c21 + s1 * s1) * i2
+        zz = (c02 * c02 + c12 * c12 + c22 * c22 + s2 * s2) * i2
+        yz = (c01 * c02 + c11 * c12 + c21 * c22 + s1 * s2) * i2
+        xz = (c00 * c02 + c10 * c12 + c20 * c22 + s0 * s2) * i2
+        xy = (c00 * c01 + c10 * c11 + c20 * c21 + s0 * s1) * i2
+        J = 0.25 * (J_node[n0] + J_node[n1] + J_node[n2] + J_node[n3])
+        lame = bulk_stiffness(law, J) / J - 2.0 / 3.0 * law.G
+        # density now is rho0 / J_e, with the mass the element really carries
+        omega2 = (
+            4.0
+            * J
+            / (law.rho * mass_scale[e])
+            * (lame * (xx + yy + zz) + 2.0 * law.G * _largest_eigenvalue(xx, yy, zz, yz, xz, xy))
+        )
+        dt = 2.0 / sqrt(omega2) if det > 0.0 else 0.0
+        dt_of[e] = dt
+        if dt < smallest:
+            smallest, where = dt, e
+    return smallest, where
+
+
+@njit(cache=True, nogil=True)
+def elastic_shear_energy(lo, hi, volume, laws, law_of, s):
+    """Recoverable energy of the deviators, sum of v s:s / 4G over the volumes now, in J."""
+    total = 0.0
+    for e in range(lo, hi):
+        ss = s[e, 0] ** 2 + s[e, 1] ** 2 + s[e, 2] ** 2 + 2.0 * (s[e, 3] ** 2 + s[e, 4] ** 2 + s[e, 5] ** 2)
+        total += volume[e] * ss / (4.0 * laws[law_of[e]].G)
+    return total
+
+
+def node_to_element(conn: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows 4 e + local around each node: (start (nodes+1,), table (4 m,)), in element order, so that sums have one order."""
+    flat = np.asarray(conn).ravel()
+    table = np.argsort(flat, kind="stable").astype(np.int32)
+    start = np.zeros(nodes + 1, np.int64)
+    np.cumsum(np.bincount(flat, minlength=nodes), out=start[1:])
+    return start, table

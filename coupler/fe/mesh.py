@@ -1,0 +1,174 @@
+"""Graded tetrahedral meshes of the target (gmsh), and what the solver takes from scikit-fem."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import SolverError
+
+
+@dataclass(frozen=True)
+class TetMesh:
+    """What the explicit solver needs of a mesh, numbered outwards from the point of impact.
+
+    points (n,3) m; conn (m,4); B (m,3,3) reference gradients of nodes 1 to 3; V0 (m,) m3; node_volume (n,) m3, the
+    lumped share of each node; facets (k,3) boundary triangles, normals outwards; facet_element (k,); sets: facet
+    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, ascending.
+    """
+
+    points: np.ndarray
+    conn: np.ndarray
+    B: np.ndarray
+    V0: np.ndarray
+    node_volume: np.ndarray
+    facets: np.ndarray
+    facet_element: np.ndarray
+    sets: dict[str, np.ndarray]
+    reach_node: np.ndarray
+    reach_element: np.ndarray
+
+
+def cylinder(
+    diameter: float,
+    height: float,
+    size: float,
+    refined_radius: float,
+    growth: float,
+    centre: tuple[float, float] = (0.0, 0.0),
+    sizes_to: float | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
+
+    Element edges are `size` within refined_radius of (centre, 0) and grow by `growth` per unit of distance beyond,
+    up to sizes_to (default: a sixth of the smaller dimension).
+    """
+    unit = size  # gmsh's absolute tolerances want numbers near one
+    largest = (sizes_to or min(diameter, height) / 6.0) / unit
+
+    def build(gmsh: Any) -> None:
+        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit)
+        gmsh.model.occ.synchronize()
+        x, y = centre[0] / unit, centre[1] / unit
+        distance = f"Sqrt((x-({x:.12g}))^2+(y-({y:.12g}))^2+z^2)"
+        field = gmsh.model.mesh.field.add("MathEval")
+        grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
+        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
+        gmsh.model.mesh.field.setAsBackgroundMesh(field)
+
+    points, tets = _with_gmsh(build)
+    return points * unit, tets
+
+
+def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points and tetrahedra of a box [0, lx] x [0, ly] x [0, lz] with edges of about `size` (m)."""
+
+    def build(gmsh: Any) -> None:
+        gmsh.model.occ.addBox(0, 0, 0, *(length / size for length in lengths))
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+
+    points, tets = _with_gmsh(build)
+    return points * size, tets
+
+
+def _with_gmsh(build: Any) -> tuple[np.ndarray, np.ndarray]:
+    import gmsh
+
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)  # the same mesh on every machine
+        gmsh.model.add("target")
+        for name in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
+            gmsh.option.setNumber(f"Mesh.{name}", 0)
+        gmsh.option.setNumber("Mesh.Algorithm3D", 10)  # HXT
+        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers that would set dt
+        build(gmsh)
+        gmsh.model.mesh.generate(3)
+        tags, coords, _ = gmsh.model.mesh.getNodes()
+        _, nodes = gmsh.model.mesh.getElementsByType(4)
+    finally:
+        gmsh.finalize()
+    if len(nodes) == 0:
+        raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
+    lookup = np.zeros(int(tags.max()) + 1, np.int64)
+    lookup[tags.astype(np.int64)] = np.arange(len(tags))
+    tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
+    points = coords.reshape(-1, 3)
+    used, tets = np.unique(tets, return_inverse=True)  # geometry points that carry no element
+    return points[used], tets.reshape(-1, 4)
+
+
+def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:
+    """Number a mesh outwards from `origin` (m) and take gradients, volumes, masses and facets from scikit-fem.
+
+    Raises SolverError for an inverted or empty tetrahedron.
+    """
+    from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
+
+    distance = np.linalg.norm(points - np.asarray(origin), axis=1)
+    order = np.argsort(distance, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    points, reach_node = np.ascontiguousarray(points[order]), distance[order]
+    tets = rank[tets]
+    reach = reach_node[tets].min(axis=1)
+    by_reach = np.argsort(reach, kind="stable")
+    tets, reach = tets[by_reach], reach[by_reach]
+
+    edge = points[tets[:, 1:]] - points[tets[:, :1]]
+    signed = np.linalg.det(edge) / 6.0
+    if not np.all(np.abs(signed) > 0.0):
+        bad = int(np.argmin(np.abs(signed)))
+        raise SolverError(f"tetrahedron {bad} of the mesh is empty: remesh the target or change its element size")
+    tets[signed < 0, 2:] = tets[signed < 0, 2:][:, ::-1]
+
+    mesh = MeshTet(points.T, tets.T.astype(np.int64), sort_t=False)
+    basis = Basis(mesh, ElementTetP1(), intorder=1)
+    gradients = np.stack(
+        [np.broadcast_to(basis.basis[i][0].grad, (3, len(tets), 1))[:, :, 0].T for i in (1, 2, 3)], axis=1
+    )
+    V0 = basis.dx.sum(axis=1)
+    node_volume = asm(LinearForm(lambda v, w: v), basis)
+
+    facet_ids = mesh.boundary_facets()
+    element = mesh.f2t[0, facet_ids]
+    corners = mesh.facets[:, facet_ids].T
+    inside = points[tets[element]].mean(axis=1)
+    a, b, c = points[corners[:, 0]], points[corners[:, 1]], points[corners[:, 2]]
+    normal = np.cross(b - a, c - a)
+    flip = np.einsum("ij,ij->i", normal, a - inside) < 0
+    corners[flip] = corners[flip][:, [0, 2, 1]]
+    sets = _name_sides(points, corners)
+    return TetMesh(
+        points,
+        np.ascontiguousarray(tets, np.int32),
+        np.ascontiguousarray(gradients),
+        np.ascontiguousarray(V0),
+        np.ascontiguousarray(node_volume),
+        np.ascontiguousarray(corners, np.int32),
+        np.ascontiguousarray(element, np.int32),
+        sets,
+        reach_node,
+        reach,
+    )
+
+
+def _name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
+    """Facets of a cylinder or box by where they lie: top (highest z), bottom (lowest z), sides (the rest)."""
+    z = points[corners][:, :, 2]
+    low, high = points[:, 2].min(), points[:, 2].max()
+    close = 1e-6 * (high - low)
+    top = np.all(z > high - close, axis=1)
+    bottom = np.all(z < low + close, axis=1)
+    return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
+
+
+def facet_areas(points: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Areas (k,) m2 and unit outward normals (k,3) of triangles."""
+    a, b, c = (points[facets[:, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    twice = np.linalg.norm(normal, axis=1)
+    return 0.5 * twice, normal / twice[:, None]

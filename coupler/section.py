@@ -1,0 +1,73 @@
+"""Where a plane of constant y cuts tetrahedra and triangles. Lengths in whatever unit the points have."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def cut_tets(points: NDArray, tets: NDArray, y: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cut tetrahedra with a plane of constant y.
+
+    points: (n, 3). tets: (m, 4). Returns the corners of the polygons, in order round each, as the two points
+    whose edge they lie on, (q, 4, 2), a triangle with its last one twice, and each polygon's tet, (q,).
+    """
+    side = points[tets, 1] >= y
+    above = side.sum(axis=1)
+    # With the points above the plane first, each number of them has one recipe.
+    order = np.take_along_axis(tets, np.argsort(~side, axis=1, kind="stable"), axis=1)
+    recipes = {
+        1: [(0, 1), (0, 2), (0, 3), (0, 3)],
+        2: [(0, 2), (0, 3), (1, 3), (1, 2)],
+        3: [(3, 0), (3, 1), (3, 2), (3, 2)],
+    }
+    owners = {count: np.flatnonzero(above == count) for count in recipes}
+    edges = [order[owners[count]][:, np.array(recipe)] for count, recipe in recipes.items()]
+    return np.concatenate(edges), np.concatenate(list(owners.values()))
+
+
+def cut_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.int64]:
+    """Cut triangles with a plane of constant y.
+
+    points: (n, 3). triangles: (m, 3). Returns segments as start and end, each given by the two points whose
+    edge it lies on, smaller index first, (q, 2, 2). Triangles that turn the same way give segments that do.
+    """
+    side = points[triangles, 1] >= y
+    above = side.sum(axis=1)
+    cut = (above == 1) | (above == 2)
+    triangles, side, above = triangles[cut], side[cut], above[cut]
+    # Turn each triangle so that the corner that is alone on its side comes first.
+    alone = np.argmax(side == (above == 1)[:, None], axis=1)
+    turned = np.take_along_axis(triangles, (alone[:, None] + np.arange(3)) % 3, axis=1)
+    segments = np.stack([turned[:, [0, 1]], turned[:, [0, 2]]], axis=1)
+    segments[above == 2] = segments[above == 2][:, ::-1]
+    return np.sort(segments, axis=2)
+
+
+def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray]:
+    """Closed lines in which a closed surface meets a plane of constant y, as x and z, (k, 2) each.
+
+    points: (n, 3). triangles: (m, 3), all turning the same way; a hole then turns against its outline.
+    """
+    segments = cut_triangles(points, triangles, y).tolist()
+    following = {tuple(start): tuple(end) for start, end in segments}
+    loops = []
+    while following:
+        start, corner = following.popitem()
+        chain = [start]
+        while corner in following:
+            chain.append(corner)
+            corner = following.pop(corner)
+        if len(chain) > 2:
+            loops.append(crossing(points, np.array(chain), y)[0])
+    return loops
+
+
+def crossing(points: NDArray, edges: NDArray, y: float) -> tuple[NDArray, NDArray]:
+    """Where edges (..., 2) between points on different sides meet the plane.
+
+    Returns x and z, (..., 2), and the share of the edge up to there, (...).
+    """
+    a, b = points[edges[..., 0]], points[edges[..., 1]]
+    share = (y - a[..., 1]) / (b[..., 1] - a[..., 1])
+    return (a + share[..., None] * (b - a))[..., [0, 2]], share

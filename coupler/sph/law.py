@@ -1,0 +1,106 @@
+"""Our constitutive law inside MACHDYN, through the two per-point numbers it lets one set: yield stress and energy.
+
+MACHDYN's own Johnson-Cook has no thermal softening and averages the strain rate over some 500 ns. Its linear
+plastic strength model with a zero offset returns the deviator to H x eff_plastic_strain, so writing sigma_y/H into
+eff_plastic_strain each step prescribes the yield stress, and what MACHDYN then adds to it is the plastic strain of
+the step. Its shock equation of state gives the mean stress -p_H + rho Gamma e, in which heat pulls where it should
+push and the Hugoniot term is too stiff; writing into esph the e that makes that sum equal -p of
+`coupler.constitutive` mends both. Both lag by one step.
+"""
+
+import numpy as np
+from numba import njit
+
+from ..constitutive import harden, hugoniot_pressure, mie_gruneisen
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _machdyn_hugoniot(law, J):
+    """Pressure of MACHDYN's shock equation of state without energy, and its slope in J: the Hugoniot as it stands."""
+    eta = 1.0 - J
+    w = 1.0 - law.s * eta
+    return law.K * eta / (w * w), -law.K * (1.0 + law.s * eta) / (w * w * w)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_law(
+    laws, dt, H, volume, mass, stress, machdyn_eps, machdyn_e, machdyn_de, sigma_y, eps_p, rate, T, J, p, energy, set_e, work, sums
+):  # fmt: skip
+    """Read what MACHDYN did in this step, move the state of every point on, and prescribe the next step.
+
+    laws: one LAW record, dt s, H Pa. Per point (n,): volume m3 and mass kg; machdyn_eps, machdyn_e (J), machdyn_de
+    (W) of LAMMPS, written; stress (n,6) of LAMMPS, xx xy xz yy yz zz, read; sigma_y Pa, eps_p, rate 1/s, T K, J, p
+    Pa, energy J per reference m3, work (plastic work per reference m3); set_e: the e (J/kg) prescribed for this
+    step. sums (2,) grows by plastic work and plastic heat in J.
+    """
+    law = laws[0]
+    for i in range(len(eps_p)):
+        # the volume ratio MACHDYN saw: invert its equation of state, Newton from the last J
+        mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
+        Ji = J[i]
+        e = set_e[i]
+        for _ in range(30):
+            pH, slope = _machdyn_hugoniot(law, Ji)
+            residual = -pH + law.rho / Ji * law.Gamma0 * e - mean
+            step = residual / (-slope - law.rho / (Ji * Ji) * law.Gamma0 * e)
+            Ji -= step
+            if abs(step) < 1e-13:
+                break
+        deps = max(machdyn_eps[i] - sigma_y[i] / H, 0.0)
+        eps_p[i], rate[i], T[i], sigma_y[i], w = harden(
+            law, deps, dt, Ji, sigma_y[i], sigma_y[i], eps_p[i], rate[i], T[i]
+        )
+        heat = law.taylor_quinney * w
+        p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
+        J[i] = Ji
+        work[i] += w
+        sums[0] += volume[i] * w
+        sums[1] += volume[i] * heat
+        machdyn_eps[i] = sigma_y[i] / H
+        if law.Gamma0 > 0.0:
+            set_e[i] = (hugoniot_pressure(law, Ji) - p[i]) * Ji / (law.rho * law.Gamma0)
+        machdyn_e[i] = set_e[i] * mass[i]
+        machdyn_de[i] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def elastic_energy(laws, volume, stress, J, energy, work):
+    """Recoverable energy in J: deviators (J V s:s / 4G) and volumetric energy without the plastic heat in it."""
+    law = laws[0]
+    total = 0.0
+    for i in range(len(J)):
+        mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
+        xx, yy, zz = stress[i, 0] - mean, stress[i, 3] - mean, stress[i, 5] - mean
+        ss = xx * xx + yy * yy + zz * zz + 2.0 * (stress[i, 1] ** 2 + stress[i, 2] ** 2 + stress[i, 4] ** 2)
+        total += volume[i] * (J[i] * ss / (4.0 * law.G) + energy[i] - law.taylor_quinney * work[i])
+    return total
+
+
+@njit(cache=True, nogil=True)
+def smallest_stretch(strain):
+    """Smallest principal stretch over all points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
+    smallest = 1e300
+    where = -1
+    C = np.empty((3, 3))
+    for i in range(len(strain)):
+        C[0, 0], C[1, 1], C[2, 2] = 1 + 2 * strain[i, 0], 1 + 2 * strain[i, 1], 1 + 2 * strain[i, 2]
+        C[0, 1] = C[1, 0] = 2 * strain[i, 3]
+        C[0, 2] = C[2, 0] = 2 * strain[i, 4]
+        C[1, 2] = C[2, 1] = 2 * strain[i, 5]
+        mean = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
+        off = C[0, 1] ** 2 + C[0, 2] ** 2 + C[1, 2] ** 2
+        q = (C[0, 0] - mean) ** 2 + (C[1, 1] - mean) ** 2 + (C[2, 2] - mean) ** 2 + 2 * off
+        spread = np.sqrt(q / 6.0)
+        low = mean
+        if spread > 1e-14:
+            D = (C - mean * np.eye(3)) / spread
+            det = (
+                D[0, 0] * (D[1, 1] * D[2, 2] - D[1, 2] * D[2, 1])
+                - D[0, 1] * (D[1, 0] * D[2, 2] - D[1, 2] * D[2, 0])
+                + D[0, 2] * (D[1, 0] * D[2, 1] - D[1, 1] * D[2, 0])
+            )
+            angle = np.arccos(min(max(0.5 * det, -1.0), 1.0)) / 3.0
+            low = mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0)
+        if low < smallest:
+            smallest, where = low, i
+    return np.sqrt(max(smallest, 0.0)), where

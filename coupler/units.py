@@ -1,0 +1,112 @@
+"""Values with units at the edge of the program: "25 um" in, 2.5e-5 m inside.
+
+A dimension is a name ("length"); it has one SI unit, in which everything inside is kept, and others that a
+person may write. Reading is exact to the last bit ("25 um" is the float 2.5e-5), so a scene written out and
+read again is equal.
+"""
+
+import difflib
+import math
+import re
+from fractions import Fraction
+
+_MICRO_SIGNS = str.maketrans({"µ": "u", "μ": "u", "°": "deg"})
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(\S.*?)?\s*", re.ASCII)
+_LONGEST = 60  # characters; exact arithmetic on longer numbers would only cost time
+
+# dimension -> (an example for messages, {unit: factor to the SI unit}); the first unit of each is the SI one
+_DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
+    "length": ("25 um", {"m": "1", "cm": "1e-2", "mm": "1e-3", "um": "1e-6", "nm": "1e-9"}),
+    "velocity": ("500 m/s", {"m/s": "1", "km/s": "1e3", "mm/us": "1e3"}),
+    "angle": ("30 deg", {"rad": "1", "deg": math.pi / 180}),
+    "temperature": ("300 K", {"K": "1", "degC": "1"}),
+    "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12"}),
+    "pressure": ("180 MPa", {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9"}),
+    "density": (
+        "8906 kg/m^3",
+        {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1e3", "g/cm3": "1e3"},
+    ),
+    "specific heat": ("456 J/(kg K)", {"J/(kg K)": "1", "J/kgK": "1", "J/kg/K": "1", "kJ/(kg K)": "1e3"}),
+    "conductivity": ("91 W/(m K)", {"W/(m K)": "1", "W/mK": "1", "W/m/K": "1"}),
+    "expansion": ("13e-6 1/K", {"1/K": "1"}),
+    "rate": ("1 1/s", {"1/s": "1"}),
+}
+_OFFSETS = {"degC": Fraction("273.15")}
+_DIMENSION_OF = {unit: dimension for dimension, (_, units) in _DIMENSIONS.items() for unit in units}
+
+
+class UnitError(ValueError):
+    """A value without the unit it needs, or with another one. The message says which dimension is wanted."""
+
+
+def parse(value: object, dimension: str) -> float:
+    """Read a quantity such as "25 um".
+
+    value: text with a number and a unit (anything else is refused). dimension: one of the names above.
+    Returns the value in the SI unit of the dimension (angles in radians, temperatures in kelvin).
+    Raises UnitError, with a message that fits after "particle.diameter = 25: ".
+    """
+    wanted = _wanted(dimension)
+    if not isinstance(value, str):
+        raise UnitError(f"needs {wanted}")
+    match = _QUANTITY.fullmatch(value.translate(_MICRO_SIGNS)) if len(value) <= _LONGEST else None
+    if match is None:
+        raise UnitError(f"is not a number and a unit: needs {wanted}")
+    number, unit = match.group(1), match.group(2)
+    if unit is None:
+        raise UnitError(f"has no unit: needs {wanted}")
+    units = _DIMENSIONS[dimension][1]
+    if unit not in units:
+        raise UnitError(f"{_wrong_unit(unit, units)}: needs {wanted}")
+    return float(Fraction(number) * Fraction(units[unit]) + _OFFSETS.get(unit, 0))
+
+
+def show(value: float, unit: str) -> str:
+    """Write an SI value in a unit: show(2.5e-5, "um") is "25 um".
+
+    With as few digits as read back to the same float; in the SI unit if this one cannot.
+    """
+    dimension = _DIMENSION_OF[unit]
+    exact = (Fraction(value) - _OFFSETS.get(unit, 0)) / Fraction(_DIMENSIONS[dimension][1][unit])
+    for digits in range(1, 18):
+        text = f"{_plain(float(exact), digits)} {unit}"
+        if parse(text, dimension) == value:
+            return text
+    si = next(iter(_DIMENSIONS[dimension][1]))
+    return f"{value!r} {si}"
+
+
+def rounded(value: float, unit: str, digits: int = 3) -> str:
+    """Write an SI value in a unit with some digits, for people: rounded(1.26936e-6, "um") is "1.27 um"."""
+    scale = Fraction(_DIMENSIONS[_DIMENSION_OF[unit]][1][unit])
+    return f"{_plain(float((Fraction(value) - _OFFSETS.get(unit, 0)) / scale), digits)} {unit}"
+
+
+def dimension_of(unit: str) -> str:
+    """The dimension a unit belongs to: dimension_of("um") is "length"."""
+    return _DIMENSION_OF[unit]
+
+
+def nearest(word: str, known: object) -> str:
+    """A hint such as ' (did you mean "velocity"?)' if a known word is close, else an empty text.""" ""
+    words = {str(k).lower(): str(k) for k in known}  # type: ignore[attr-defined]
+    close = difflib.get_close_matches(word.lower()[:_LONGEST], list(words), n=1, cutoff=0.6)
+    return f' (did you mean "{words[close[0]]}"?)' if close else ""
+
+
+def _plain(value: float, digits: int) -> str:
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and value == round(value) and abs(value) < 1e6 else text
+
+
+def _wanted(dimension: str) -> str:
+    article = "an" if dimension[0] in "aeiou" else "a"
+    return f'{article} {dimension} with its unit, such as "{_DIMENSIONS[dimension][0]}"'
+
+
+def _wrong_unit(unit: str, units: dict[str, str | float]) -> str:
+    other = _DIMENSION_OF.get(unit)
+    if other:
+        article = "an" if other[0] in "aeiou" else "a"
+        return f"is {article} {other}"
+    return f"has an unknown unit{nearest(unit, units)}"

@@ -1,0 +1,209 @@
+"""Write a moving unstructured grid as VTKHDF: one file, all time steps, a time slider in ParaView.
+
+Format: VTK file formats, "VTKHDF", UnstructuredGrid with a `Steps` group (version 2.0).
+
+A file must stay readable when the process dies at any moment, so a step is first written and flushed whole,
+and only then counted in `NSteps`; readers never look beyond that count. The oldest HDF5 layout is used
+because it keeps no "file is open" mark.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+# Columns of the connectivity -> VTK cell type: vertex, triangle, tetrahedron.
+CELL_TYPES = {1: 1, 3: 5, 4: 10}
+
+SPARE = 2**20  # bytes that a step may need beside its data: headers and indices
+
+
+@dataclass
+class _State:
+    """How much of the file counts. A step works on a copy: one that was interrupted leaves no trace."""
+
+    steps: int = 0
+    rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
+    cells: NDArray[np.int64] | None = None
+    given: object = None  # the caller's own array, where it cannot change
+    points: int = -1
+    part: int = -1
+    cell_offset: int = 0
+    connectivity_offset: int = 0
+    names: tuple[list[str], list[str]] | None = None
+
+
+class VtkHdfWriter:
+    """Appends time steps of one grid to one file.
+
+    path: file to create (replaced if it is there). Raises OSError if it cannot be created.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        # Without a lock a viewer can open the file while it grows.
+        self._file = h5py.File(path, "w", libver="earliest", locking=False)
+        self._root = self._file.create_group("VTKHDF", track_order=True)
+        self._root.attrs["Version"] = np.array([2, 0], dtype=np.int64)
+        kind = np.bytes_("UnstructuredGrid")
+        self._root.attrs.create("Type", kind, dtype=h5py.string_dtype("ascii", len(kind)))
+        steps = self._root.create_group("Steps")
+        steps.attrs["NSteps"] = np.int64(0)
+        for name in ("PointData", "CellData"):
+            self._root.create_group(name)
+            steps.create_group(f"{name}Offsets")
+        # Kept open: a data set that is closed writes what it holds, and there nobody would hear of a failure.
+        self._data: dict[str, h5py.Dataset] = {}
+        self._state = _State()
+
+    def write(
+        self,
+        time: float,
+        points: ArrayLike,
+        cells: ArrayLike,
+        point_data: Mapping[str, ArrayLike] | None = None,
+        cell_data: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Append one step; it counts only once all of it is in the file.
+
+        time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points, stored again only on a change.
+        point_data, cell_data: name -> (n,) or (n, k); (n, 6) are symmetric tensors, xx yy zz xy yz xz as VTK
+        has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
+        OSError if the file cannot be written; it then takes no more steps and keeps those it has.
+        """
+        if not self._file:
+            raise OSError(errno.EBADF, "closed, or given up after an earlier error")
+        try:
+            self._write(time, points, cells, point_data or {}, cell_data or {})
+        except (OSError, RuntimeError):  # HDF5 reports some failed writes as the second
+            self._give_up()
+            raise
+
+    def close(self) -> None:
+        self._file.close()
+
+    def _give_up(self) -> None:
+        """Leave the file as it is. HDF5 brings the process down when it cannot write out what it holds in
+        memory, not even at exit: so its descriptor gets a place in memory where that goes and is forgotten.
+        """
+        with contextlib.suppress(Exception):
+            descriptor, size = self._file.id.get_vfd_handle(), self._file.id.get_filesize()
+            sink = os.memfd_create(self.path.name)
+            # The header may already give the length with the new step; a hole at the end takes no room.
+            os.ftruncate(descriptor, max(size, os.fstat(descriptor).st_size))
+            os.dup2(sink, descriptor)
+            os.close(sink)
+            self._file.close()
+
+    def _write(
+        self,
+        time: float,
+        points: ArrayLike,
+        cells: ArrayLike,
+        point_data: Mapping[str, ArrayLike],
+        cell_data: Mapping[str, ArrayLike],
+    ) -> None:
+        xyz = np.ascontiguousarray(points, dtype=np.float64)
+        if xyz.ndim != 2 or xyz.shape[1] != 3:
+            raise ValueError(f"points must be (n, 3), got {xyz.shape}")
+        fields = {
+            "PointData": _fields(point_data, len(xyz), "point"),
+            "CellData": _fields(cell_data, len(np.asarray(cells)), "cell"),
+        }
+        size = xyz.nbytes + np.asarray(cells).nbytes
+        size += sum(values.nbytes for data in fields.values() for values in data.values())
+        # Better not to begin a step that has no room: one that breaks off may take an index with it.
+        if shutil.disk_usage(self.path.parent).free < size + SPARE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        state = replace(self._state, rows=dict(self._state.rows), steps=self._state.steps + 1)
+        self._topology(state, cells, len(xyz))
+        names = (sorted(fields["PointData"]), sorted(fields["CellData"]))
+        if names != (state.names or names):
+            raise ValueError(f"the fields of a file must stay the same: had {state.names}, got {names}")
+        state.names = names
+
+        def put(name: str, value: float) -> None:
+            kind = np.float64 if name == "Values" else np.int64
+            # These two have a column for each kind of topology, of which an unstructured grid has one.
+            shape = (1, 1) if name in ("CellOffsets", "ConnectivityIdOffsets") else (1,)
+            self._append(state, f"Steps/{name}", np.full(shape, value, dtype=kind))
+
+        put("PartOffsets", state.part)
+        put("NumberOfParts", 1)
+        put("PointOffsets", self._append(state, "Points", xyz))
+        put("CellOffsets", state.cell_offset)
+        put("ConnectivityIdOffsets", state.connectivity_offset)
+        for group, data in fields.items():
+            for name, values in data.items():
+                put(f"{group}Offsets/{name}", self._append(state, f"{group}/{name}", values))
+        self._file.flush()
+        # VTK overruns its memory if there are more times than steps, so the times wait for the count.
+        self._root["Steps"].attrs["NSteps"] = np.int64(state.steps)
+        put("Values", time)
+        self._file.flush()
+        self._state = state
+
+    def _topology(self, state: _State, cells: ArrayLike, points: int) -> None:
+        """Store the cells as a new part, unless they and the number of points are those of the last step."""
+        if cells is state.given and points == state.points:
+            return
+        table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
+        if table.ndim != 2 or table.shape[1] not in CELL_TYPES:
+            raise ValueError(f"cells must be (m, 1), (m, 3) or (m, 4), got {table.shape}")
+        if table.size and (table.min() < 0 or table.max() >= points):
+            raise ValueError(f"cells refer to points outside 0..{points - 1}")
+        # An array that can be written to may change in place, so only a frozen one is known by its identity.
+        state.given = cells if isinstance(cells, np.ndarray) and not cells.flags.writeable else None
+        if points == state.points and state.cells is not None and np.array_equal(table, state.cells):
+            return
+        state.cells, state.points = table, points
+        count, columns = table.shape
+        state.cell_offset = self._append(state, "Types", np.full(count, CELL_TYPES[columns], dtype=np.uint8))
+        state.connectivity_offset = self._append(state, "Connectivity", table.ravel())
+        self._append(state, "Offsets", np.arange(count + 1, dtype=np.int64) * columns)
+        # VTK looks for a part's offsets at CellOffsets + number of the part: hence a part for each topology.
+        state.part = self._append(state, "NumberOfPoints", np.array([points], dtype=np.int64))
+        self._append(state, "NumberOfCells", np.array([count], dtype=np.int64))
+        self._append(state, "NumberOfConnectivityIds", np.array([table.size], dtype=np.int64))
+
+    def _append(self, state: _State, name: str, values: NDArray) -> int:
+        """Put rows behind those in use, in a data set that is made at first use; returns where they start.
+
+        Long data has a chunk for each step: a compressed chunk that is written once is never moved, so that a
+        crash cannot hurt older steps.
+        """
+        start, tail = state.rows.get(name, 0), values.shape[1:]
+        if name not in self._data:
+            long = len(values) > 1
+            self._data[name] = self._root.create_dataset(
+                name,
+                shape=(0, *tail),
+                maxshape=(None, *tail),
+                chunks=(len(values) if long else 256, *tail),
+                dtype=values.dtype,
+                compression=1 if long else None,
+                shuffle=long,
+            )
+        data = self._data[name]
+        data.resize(start + len(values), axis=0)
+        if len(values):
+            data[start:] = values
+        state.rows[name] = start + len(values)
+        return start
+
+
+def _fields(data: Mapping[str, ArrayLike], count: int, what: str) -> dict[str, NDArray[np.float32]]:
+    fields = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in data.items()}
+    for name, values in fields.items():
+        if values.ndim not in (1, 2) or len(values) != count:
+            raise ValueError(f"{what} data {name!r} must be ({count},) or ({count}, k), got {values.shape}")
+    return fields

