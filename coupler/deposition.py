@@ -1,5 +1,6 @@
 """From a scene to a result: builds the domains a plan calls for, runs the impact, writes what comes out."""
 
+import os
 import time as clock
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +27,13 @@ def run(
     *,
     force: bool = False,
     progress: Any = None,
+    threads: int | None = None,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
     out: folder for the files, runs/<scene name> by default. force: replace a finished run there.
-    progress: told how far it is; see `coupler.progress`. Raises SceneError, StoreError or SolverError; whatever was
+    progress: told how far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in turn
+    with it (default: 2 where there are two cores); the numbers are the same. Raises SceneError, StoreError or SolverError; whatever was
     written before an error or an interrupt stays readable.
     """
     from .store import Store
@@ -42,7 +45,7 @@ def run(
         started = clock.perf_counter()
         setting = build(what, log=folder / "log.lammps")
         try:
-            _Run(what, setting, store, progress, started).go()
+            _Run(what, setting, store, progress, started, threads or cores()).go()
         finally:
             setting.particle.close()
             if progress is not None:
@@ -52,6 +55,11 @@ def run(
 
     section_picture(result)
     return result
+
+
+def cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 @dataclass
@@ -121,11 +129,11 @@ def _heat_share(a: Any, Ta: float, b: Any, Tb: float) -> float:
 class _Run:
     """One impact while it runs: the loop that a reader can follow, and its books."""
 
-    def __init__(self, what: Plan, setting: Setting, store: Any, progress: Any, started: float):
+    def __init__(self, what: Plan, setting: Setting, store: Any, progress: Any, started: float, threads: int):
         from .coupling import Impact, Watch
 
         self.what, self.setting, self.store, self.progress, self.started = what, setting, store, progress, started
-        self.impact = Impact(setting.particle, setting.target, setting.surface, setting.contact)
+        self.impact = Impact(setting.particle, setting.target, setting.surface, setting.contact, threads)
         crossing = what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
         self.watch = Watch(what.end_time, what.end_at_rest, 0.1 * crossing)
         self.expected = min(what.end_time, 1.1 * crossing) if what.end_at_rest else what.end_time

@@ -139,8 +139,8 @@ def _read(request: str | Sequence[str]) -> tuple[str, dict[str, bool]]:
     if isinstance(request, str):
         return request, {}
     items = list(request)
+    signed = bool(items) and all(item[0] in "+-" for item in items)
+    base = "auto" if signed else "none"
     if items and items[0] in _WHOLE:
         base = items.pop(0)
-    else:
-        base = "auto" if items and all(item[0] in "+-" for item in items) else "none"
     return base, {item.lstrip("+-"): not item.startswith("-") for item in items}

@@ -8,10 +8,10 @@ PRESETS = {"draft": 1000, "standard": 4000, "fine": 16000}
 LEAST_POINTS = 200
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
-ELEMENT_SIZE_OVER_SPACING = 1.25
-REFINED_RADIUS_OVER_DIAMETER = 0.75  # the part of the target with the smallest elements
-GROWTH = 0.25  # element size gained per unit of distance outside it
-TETS_PER_H3 = 6 * math.sqrt(2)  # regular tetrahedra of edge h in a volume h^3
+ELEMENT_SIZE_OVER_SPACING = 1.6
+REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
+GROWTH = 0.35  # element size gained per unit of distance outside it
+TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
 CFL = 0.15  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
 SHARE_OF_CAP = 0.5  # a run to rest takes about this share of the time allowed to it

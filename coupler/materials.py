@@ -56,8 +56,8 @@ class Material:
     """A metal: Johnson-Cook flow stress, shock equation of state, heat. SI units.
 
     rho kg/m^3; G, A, B Pa; c0 m/s; s, Gamma0, n, C, m, taylor_quinney without unit; eps_dot_0 1/s;
-    T_ref, T_m K; cp ((T, J/(kg K)), (T, J/(kg K))), k ((T, W/(m K)), (T, W/(m K))): linear between the points and
-    constant outside; thermal_expansion (linear) 1/K.
+    T_ref, T_m K; cp ((T, J/(kg K)), (T, J/(kg K))), k ((T, W/(m K)), (T, W/(m K))): linear between the
+    points, constant outside; thermal_expansion (linear) 1/K.
     """
 
     name: str

@@ -164,7 +164,7 @@ def _warnings(scene: Scene, metal: Material, base: Material, decided: Effects) -
 
 
 def describe(plan: Plan) -> str:
-    """The plan as text of some 30 lines, at most about 110 columns wide, for a terminal."""
+    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal."""
     impact, target, show = plan.impact, plan.target, units.rounded
     speed = math.hypot(*impact.velocity)
     angle = show(plan.scene.particle.angle, "deg")
@@ -174,7 +174,8 @@ def describe(plan: Plan) -> str:
         f"  particle   {impact.material.name} {impact.shape} {show(impact.diameter, 'um')},"
         f" {show(speed, 'm/s', 4)} at {angle} from the normal, {show(impact.temperature, 'K', 4)}",
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
-        f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)}, sides {target.sides}, bottom {target.bottom}",
+        f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
+        f" sides {target.sides}, bottom {target.bottom}",
         f"  friction   {plan.friction:g}",
         f"  ends       {'at rest, ' if plan.end_at_rest else ''}{end};"
         f" a step written every {show(plan.output_every, 'ns')}",

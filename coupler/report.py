@@ -281,7 +281,7 @@ GROUPS = {
         "penetration",
     ),
     "particle": ("eps_p", "T_", "von_mises"),
-    "share of the initial energy": ("energy", "momentum", "numerical"),
+    "balance, of the initial energy": ("energy", "momentum", "numerical"),
     "target": ("target",),
     "run": ("",),  # whatever is left
 }

@@ -96,7 +96,7 @@ def nearest(word: str, known: object) -> str:
 
 def _plain(value: float, digits: int) -> str:
     text = f"{value:.{digits}g}"
-    return f"{value:.0f}" if "e+" in text and value == round(value) and abs(value) < 1e6 else text
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text  # 2e+01 is nobody's 20
 
 
 def _wanted(dimension: str) -> str:

@@ -108,6 +108,15 @@ def test_elements_against_the_integral_done_numerically():
     assert estimates.elements(diameter, height, h0, inner) == pytest.approx(total, rel=1e-3)
 
 
+def test_elements_against_a_mesh():
+    from coupler.fe.mesh import cylinder
+
+    target = plan(scene_with(preset="draft")).target
+    size = (target.diameter, target.height, target.element_size, target.refined_radius)
+    _, tets = cylinder(*size, target.growth)
+    assert target.elements_estimate == pytest.approx(len(tets), rel=0.15)
+
+
 def test_cost_rises_with_the_preset():
     made = [plan(scene_with(preset=preset)) for preset in ("draft", "standard", "fine")]
     assert [p.impact.points for p in made] == [1000, 4000, 16000]

@@ -8,6 +8,7 @@ from coupler.errors import SceneError
 from coupler.scene import Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
+CP = [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]
 LEAST = {
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
@@ -55,12 +56,12 @@ def test_the_example_of_titanium():
         {},
         {"particle__angle": "33 deg", "particle__gap": "0.2 um", "particle__temperature": "200 degC"},
         {"particle__offset": ["1 um", "-2.3 um"], "effects": ["auto", "-friction"], "name": "x y"},
-        {"resolution__spacing": "1.3 um", "end__time": "60 ns", "output__every": "1 ns", "contact__friction": 0},
+        {"resolution__spacing": "1.3 um", "end__time": "60 ns", "output__every": "1 ns"},
+        {"contact__friction": 0},
         {"end__time": "60 ns", "end__at": "rest", "preset": "draft"},
-        {"materials": {"My.Ni": {"base": "Ni", "A": "180 MPa", "cp": [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]}},
-         "particle__material": "My.Ni"},
+        {"materials": {"My.Ni": {"base": "Ni", "A": "180 MPa", "cp": CP}}, "particle__material": "My.Ni"},
     ],
-)  # fmt: skip
+)
 def test_written_out_and_read_again_it_is_equal(changes):
     scene = scene_with(**changes)
     text = scene.to_toml()

@@ -10,6 +10,7 @@ be computed once from the positions of both domains at n+1:
 
 import numpy as np
 
+from .. import motion
 from ..constitutive import LAW, sound_speed, yield_stress
 from ..errors import SolverError
 from . import kernels as k
@@ -120,11 +121,11 @@ class Target:
         """
         n = self.active_nodes
         kick = 0.5 * (self.dt_last + dt)
-        k.kick(0, n, kick, self.total, self.inv_mass, self.v)
+        motion.kick(0, n, kick, self.total, self.inv_mass, self.v)
         self.impulse += kick * self.support
         self._wake(dt)
         n, m = self.active_nodes, self.active_elements
-        k.drift(0, n, dt, self.v, self.x)
+        motion.drift(0, n, dt, self.v, self.x)
         if k.volumes(0, m, self.x, self.mesh.conn, self.volume) <= 0.0:
             raise SolverError(self._inverted())
         mesh = self.mesh
@@ -147,8 +148,8 @@ class Target:
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
         n, dt = self.active_nodes, self.dt_last
-        self.internal_work -= k.work_of(0, n, dt, self.f_old, self.f, self.v)
-        self.contact_work += k.work_of(0, n, dt, self.f_ext_old, self.f_ext, self.v)
+        self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
+        self.contact_work += motion.work_of(0, n, dt, self.f_ext_old, self.f_ext, self.v)
         np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
         self.support = np.zeros(3)
         if len(self.dashpot_nodes):

@@ -247,36 +247,6 @@ def gather_forces(lo, hi, start, table, fe, f):
         f[a, 0], f[a, 1], f[a, 2] = f0, f1, f2
 
 
-@njit(cache=True, nogil=True)
-def kick(lo, hi, dt, f, inv_mass, v):
-    """v += dt f / m; held nodes have inv_mass 0."""
-    for a in range(lo, hi):
-        w = dt * inv_mass[a]
-        v[a, 0] += w * f[a, 0]
-        v[a, 1] += w * f[a, 1]
-        v[a, 2] += w * f[a, 2]
-
-
-@njit(cache=True, nogil=True)
-def drift(lo, hi, dt, v, x):
-    """x += dt v."""
-    for a in range(lo, hi):
-        x[a, 0] += dt * v[a, 0]
-        x[a, 1] += dt * v[a, 1]
-        x[a, 2] += dt * v[a, 2]
-
-
-@njit(cache=True, nogil=True)
-def work_of(lo, hi, dt, f_old, f, v):
-    """Work of nodal forces over a step, sum of dt (f_old + f)/2 . v with v at mid-step, in J."""
-    total = 0.0
-    for a in range(lo, hi):
-        total += (
-            (f_old[a, 0] + f[a, 0]) * v[a, 0] + (f_old[a, 1] + f[a, 1]) * v[a, 1] + (f_old[a, 2] + f[a, 2]) * v[a, 2]
-        )
-    return 0.5 * dt * total
-
-
 @njit(cache=True, nogil=True, inline="always")
 def _largest_eigenvalue(a, b, c, d, e, f):
     """Largest eigenvalue of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""

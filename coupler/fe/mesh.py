@@ -125,7 +125,7 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
         raise SolverError(f"tetrahedron {bad} of the mesh is empty: remesh the target or change its element size")
     tets[signed < 0, 2:] = tets[signed < 0, 2:][:, ::-1]
 
-    mesh = MeshTet(points.T, tets.T.astype(np.int64), sort_t=False)
+    mesh = MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tets.T), sort_t=False)
     basis = Basis(mesh, ElementTetP1(), intorder=1)
     gradients = np.stack(
         [np.broadcast_to(basis.basis[i][0].grad, (3, len(tets), 1))[:, :, 0].T for i in (1, 2, 3)], axis=1

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import motion
 from ..constitutive import sound_speed, yield_stress
 from ..errors import SolverError
 from . import law as k
@@ -164,9 +165,8 @@ class Particle:
             self.f_ext, self._f_ext_old = self._f_ext_old, self.f_ext
             self.f_ext[:] = 0.0
             self._on_step()
-            half_v = (0.5 * dt) * self.v.ravel()
-            self.internal_work -= float(half_v @ (self._f_old + self.f).ravel())
-            self.contact_work += float(half_v @ (self._f_ext_old + self.f_ext).ravel())
+            self.internal_work -= motion.work_of(0, self.n, dt, self._f_old, self.f, self.v)
+            self.contact_work += motion.work_of(0, self.n, dt, self._f_ext_old, self.f_ext, self.v)
             self._f_old[:] = self.f
             f_out[:] = self.f_ext
         except BaseException as problem:

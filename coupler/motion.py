@@ -1,0 +1,32 @@
+"""What both domains do with positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
+
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def kick(lo, hi, dt, f, inv_mass, v):
+    """v += dt f / m; held nodes have inv_mass 0."""
+    for a in range(lo, hi):
+        w = dt * inv_mass[a]
+        v[a, 0] += w * f[a, 0]
+        v[a, 1] += w * f[a, 1]
+        v[a, 2] += w * f[a, 2]
+
+
+@njit(cache=True, nogil=True)
+def drift(lo, hi, dt, v, x):
+    """x += dt v."""
+    for a in range(lo, hi):
+        x[a, 0] += dt * v[a, 0]
+        x[a, 1] += dt * v[a, 1]
+        x[a, 2] += dt * v[a, 2]
+
+
+@njit(cache=True, nogil=True)
+def work_of(lo, hi, dt, f_old, f, v):
+    """Work of forces over a step, sum of dt (f_old + f)/2 . v with v at mid-step, in J."""
+    total = 0.0
+    for a in range(lo, hi):
+        for d in range(3):
+            total += (f_old[a, d] + f[a, d]) * v[a, d]
+    return 0.5 * dt * total
