@@ -174,13 +174,15 @@ class _Run:
         self.store.finish(self._summary(loop))
 
     def _row(self, dt: float) -> None:
+        from .measures import crater_depth
+
         impact, particle, target = self.impact, self.setting.particle, self.setting.target
         books = impact.ledger.close(particle, target, self.setting.contact)
         skin = self.setting.surface.positions(particle.x)
         row = {"time": impact.time, "dt": dt, "step": float(particle.steps), **books}
         row["height"] = float(skin[:, 2].max())
         row["thickness"] = float(np.ptp(skin[:, 2]))
-        row["crater_depth"] = float(-target.x[impact.surface_nodes, 2].min())
+        row["crater_depth"] = crater_depth(target.x[impact.surface_nodes])
         row["velocity_z"] = float(particle.momentum()[2] / particle.mass.sum())
         row["contact_force"] = float(impact.force[2])
         row["T_max"] = float(particle.T.max())

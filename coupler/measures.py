@@ -14,6 +14,22 @@ def von_mises_of(stress: np.ndarray) -> np.ndarray:
     return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
 
 
+def crater_depth(surface: np.ndarray) -> float:
+    """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes.
+
+    The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: a single node hangs
+    on where the mesh happens to have it.
+    """
+    deepest = surface[np.argmin(surface[:, 2])]
+    distance = np.hypot(surface[:, 0] - deepest[0], surface[:, 1] - deepest[1])
+    d = surface[np.argsort(distance, kind="stable")[:16]] - deepest
+    size = float(np.abs(d[:, :2]).max()) or 1.0
+    x, y = d[:, 0] / size, d[:, 1] / size
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    fit = np.linalg.lstsq(terms, d[:, 2], rcond=None)[0]
+    return float(-(deepest[2] + (terms @ fit).min()))
+
+
 def measure(
     particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float
 ) -> dict[str, float]:
@@ -24,7 +40,7 @@ def measure(
     that can be touched; diameter: the particle's, m.
     """
     m = shape_measures(surface.positions(particle.x), diameter)
-    m["crater_depth_m"] = float(-target.x[surface_nodes, 2].min())
+    m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))
     m["eps_p_max"] = float(particle.eps_p.max())

@@ -38,9 +38,9 @@ def test_the_example_of_nickel():
     assert scene.name == "single_ni"
     assert (scene.particle.diameter, scene.particle.velocity) == (25e-6, 500.0)
     assert (scene.substrate.diameter, scene.substrate.height) == (200e-6, 100e-6)
-    assert scene.points == 4000
-    assert scene.spacing == pytest.approx(1.2694e-6, rel=1e-4)
-    assert scene.element_size == pytest.approx(1.25 * scene.spacing)
+    assert scene.points == 5000
+    assert scene.spacing == pytest.approx(1.1784e-6, rel=1e-4)
+    assert scene.element_size == pytest.approx(1.7 * scene.spacing)
     assert scene.output_every == pytest.approx(2e-9)
     assert scene.end_time == pytest.approx(3 * 25e-6 / 500 + scene.gap / 500)
 

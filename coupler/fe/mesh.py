@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SolverError
+from ..estimates import COARSEST
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def cylinder(
     up to sizes_to (default: a sixth of the smaller dimension).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
-    largest = (sizes_to or min(diameter, height) / 6.0) / unit
+    largest = (sizes_to or COARSEST * min(diameter, height)) / unit
 
     def build(gmsh: Any) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit)
