@@ -5,6 +5,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
 VENV := .venv
+UV_VERSION := 0.13.8
 STAMP := $(VENV)/.setup-done
 
 # Debian packages: gmsh's wheel needs the first group, vtk's the second.
@@ -42,8 +43,8 @@ $(STAMP): uv.lock pyproject.toml
 	@[ -x $(VENV)/bin/python ] && $(VENV)/bin/python -m pip --version >/dev/null 2>&1 || \
 	  $(PYTHON) -m venv --clear $(VENV)
 	@$(VENV)/bin/python -m uv --version >/dev/null 2>&1 || \
-	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv
-	UV_PROJECT_ENVIRONMENT=$(VENV) $(VENV)/bin/python -m uv sync --locked --quiet
+	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv==$(UV_VERSION)
+	UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(VENV)/bin/python -m uv sync --locked --inexact --quiet
 	@touch $@
 
 run: setup

@@ -14,6 +14,7 @@ from .. import motion
 from ..constitutive import LAW, sound_speed, yield_stress
 from ..errors import SolverError
 from . import kernels as k
+from .heat import Conduction, take_heat
 from .mesh import TetMesh, facet_areas
 
 LINEAR_VISCOSITY = 0.06
@@ -28,28 +29,37 @@ class Target:
     yy zz yz xz xy; sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the
     point of impact and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are
     computed.
+
+    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
+    Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
+    equation of state (Gamma0 = 0) does not expand. Bodies of different materials do not share nodes (`mesh.join`): a
+    nodal pressure belongs to one material.
     """
 
     def __init__(
         self,
         mesh: TetMesh,
         laws: np.ndarray,
-        temperature: float,
+        temperature: float | np.ndarray,
         law_of: np.ndarray | None = None,
         fixed: tuple[str, ...] = ("bottom",),
         absorbing: tuple[str, ...] = (),
         sleeping: bool = True,
+        conduction: bool = False,
     ):
         """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
 
-        fixed, absorbing: names of facet sets (top, bottom, sides). sleeping: compute only what a wave can have
-        reached.
+        temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
+        sleeping: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
+        Raises SolverError where elements of different laws share a node.
         """
         n, m = len(mesh.points), len(mesh.conn)
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
         self.law_of_node = np.zeros(n, np.int32)
         self.law_of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
+        if np.any(self.law_of_node[mesh.conn] != self.law_of[:, None]):
+            raise SolverError("elements of different materials share nodes of the target: join meshes of one body each")
         self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
         self.f, self.f_ext, self.f_old = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         self.f_ext_old = np.zeros((n, 3))
@@ -57,18 +67,18 @@ class Target:
         self.J, self.p, self.energy = np.ones(n), np.zeros(n), np.zeros(n)
         self.s, self.fe = np.zeros((m, 6)), np.zeros((m, 4, 3))
         self.eps_p, self.rate, self.heat, self.volume = np.zeros(m), np.zeros(m), np.zeros(m), mesh.V0.copy()
-        self.T = np.full(m, float(temperature))
-        self.sigma_y = np.array([yield_stress(self.laws[i], 0.0, 0.0, float(temperature)) for i in range(len(laws))])[
-            self.law_of
-        ]
+        self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
+        kinds, kind = np.unique(np.stack([self.law_of, self.T]), axis=1, return_inverse=True)
+        self.sigma_y = np.array([yield_stress(self.laws[int(i)], 0.0, 0.0, T) for i, T in kinds.T])[kind.ravel()]
         self.mass_scale, self.dt_of = np.ones(m), np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
+        self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
         self.mass = mesh.node_volume * self.laws["rho"][self.law_of_node]
         self.inv_mass = 1.0 / self.mass
         self.fixed = _nodes_of(mesh, fixed)
         self.inv_mass[self.fixed] = 0.0
         self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
-        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and plastic heat, J
+        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put in, J
         self.internal_work = self.contact_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.support, self.impulse = np.zeros(3), np.zeros(3)
@@ -142,6 +152,8 @@ class Target:
         k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
         self.f_ext, self.f_ext_old = self.f_ext_old, self.f_ext
         self.f_ext[:n] = 0.0
+        if self.conduction is not None:
+            self.sums[2] += self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
         self.dt_last = dt
         self.time += dt
 
@@ -181,15 +193,26 @@ class Target:
 
     def elastic(self) -> float:
         """Recoverable energy in J: deviators, and the volumetric energy less the heat in it."""
-        shear = k.elastic_shear_energy(0, self.active_elements, self.volume, self.laws, self.law_of, self.s)
+        shear = k.elastic_shear_energy(
+            0, self.active_elements, self.volume, self.mesh.V0, self.laws, self.law_of, self.s
+        )
         pending = float(np.sum(self.heat[: self.active_elements]))  # reaches the nodes in the next step
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (J, one for each of `elements`, repeats allowed) into the temperature of elements."""
-        law = self.laws[self.law_of[elements]]
-        cp = law["cp_0"] + law["cp_slope"] * (np.clip(self.T[elements], law["cp_T0"], law["cp_T1"]) - law["cp_T0"])
-        np.add.at(self.T, elements, heat / (law["rho"] * self.mesh.V0[elements] * cp))
+        """Put heat (J, one for each of `elements`, repeats allowed) into elements, which wakes them if they sleep.
+
+        Their temperature rises at once, the pressure of their nodes in the next step.
+        """
+        if len(elements) == 0:
+            return
+        reached = float(self.mesh.reach_element[np.max(elements)])
+        if reached >= self.reach:
+            self.reach = float(np.nextafter(reached, np.inf))
+            self._wake(0.0)
+        gain = np.bincount(elements, heat, len(self.T))
+        self.sums[2] += float(gain.sum())
+        take_heat(0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y)
 
     def stress(self) -> np.ndarray:
         """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""

@@ -6,12 +6,16 @@ nodal pressure is that of Bonet & Burton (1998): the volume ratio, and with it t
 tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from locking in isochoric flow.
 """
 
-from math import acos, cos, sqrt
+from math import acos, cos, log, sqrt
 
 import numpy as np
 from numba import njit
 
 from ..constitutive import bulk_stiffness, harden, mie_gruneisen, von_mises
+
+
+SHAPE_LIMIT = 0.5
+SHAPE_STIFFNESS = 0.05
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -81,6 +85,21 @@ def nodal_pressure(lo, hi, start, table, volume, heat, V0_node, laws, law_of_nod
         law = laws[law_of_node[a]]
         p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / V0_node[a])
         J[a] = J_new
+
+
+@njit(cache=True, nogil=True, inline="always")
+def shape_stress(law, J):
+    """Mean stress (Pa) that keeps a tetrahedron from collapsing or blowing up while the nodes around it keep their volume.
+
+    Averaged nodal pressure leaves single elements free to trade volume: in a fast crater some sink to a twentieth of
+    theirs and take the time step with them. psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) acts only outside [SHAPE_LIMIT,
+    1 / SHAPE_LIMIT] (a small share of the element's own bulk stiffness, as in Puso & Solberg 2006, but only where needed).
+    """
+    if J < SHAPE_LIMIT:
+        return SHAPE_STIFFNESS * law.K * log(J / SHAPE_LIMIT) / J
+    if J * SHAPE_LIMIT > 1.0:
+        return SHAPE_STIFFNESS * law.K * log(J * SHAPE_LIMIT) / J
+    return 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,6 +213,8 @@ def element_forces(
             viscous -= qv * div * dt * volume[e]
             pressure += qv
 
+        pressure -= shape_stress(law, J)
+
         # P = sigma cof(F); f_I = -V0 P B_I
         sxx -= pressure
         syy -= pressure
@@ -304,12 +325,18 @@ def stable_dt(lo, hi, x, conn, J_node, laws, law_of, mass_scale, dt_of):
 
 
 @njit(cache=True, nogil=True)
-def elastic_shear_energy(lo, hi, volume, laws, law_of, s):
-    """Recoverable energy of the deviators, sum of v s:s / 4G over the volumes now, in J."""
+def elastic_shear_energy(lo, hi, volume, V0, laws, law_of, s):
+    """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_stress`, in J."""
     total = 0.0
     for e in range(lo, hi):
+        law = laws[law_of[e]]
         ss = s[e, 0] ** 2 + s[e, 1] ** 2 + s[e, 2] ** 2 + 2.0 * (s[e, 3] ** 2 + s[e, 4] ** 2 + s[e, 5] ** 2)
-        total += volume[e] * ss / (4.0 * laws[law_of[e]].G)
+        total += volume[e] * ss / (4.0 * law.G)
+        J = volume[e] / V0[e]
+        if J < SHAPE_LIMIT:
+            total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * log(J / SHAPE_LIMIT) ** 2
+        elif J * SHAPE_LIMIT > 1.0:
+            total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * log(J * SHAPE_LIMIT) ** 2
     return total
 
 
