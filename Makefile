@@ -1,5 +1,7 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make test   format, lint, types and tests
+# make bench  what a step costs, part by part, into docs/tables/bench.csv (2 minutes)
+# make studies  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
 # make setup  system libraries and .venv; run and test do it themselves when it is needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -12,7 +14,7 @@ STAMP := $(VENV)/.setup-done
 LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1 \
              libgl1 libegl1
 
-.PHONY: setup run check test clean
+.PHONY: setup run check test bench studies clean
 
 setup: $(STAMP)
 
@@ -57,6 +59,14 @@ check: setup
 
 test: check
 	$(VENV)/bin/python -m pytest
+
+bench: setup
+	$(VENV)/bin/python workflows/bench.py
+
+studies: setup
+	$(VENV)/bin/python workflows/taylor_bar.py
+	$(VENV)/bin/python workflows/taylor_bar_sph.py
+	$(VENV)/bin/python workflows/convergence.py --knobs
 
 # Keeps runs/: results are not ours to throw away.
 clean:

@@ -59,7 +59,7 @@ class Impact:
         """threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the numbers are the same."""
         self.particle, self.target, self.surface, self.contact = particle, target, surface, contact
         self._softness = surface.softness(particle.mass)
-        self._forces = np.zeros((surface.weights.shape[0], 3))
+        self._forces = np.zeros((surface.touching.shape[0], 3))
         self.surface_nodes = np.unique(contact.facets)
         self.ledger = Ledger(particle.kinetic(), particle.momentum() + target.momentum())
         self._pool = ThreadPoolExecutor(1) if threads > 1 else None
@@ -77,7 +77,7 @@ class Impact:
         else:
             self._ahead.result()
         self._forces[:] = 0.0
-        self.contact.forces(dt, s.positions(p.x), s.positions(p.v), t.x, t.v, self._forces, t.f_ext)
+        self.contact.forces(dt, s.contacts(p.x), s.contacts(p.v), t.x, t.v, self._forces, t.f_ext)
         p.f_ext += s.spread(self._forces)
         t.finish()
         self._left -= 1
@@ -88,9 +88,9 @@ class Impact:
         """The time step (s) both domains and the contact can take, and a note of which asked for it."""
         bounds = {
             "particle": self.particle.stable_dt(),
-            "target": self.target.stable_dt()[0],
             "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
         }
+        bounds["target"] = self.target.stable_dt(min(bounds.values()))[0]
         who = min(bounds, key=lambda name: bounds[name])
         self.limits[who] += CHUNK
         return bounds[who]
@@ -106,7 +106,7 @@ class Impact:
             dt = (until - self.time) / steps
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.particle.v, self.particle.v))))
         fastest += float(np.sqrt(np.max(np.einsum("ij,ij->i", (v := self.target.v[self.surface_nodes]), v))))
-        self.contact.search(self.surface.positions(self.particle.x), self.target.x, 1.5 * fastest * steps * dt)
+        self.contact.search(self.surface.contacts(self.particle.x), self.target.x, 1.5 * fastest * steps * dt)
         self._left, self._ahead = steps, None
         self.particle.run(steps, dt, self._rendezvous)
         self.time += steps * dt

@@ -2,7 +2,8 @@
 
 import os
 import time as clock
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +29,15 @@ def run(
     force: bool = False,
     progress: Any = None,
     threads: int | None = None,
+    numerics: Mapping[str, float] | None = None,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
-    out: folder for the files, runs/<scene name> by default. force: replace a finished run there.
-    progress: told how far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in turn
-    with it (default: 2 where there are two cores); the numbers are the same. Raises SceneError, StoreError or SolverError; whatever was
-    written before an error or an interrupt stays readable.
+    out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how
+    far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in
+    turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the
+    scheme, values in place of the defaults of `coupler.sph.machdyn.Numerics`. Raises SceneError, StoreError or
+    SolverError; whatever was written before an error or an interrupt stays readable.
     """
     from .store import Store
 
@@ -43,7 +46,7 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     with Store.create(folder, scene.to_toml(), force) as store:
         started = clock.perf_counter()
-        setting = build(what, log=folder / "log.lammps")
+        setting = build(what, log=folder / "log.lammps", numerics=numerics)
         try:
             _Run(what, setting, store, progress, started, threads or cores()).go()
         finally:
@@ -72,16 +75,18 @@ class Setting:
     surface: Any
 
 
-def build(what: Plan, log: Path | None = None) -> Setting:
+def build(what: Plan, log: Path | None = None, numerics: Mapping[str, float] | None = None) -> Setting:
     """Mesh the target, pack the particle, and put contact between them. Starts LAMMPS and gmsh."""
     from .constitutive import law_record
-    from .contact.penalty import PointContact
+    from .contact.penalty import STIFFNESS, PointContact
     from .fe import mesh as meshes
     from .fe.explicit import Target
-    from .sph import packing
-    from .sph.machdyn import Particle
+    from .sph import shapes
+    from .sph.machdyn import Numerics, Particle
     from .splat.carry import CarriedSurface
 
+    knobs = dict(numerics or {})
+    stiffness = knobs.pop("contact_stiffness", STIFFNESS)
     i, t = what.impact, what.target
     on = {row.name: row.on for row in what.effects.rows}
     centre = (i.offset[0], i.offset[1])
@@ -95,25 +100,27 @@ def build(what: Plan, log: Path | None = None) -> Setting:
         t.temperature,
         fixed=tuple(name for name, kind in sides.items() if kind == "fixed"),
         absorbing=absorbing,
+        conduction=on["conduction"],
     )
 
-    place = np.array([*centre, 0.5 * i.diameter + i.gap])
-    cloud, volume = packing.sphere(i.diameter, i.points)
-    spacing = volume ** (1.0 / 3.0)
+    body = shapes.shape(i.shape, i.diameter, i.points, i.tilt, SURFACE_EDGE)
+    place = np.array([*centre, body.half_height + i.gap])
     law = law_record(i.material, on, what.rate_filter)
-    particle = Particle(cloud + place, volume, law, i.velocity, i.temperature, log=log)
-    skin, triangles = packing.surface(i.diameter, SURFACE_EDGE * spacing)
-    surface = CarriedSurface(cloud + place, skin + place, triangles, spacing)
+    particle = Particle(
+        body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**(numerics or {})), log=log
+    )
+    surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
 
     top = mesh.sets["top"]
     contact = PointContact(
-        len(skin),
+        surface.touching.shape[0],
         mesh.facets[top],
-        spacing,
-        np.pi * i.diameter**2 / len(skin),
+        body.spacing,
+        body.area / len(body.vertices),
         min(i.material.K, t.material.K),
         what.friction if on["friction"] else 0.0,
         share=_heat_share(i.material, i.temperature, t.material, t.temperature),
+        factor=stiffness,
         facet_ids=top,
     )
     return Setting(particle, target, contact, surface)
@@ -244,6 +251,7 @@ class _Run:
             "steps": particle.steps,
             "dt_mean_s": impact.time / particle.steps,
             "dt_limited_by": impact.limits,
+            "numerics": asdict(particle.numerics),
             "sim_time_s": impact.time,
             "wall_s": clock.perf_counter() - self.started,
             "wall_loop_s": loop,

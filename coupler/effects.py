@@ -16,6 +16,7 @@ THRESHOLDS: dict[str, tuple[str, float]] = {
     "friction": ("friction coefficient", 0.0),
     "mie_gruneisen": ("v / c0", 0.03),
     "absorbing_boundaries": ("time / wave's way to the side and back", 1.0),
+    "conduction": ("sqrt(alpha time) / element size", 1.0),
 }
 NAMES = tuple(THRESHOLDS)
 _WHOLE = ("auto", "all", "none")
@@ -28,6 +29,7 @@ _WHY = {  # (why on, why off)
     "friction": ("the coefficient is above zero", "the coefficient is zero"),
     "mie_gruneisen": ("pressures are in the shock range", "compression is small: linear is enough"),
     "absorbing_boundaries": ("waves would come back from the sides", "no wave comes back in time"),
+    "conduction": ("heat crosses elements of the target, where it acts", "in the target heat stays in its element"),
 }
 
 
@@ -42,6 +44,7 @@ class Situation:
     friction: float
     side_distance: float  # from the impact to the nearest absorbing face; infinite without any
     end_time: float
+    element_size: float = math.inf  # of the target, the smallest
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ def numbers(situation: Situation) -> dict[str, float]:
     bodies = list(zip(situation.materials, situation.temperatures, strict=True))
     v, rate = situation.velocity, situation.velocity / situation.diameter
     wave = situation.materials[1].wave_speed
+    diffused = math.sqrt(diffusivity(*bodies[1]) * situation.end_time)
     return {
         "thermal_softening": max(max(heating(m, T, v) / (m.T_m - T), _preheat(m, T)) for m, T in bodies),
         "rate_hardening": max(m.C * math.log(max(rate / m.eps_dot_0, 1.0)) for m, _ in bodies),
@@ -123,12 +127,18 @@ def numbers(situation: Situation) -> dict[str, float]:
         "friction": situation.friction,
         "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
+        "conduction": diffused / situation.element_size,
     }
 
 
 def heating(material: Material, T: float, velocity: float) -> float:
     """Rise of temperature, K, if all kinetic energy became plastic work there: beta v^2 / (2 cp)."""
     return material.taylor_quinney * velocity**2 / (2 * material.cp_at(T))
+
+
+def diffusivity(material: Material, T: float) -> float:
+    """Thermal diffusivity k / (rho cp) at T (K), m^2/s."""
+    return material.k_at(T) / (material.rho * material.cp_at(T))
 
 
 def _preheat(material: Material, T: float) -> float:

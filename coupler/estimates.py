@@ -14,7 +14,7 @@ GROWTH = 0.35  # element size gained per unit of distance outside it
 COARSEST = 1 / 6  # largest element over the target's smaller dimension
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
-CFL = 0.168  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
+CFL = 0.28  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
 SHARE_OF_CAP = 0.33  # a run to rest takes about this share of the time allowed to it
 SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
 SECONDS_PER_ELEMENT = 0.12e-6
@@ -35,17 +35,17 @@ def spacing(volume: float, points: int) -> float:
     return (volume / points) ** (1 / 3)
 
 
-def elements(diameter: float, height: float, element_size: float, refined_radius: float) -> int:
+def elements(diameter: float, height: float, element_size: float, refined_radius: float, growth: float = GROWTH) -> int:
     """Tetrahedra of a graded mesh of a cylinder (m): element_size near the impact, growing outside refined_radius.
 
     Sum of TETS_PER_H3 / h(r)^3 over shells of a half ball that has the volume of the cylinder, h(r) = element_size +
-    GROWTH max(0, r - refined_radius), at most COARSEST of the smaller dimension.
+    growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
     """
     outer = (3 / 8 * diameter**2 * height) ** (1 / 3)
     shells, total = 400, 0.0
     for i in range(shells):
         r = (i + 0.5) / shells * outer
-        h = min(element_size + GROWTH * max(0.0, r - refined_radius), COARSEST * min(diameter, height))
+        h = min(element_size + growth * max(0.0, r - refined_radius), COARSEST * min(diameter, height))
         total += TETS_PER_H3 * 2 * math.pi * r**2 * (outer / shells) / h**3
     return round(total)
 

@@ -15,11 +15,13 @@ NEAR_MELTING = 0.9  # of the melting point
 
 @dataclass(frozen=True)
 class ImpactPlan:
-    """The particle. velocity (vx, vy, vz) m/s; offset (x, y) m, of its centre at the start; gap m, of its
-    lowest point above the surface; spacing m; points: about that many."""
+    """The particle. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
+    (x, y) m, of its centre at the start; gap m, of its lowest point above the surface; spacing m; points: about
+    that many."""
 
     material: Material
     shape: str
+    tilt: float
     diameter: float
     velocity: tuple[float, float, float]
     temperature: float
@@ -80,12 +82,14 @@ def plan(scene: Scene) -> Plan:
         friction=scene.contact.friction,
         side_distance=_absorbing_distance(scene),
         end_time=scene.end_time,
+        element_size=scene.element_size,
     )
     decided = effects.decide(scene.effects, situation)
     absorbing = decided.on("absorbing_boundaries")
     impact = ImpactPlan(
         material=metal,
         shape=particle.shape,
+        tilt=particle.tilt,
         diameter=D,
         velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
         temperature=particle.temperature,
@@ -103,8 +107,8 @@ def plan(scene: Scene) -> Plan:
         sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
         bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
         element_size=scene.element_size,
-        refined_radius=estimates.REFINED_RADIUS_OVER_DIAMETER * D,
-        growth=estimates.GROWTH,
+        refined_radius=scene.refined_radius,
+        growth=scene.resolution.growth,
         elements_estimate=scene.elements,
     )
     at_rest = scene.end.at == "rest"
@@ -147,6 +151,8 @@ def _warnings(scene: Scene, metal: Material, base: Material, decided: Effects) -
             f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
             " that Johnson-Cook is fitted at"
         )
+    if scene.element_size < scene.spacing:
+        found.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     for body, material, T in (
         ("particle", metal, particle.temperature),
         ("target", base, substrate.temperature),
@@ -171,8 +177,9 @@ def describe(plan: Plan) -> str:
     end = f"at most {show(plan.end_time, 'ns')}" if plan.end_at_rest else show(plan.end_time, "ns")
     lines = [
         f"{plan.scene.name} ({plan.preset})",
-        f"  particle   {impact.material.name} {impact.shape} {show(impact.diameter, 'um')},"
+        f"  particle   {impact.material.name} {impact.shape.replace('_', ' ')} {show(impact.diameter, 'um')},"
         f" {show(speed, 'm/s', 4)} at {angle} from the normal, {show(impact.temperature, 'K', 4)}",
+        *_shape(plan),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -198,6 +205,16 @@ def describe(plan: Plan) -> str:
         )
     lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
     return "\n".join(lines)
+
+
+def _shape(plan: Plan) -> list[str]:
+    """What there is to say of a shape that is no sphere, as one line or none."""
+    impact = plan.impact
+    if impact.shape == "sphere":
+        return []
+    lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in plan.scene.form.lengths)
+    tilt = f" tilted {units.rounded(impact.tilt, 'deg')}" if impact.tilt else ""
+    return [f"             {lengths} um{tilt}; {units.rounded(impact.diameter, 'um')} is the sphere of equal volume"]
 
 
 def duration(seconds: float) -> str:

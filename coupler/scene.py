@@ -9,7 +9,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     BaseModel,
@@ -22,11 +22,10 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, core_schema
 
-from . import effects, estimates, materials, units
+from . import effects, estimates, materials, morphology, units
 from .errors import SceneError
 from .materials import Material
 
-SHAPES = ("sphere",)
 SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
 _LARGEST_FILE = 1_000_000  # bytes; a scene is a page of text
 
@@ -69,16 +68,22 @@ class Section(BaseModel):
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
 Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
 Face = Literal["absorbing", "free", "fixed"]
+Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # those of coupler.morphology
+SHAPES: tuple[str, ...] = get_args(Shape)
 
 
 class Particle(Section):
-    """The impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start."""
+    """The impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
+
+    shape: a name of `coupler.morphology`; diameter: of the sphere of equal volume; tilt (rad): of the shape about y.
+    """
 
     material: str
-    shape: Literal["sphere"] = "sphere"
+    shape: Shape = "sphere"
     diameter: Annotated[float, Quantity("um", "1 um", "200 um")]
     velocity: Annotated[float, Quantity("m/s", "10 m/s", "2000 m/s")]
     angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
+    tilt: Annotated[float, Quantity("deg", "-90 deg", "90 deg")] = 0.0
     temperature: Temperature = 300.0
     offset: tuple[Offset, Offset] = (0.0, 0.0)
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
@@ -102,10 +107,12 @@ class Contact(Section):
 
 
 class Resolution(Section):
-    """Overrides of the preset. spacing of the points and smallest element size, m."""
+    """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
+    of distance away from the impact."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
+    growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = estimates.GROWTH
 
 
 class End(Section):
@@ -217,6 +224,22 @@ class Scene(Section):
         return round(estimates.sphere_volume(self.particle.diameter) / self.spacing**3)
 
     @property
+    def form(self) -> morphology.Form:
+        """The particle's shape in its size."""
+        return morphology.form(self.particle.shape, self.particle.diameter)
+
+    @property
+    def width(self) -> float:
+        """The particle's extent along the target, the larger of two, m; a sphere's diameter."""
+        return self.form.width(self.particle.tilt)
+
+    @property
+    def refined_radius(self) -> float:
+        """Radius of the part of the target with the smallest elements, m: it grows with the particle's width."""
+        D = self.particle.diameter
+        return estimates.REFINED_RADIUS_OVER_DIAMETER * D + 0.5 * max(self.width - D, 0.0)
+
+    @property
     def element_size(self) -> float:
         """Smallest edge of the target's elements, m: the scene's own, or a little more than the spacing."""
         return self.resolution.element_size or estimates.ELEMENT_SIZE_OVER_SPACING * self.spacing
@@ -224,8 +247,13 @@ class Scene(Section):
     @property
     def elements(self) -> int:
         """Elements of the target, an estimate."""
-        refined = estimates.REFINED_RADIUS_OVER_DIAMETER * self.particle.diameter
-        return estimates.elements(self.substrate.diameter, self.substrate.height, self.element_size, refined)
+        return estimates.elements(
+            self.substrate.diameter,
+            self.substrate.height,
+            self.element_size,
+            self.refined_radius,
+            self.resolution.growth,
+        )
 
     @property
     def gap(self) -> float:
@@ -239,11 +267,15 @@ class Scene(Section):
 
     @property
     def end_time(self) -> float:
-        """The longest a run may take, s: the scene's time, else the flight over the gap and 3 D / v."""
+        """The longest a run may take, s: the scene's time, else the flight over the gap and 3 D / v.
+
+        For D the particle's height, where that is larger.
+        """
         if self.end.time is not None:
             return self.end.time
         flight = self.gap / (self.particle.velocity * math.cos(self.particle.angle))
-        return flight + 3 * self.particle.diameter / self.particle.velocity
+        height = max(self.particle.diameter, self.form.height(self.particle.tilt))
+        return flight + 3 * height / self.particle.velocity
 
     def material(self, name: str) -> Material:
         """A material of the library, or the scene's own. Raises SceneError for a name that is neither."""

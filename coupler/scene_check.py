@@ -17,7 +17,9 @@ _EXAMPLES = {  # what a required field looks like; stands in for a faulty one wh
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
 }
+_EXTENT = ("particle.diameter", "particle.shape", "particle.tilt")
 _MOST_RECORDS = 5000
+_LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
 _HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength left
 
 
@@ -54,7 +56,7 @@ def _whole(scene: Scene, catalogue: Mapping[str, Material], broken: set[str]) ->
     """Problems that only several fields together have, each with the fields it looked at."""
     particle, substrate = scene.particle, scene.substrate
     D = particle.diameter
-    size = f"a particle of {units.rounded(D, 'um')}"
+    size = f"a particle of {units.rounded(max(D, scene.width), 'um')}"
     for where, body in (("particle", particle), ("substrate", substrate)):
         material = catalogue.get(body.material)
         if material is None:
@@ -69,19 +71,21 @@ def _whole(scene: Scene, catalogue: Mapping[str, Material], broken: set[str]) ->
                 f"{where}.temperature = {_text(body.temperature, 'K')}: must stay below {_HOTTEST:g} of the"
                 f" melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K",
             )
-    for name, extent, least in (("diameter", substrate.diameter, 3), ("height", substrate.height, 2)):
-        if extent < least * D * (1 - 1e-9):
+    wide = max(D, scene.width)
+    for name, extent, least in (("diameter", substrate.diameter, wide + 2 * D), ("height", substrate.height, 2 * D)):
+        if extent < least * (1 - 1e-9):
             yield (
-                ("particle.diameter", f"substrate.{name}"),
+                (*_EXTENT, f"substrate.{name}"),
                 f"substrate.{name} = {_text(extent, 'um')}: too small for {size} and its crater;"
-                f" at least {units.rounded(least * D, 'um')} is needed",
+                f" at least {units.rounded(least, 'um')} is needed",
             )
     away = math.hypot(*particle.offset)
-    if away and away + D > substrate.diameter / 2:
+    room = (substrate.diameter - D - wide) / 2
+    if away and away > room:
         yield (
-            ("particle.diameter", "particle.offset", "substrate.diameter"),
+            (*_EXTENT, "particle.offset", "substrate.diameter"),
             f"particle.offset: {units.rounded(away, 'um')} off the axis takes {size} and its crater"
-            f" to the target's edge; at most {units.rounded(max(substrate.diameter / 2 - D, 0.0), 'um')}",
+            f" to the target's edge; at most {units.rounded(max(room, 0.0), 'um')}",
         )
     if scene.gap > D:
         yield ("particle.gap", "particle.diameter"), f"particle.gap: more than the diameter of {size}"
@@ -105,6 +109,13 @@ def _resolution(scene: Scene, size: str) -> Iterator[tuple[tuple[str, ...], str]
             needs,
             f"resolution.spacing = {spacing}: gives {size} {scene.points} points;"
             f" at least {estimates.LEAST_POINTS} are needed, so at most {units.rounded(largest, 'um')}",
+        )
+    elif scene.form.thinnest < _LEAST_LAYERS * scene.spacing:
+        thin = f"{units.rounded(scene.form.thinnest, 'um')}, the thinnest part of this {scene.particle.shape}"
+        yield (
+            (*needs, "particle.shape"),
+            f"resolution.spacing = {spacing}: too coarse for {thin};"
+            f" at most {units.rounded(scene.form.thinnest / _LEAST_LAYERS, 'um')}",
         )
     if scene.resolution.element_size is not None and scene.element_size > D / 4:
         yield (

@@ -6,8 +6,9 @@ from conftest import elastic
 
 from coupler.constitutive import law_record, sound_speed
 from coupler.errors import SolverError
-from coupler.fe import explicit, kernels, mesh
+from coupler.fe import explicit, mesh
 from coupler.fe.explicit import Target
+from coupler.materials import material
 
 
 @pytest.fixture(scope="module")
@@ -229,10 +230,19 @@ def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> N
         t.advance(1e-5)
 
 
-def test_splitting_the_range_changes_no_bit(block: mesh.TetMesh, rng: np.random.Generator) -> None:
-    x = distort(block.points, rng, 0.01)
-    whole, parts = np.zeros(len(block.conn)), np.zeros(len(block.conn))
-    kernels.volumes(0, len(whole), x, block.conn, whole)
-    for lo, hi in ((0, 17), (17, 100), (100, len(parts))):
-        kernels.volumes(lo, hi, x, block.conn, parts)
-    assert np.array_equal(whole, parts)
+def test_threads_change_no_bit(block: mesh.TetMesh, rng: np.random.Generator) -> None:
+    v = 200 * rng.standard_normal(block.points.shape)
+    bodies = [
+        Target(block, law_record(material("SS304")), 300.0, fixed=(), sleeping=False, threads=n) for n in (1, 2, 3)
+    ]
+    for t in bodies:
+        t.v[:] = v
+        for _ in range(20):
+            t.advance(1e-6)
+            t.finish()
+    for t in bodies[1:]:
+        assert np.array_equal(t.x, bodies[0].x)
+        assert np.array_equal(t.s, bodies[0].s)
+        assert np.array_equal(t.T, bodies[0].T)
+        assert t.sums == pytest.approx(bodies[0].sums, rel=1e-12)
+    assert bodies[0].eps_p.max() > 0

@@ -142,7 +142,7 @@ def test_whole_run_through_the_command_line(tmp_path: Path) -> None:
     assert "ns" in done.stderr  # plain progress lines where there is no terminal
     assert ">>====" not in done.stdout  # LAMMPS's own chatter
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["steps"] > 50
+    assert summary["steps"] > 20
     rows = list(csv.DictReader((tmp_path / "out" / "history.csv").open()))
     assert float(rows[-1]["time"]) == pytest.approx(10e-9)
     again = subprocess.run(command, capture_output=True, text=True, timeout=300)

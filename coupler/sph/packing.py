@@ -1,6 +1,12 @@
-"""Particles as points of uniform spacing."""
+"""Bodies as points of uniform spacing, a face-centred cubic lattice; and the geodesic surface of a sphere."""
+
+from collections.abc import Callable
 
 import numpy as np
+
+_BASE = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
+_CELL_MOMENT = 0.0787451  # second moment of the lattice's Voronoi cell about its centre, per axis, over volume^(5/3)
+_FEWEST_NEIGHBOURS = 4
 
 
 def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
@@ -11,14 +17,71 @@ def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
-    cell = 4.0 ** (1.0 / 3.0) * spacing  # four points to a cell
-    reach = int(np.ceil(0.5 * diameter / cell)) + 1
-    base = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]]) + 0.25
-    grid = np.stack(np.meshgrid(*[np.arange(-reach, reach)] * 3, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    lattice = ((grid + base).reshape(-1, 3)) * cell
+    lattice = _lattice(spacing, [0.5 * diameter] * 3, (0.25, 0.25, 0.25))
     inside = lattice[np.einsum("ij,ij->i", lattice, lattice) < (0.5 * diameter) ** 2]
     inside = inside - inside.mean(axis=0)
     return np.ascontiguousarray(inside), volume / len(inside)
+
+
+def fill(
+    inside: Callable[[np.ndarray], np.ndarray],
+    half: tuple[float, float, float],
+    volume: float,
+    points: int,
+    flat: tuple[int, ...] = (),
+) -> tuple[np.ndarray, float]:
+    """Points of a face-centred cubic lattice inside a body, about `points` of them, their mean on the origin.
+
+    inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, shared
+    equally; flat: the axes along which the body ends in flat faces. Of a few lattice constants and offsets that one
+    is taken whose points, each with its cell about it, come closest to the body's volume and second moments, and
+    whose outermost layers lie half a layer inside flat faces. Points with too few neighbours to follow a deformation
+    are left out. Returns as `sphere` does.
+    """
+    moments = _second_moments(inside, half)
+    best: tuple[float, np.ndarray] | None = None
+    for scale in np.linspace(0.97, 1.03, 21 if points < 20000 else 9):
+        spacing = scale * (volume / points) ** (1.0 / 3.0)
+        for offset in ((a, b, c) for a in (0.0, 0.25) for b in (0.0, 0.25) for c in (0.0, 0.25)):
+            lattice = _lattice(spacing, half, offset)
+            cloud = lattice[inside(lattice)]
+            if len(cloud) == 0:
+                continue
+            spread = cloud.var(axis=0) + _CELL_MOMENT * spacing**2
+            misfit = abs(len(cloud) * spacing**3 / volume - 1.0) + float(np.abs(spread / moments - 1.0).max())
+            misfit += float(np.abs(cloud.mean(axis=0)).max() / spacing) + 0.05 * abs(len(cloud) / points - 1.0)
+            layer = 2.0 ** (-1.0 / 3.0) * spacing  # half a cell
+            misfit += sum(0.1 * abs((half[i] - cloud[:, i].max() + cloud[:, i].mean()) / layer - 0.5) for i in flat)
+            if best is None or misfit < best[0]:
+                best = misfit, _connected(cloud, spacing)
+    assert best is not None
+    cloud = best[1] - best[1].mean(axis=0)
+    return np.ascontiguousarray(cloud), volume / len(cloud)
+
+
+def _lattice(spacing: float, half, offset) -> np.ndarray:
+    """The lattice (k,3) with one point per spacing^3 over a box of half extents `half` m; offset in cells."""
+    cell = 4.0 ** (1.0 / 3.0) * spacing  # four points to a cell
+    axes = [np.arange(-reach, reach) for reach in (int(np.ceil(h / cell)) + 1 for h in half)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    return (grid + (_BASE + np.asarray(offset))).reshape(-1, 3) * cell
+
+
+def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half) -> np.ndarray:
+    """Mean square distances (3,) of the body's volume from its centre along x, y, z: a midpoint rule."""
+    middle = (np.arange(80) + 0.5) / 40 - 1.0
+    grid = np.stack(np.meshgrid(*[middle] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * np.asarray(half)
+    return (grid[inside(grid)] ** 2).mean(axis=0)
+
+
+def _connected(cloud: np.ndarray, spacing: float) -> np.ndarray:
+    from scipy.spatial import cKDTree
+
+    while True:
+        neighbours = cKDTree(cloud).query_ball_point(cloud, 1.3 * spacing, return_length=True) - 1
+        if neighbours.min() >= _FEWEST_NEIGHBOURS:
+            return cloud
+        cloud = cloud[neighbours >= _FEWEST_NEIGHBOURS]
 
 
 def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
@@ -33,6 +96,15 @@ def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
          [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]]
     )  # fmt: skip
     parts = max(2, round(0.55 * diameter / edge))  # each edge of the icosahedron, 0.53 diameters long, in so many
+    points, triangles = subdivide(corners, faces, parts)
+    return points * (0.5 * diameter / np.linalg.norm(points, axis=1))[:, None], triangles
+
+
+def subdivide(corners: np.ndarray, faces: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split each edge of a triangulated surface into `parts`: vertices (n,3), triangles (m,3), still flat faces.
+
+    corners (c,3), of the order of 1: vertices closer than 1e-9 are one.
+    """
     i, j = np.array([(i, j) for i in range(parts + 1) for j in range(parts + 1 - i)]).T
     weights = np.stack([parts - i - j, i, j], axis=1) / parts
     number = {pair: n for n, pair in enumerate(zip(i.tolist(), j.tolist(), strict=True))}
@@ -43,5 +115,4 @@ def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
     points = np.einsum("kc,fcd->fkd", weights, corners[faces]).reshape(-1, 3)
     triangles = (np.array(up + down)[None] + len(weights) * np.arange(len(faces))[:, None, None]).reshape(-1, 3)
     _, first, which = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
-    points = points[first]
-    return points * (0.5 * diameter / np.linalg.norm(points, axis=1))[:, None], which.ravel()[triangles]
+    return points[first], which.ravel()[triangles]

@@ -7,7 +7,7 @@ affine motion, and lies where the material surface lies, not half a spacing insi
 """
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import ConvexHull, cKDTree
 
 SUPPORT = 2.2  # spacings: some 20 points half-way round a vertex on the surface
@@ -39,7 +39,9 @@ class CarriedSurface:
         phi = w * np.einsum("ij,ij->i", c[rows], p)
         shape = (len(vertices), len(X))
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
-        self.transposed = self.weights.T.tocsr()
+        # Points themselves may touch too: a single one can slip through the average that the surface is.
+        self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
+        self.transposed = self.touching.T.tocsr()
         shepard = w / np.bincount(rows, w)[rows]
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
 
@@ -47,17 +49,22 @@ class CarriedSurface:
         """Vertices (k,3) now, from the positions x (n,3) of the points."""
         return self.weights @ x
 
+    def contacts(self, x: np.ndarray) -> np.ndarray:
+        """Positions or velocities (k+n,3) of all that may touch: the vertices, then the points."""
+        return self.touching @ x
+
     def spread(self, forces: np.ndarray) -> np.ndarray:
-        """Forces (k,3) on vertices as forces (n,3) on the points: the same resultant, the same moment, the same power."""
+        """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power."""
         return self.transposed @ forces
 
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
-        """Heat (k,) that arises at vertices, shared among the points (n,)."""
-        return self.average.T @ heat
+        """Heat (k+n,) that arises at `contacts`, shared among the points (n,)."""
+        vertices = self.average.shape[0]
+        return self.average.T @ heat[:vertices] + heat[vertices:]
 
     def softness(self, mass: np.ndarray) -> float:
-        """Largest inverse mass (1/kg) that a force on one vertex feels, sum of weight^2 / mass."""
-        return float((self.weights.multiply(self.weights) @ (1.0 / mass)).max())
+        """Largest inverse mass (1/kg) that a force on one of `contacts` feels, sum of weight^2 / mass."""
+        return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
 
     def values(self, field: np.ndarray) -> np.ndarray:
         """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""

@@ -1,0 +1,83 @@
+"""The particle shapes a scene can ask for: their dimensions at equal volume, and how they lie.
+
+The sizes follow from one number, the diameter of the sphere of equal volume, and the aspect ratios of the paper
+(doi:10.1016/j.jestch.2023.101579, 8181 um3 each). The paper draws its shapes without defining them; what stands for
+each word here:
+
+- sphere.
+- hollow_sphere: a shell whose inner diameter is half the outer one (the paper gives no wall); its metal has the volume.
+- oblate: a spheroid, equator over thickness 1.67.
+- rod: a cylinder with hemispherical ends, whole length over diameter 6.17.
+- flake: a flat disc with a sharp rim, diameter over thickness 2.41.
+- angular: a cuboctahedron (8 triangles, 6 parallelograms, sharp edges) stretched by 1.31 along one axis.
+
+At tilt 0 the longest axis lies along x in the plane of the target and the shortest stands on it. A tilt turns the
+shape about y: positive, the end ahead (+x, where an oblique impact goes) dips; 90 deg puts a rod on its end and a
+flake on its edge. Everything is symmetric about its centre.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+ASPECT = {"sphere": 1.0, "hollow_sphere": 1.0, "oblate": 1.67, "rod": 6.17, "flake": 2.41, "angular": 1.31}
+SHAPES = tuple(ASPECT)
+HOLLOW_RATIO = 0.5  # inner over outer diameter
+
+# corners of a cuboctahedron, the permutations of (+-1, +-1, 0)
+_CORNERS = sorted({p for signs in itertools.product((-1, 1), repeat=2) for p in itertools.permutations((*signs, 0))})
+_CUBOCTAHEDRON_VOLUME = 20.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Form:
+    """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or
+    wall, m; corners: of the polyhedron, m, else empty."""
+
+    name: str
+    lengths: tuple[float, float, float]
+    thinnest: float
+    corners: tuple[tuple[float, float, float], ...] = ()
+
+    def support(self, nx: float, ny: float, nz: float) -> float:
+        """How far (m) the untilted shape reaches from its centre along the unit vector (nx, ny, nz)."""
+        a, b, c = (0.5 * length for length in self.lengths)
+        if self.corners:
+            return max(nx * x + ny * y + nz * z for x, y, z in self.corners)
+        if self.name == "rod":
+            return (a - c) * abs(nx) + c
+        if self.name == "flake":
+            return a * math.hypot(nx, ny) + c * abs(nz)
+        if a == c:
+            return a
+        return math.sqrt((a * nx) ** 2 + (b * ny) ** 2 + (c * nz) ** 2)
+
+    def height(self, tilt: float = 0.0) -> float:
+        """Extent along z, m, when tilted by `tilt` rad."""
+        return 2.0 * self.support(-math.sin(tilt), 0.0, math.cos(tilt))
+
+    def width(self, tilt: float = 0.0) -> float:
+        """The larger of its extents along x and y, m, when tilted by `tilt` rad."""
+        return 2.0 * max(self.support(math.cos(tilt), 0.0, math.sin(tilt)), self.support(0.0, 1.0, 0.0))
+
+
+def form(name: str, diameter: float) -> Form:
+    """The dimensions of a shape that has the volume of a sphere of `diameter` m."""
+    D, ratio = diameter, ASPECT[name]
+    if name == "sphere":
+        return Form(name, (D, D, D), D)
+    if name == "hollow_sphere":
+        outer = D / (1.0 - HOLLOW_RATIO**3) ** (1.0 / 3.0)
+        return Form(name, (outer, outer, outer), 0.5 * (1.0 - HOLLOW_RATIO) * outer)
+    if name == "oblate":  # D^3 = d^2 t
+        d = D * ratio ** (1.0 / 3.0)
+        return Form(name, (d, d, d / ratio), d / ratio)
+    if name == "rod":  # pi/6 D^3 = pi/6 d^3 + pi/4 d^2 (ratio - 1) d
+        d = D / (1.5 * ratio - 0.5) ** (1.0 / 3.0)
+        return Form(name, (ratio * d, d, d), d)
+    if name == "flake":  # pi/6 D^3 = pi/4 d^3 / ratio
+        d = D * (ratio / 1.5) ** (1.0 / 3.0)
+        return Form(name, (d, d, d / ratio), d / ratio)
+    scale = D * (math.pi / 6.0 / (ratio * _CUBOCTAHEDRON_VOLUME)) ** (1.0 / 3.0)
+    corners = tuple((ratio * scale * x, scale * y, scale * z) for x, y, z in _CORNERS)
+    return Form(name, (2 * ratio * scale, 2 * scale, 2 * scale), 2 * scale, corners)

@@ -1,0 +1,184 @@
+"""Bodies ready for the particle domain: points of uniform spacing and a closed surface, for each shape of a scene."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .. import morphology
+from . import packing
+
+_FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes that end in flat faces
+_RING = 0.87  # distance of rings over the edges along them: triangles close to equilateral
+
+
+@dataclass(frozen=True)
+class Body:
+    """A solid of uniform points, centred on the origin. SI units.
+
+    points (n,3), each with `volume`, together the body's exactly; vertices (k,3), triangles (m,3): the closed outer
+    surface, outwards; area: of it; half_height: how far the surface reaches below the centre; inner: the surface of a
+    cavity, its triangles facing into the cavity (outwards of the metal), or None.
+    """
+
+    points: np.ndarray
+    volume: float
+    vertices: np.ndarray
+    triangles: np.ndarray
+    area: float
+    half_height: float
+    inner: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def spacing(self) -> float:
+        """Distance of the points: the edge of a cube of the volume of one, m."""
+        return float(self.volume ** (1.0 / 3.0))
+
+
+def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
+    """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about so many points.
+
+    tilt: rad, about y, see `coupler.morphology`. edge: length of the surface's edges over the points' spacing.
+    """
+    form = morphology.form(name, diameter)
+    volume = np.pi / 6.0 * diameter**3
+    inner = None
+    if name == "sphere":
+        cloud, each = packing.sphere(diameter, points)
+        skin = packing.surface(diameter, edge * each ** (1.0 / 3.0))
+        body = Body(cloud, each, *skin, np.pi * diameter**2, 0.5 * diameter)
+    else:
+        half = (0.5 * form.lengths[0], 0.5 * form.lengths[1], 0.5 * form.lengths[2])
+        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, _FLAT.get(name, ()))
+        vertices, triangles = _surface(form, edge * each ** (1.0 / 3.0))
+        if name == "hollow_sphere":
+            hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))
+            inner = hole, facing_out[:, ::-1]
+        body = Body(cloud, each, vertices, triangles, area_of(vertices, triangles), -float(vertices[:, 2].min()), inner)
+    return _tilted(body, tilt) if tilt else body
+
+
+def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> Body:
+    """A cylinder of `diameter` and `length` m standing along z, of about so many points; edge as in `shape`."""
+    volume = np.pi / 4.0 * diameter**2 * length
+    half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
+    cloud, each = packing.fill(lambda x: _in_cylinder(half[0], half[2], x), half, volume, points, (2,))
+    skin = revolved(_cylinder_profile(half[0], half[2]), edge * each ** (1.0 / 3.0))
+    return Body(cloud, each, *skin, area_of(*skin), half[2])
+
+
+def _tilted(body: Body, tilt: float) -> Body:
+    """The points and surfaces of a body turned about y by `tilt` rad: +x goes towards -z."""
+    c, s = np.cos(tilt), np.sin(tilt)
+    turn = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+    inner = None if body.inner is None else (body.inner[0] @ turn.T, body.inner[1])
+    vertices = body.vertices @ turn.T
+    points, half = np.ascontiguousarray(body.points @ turn.T), -float(vertices[:, 2].min())
+    return replace(body, points=points, vertices=vertices, half_height=half, inner=inner)
+
+
+def area_of(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Area of a triangulated surface, m2."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+def _inside(form: morphology.Form, x: np.ndarray) -> np.ndarray:
+    a, b, c = (0.5 * length for length in form.lengths)
+    if form.name == "rod":
+        along = np.clip(x[:, 0], c - a, a - c)
+        return (x[:, 0] - along) ** 2 + x[:, 1] ** 2 + x[:, 2] ** 2 < c * c
+    if form.name == "flake":
+        return _in_cylinder(a, c, x)
+    if form.name == "angular":
+        # faces of the cuboctahedron: |x|, |y|, |z| < 1 and |x| + |y| + |z| < 2
+        u = np.abs(x / np.array([a, b, c]))
+        return (u.max(axis=1) < 1.0) & (u.sum(axis=1) < 2.0)
+    radius = np.einsum("ij,ij->i", x / np.array([a, b, c]), x / np.array([a, b, c]))
+    hole = morphology.HOLLOW_RATIO**2 if form.name == "hollow_sphere" else 0.0
+    return (radius < 1.0) & (radius >= hole)
+
+
+def _in_cylinder(radius: float, half_length: float, x: np.ndarray) -> np.ndarray:
+    return (x[:, 0] ** 2 + x[:, 1] ** 2 < radius**2) & (np.abs(x[:, 2]) < half_length)
+
+
+def _surface(form: morphology.Form, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    a, _, c = (0.5 * length for length in form.lengths)
+    if form.name == "hollow_sphere":
+        return packing.surface(2.0 * a, edge)
+    if form.name == "angular":
+        return _polyhedron(np.array(form.corners), edge)
+    angle = np.linspace(0.0, np.pi, 2001)
+    if form.name == "oblate":
+        return revolved([np.stack([a * np.sin(angle), c * np.cos(angle)], axis=1)], edge)
+    if form.name == "rod":
+        quarter = 0.5 * angle
+        top = np.stack([c * np.sin(quarter), a - c + c * np.cos(quarter)], axis=1)
+        bottom = top[::-1] * [1.0, -1.0]
+        vertices, triangles = revolved([top, np.array([top[-1], bottom[0]]), bottom], edge)
+        return vertices[:, [2, 0, 1]], triangles  # from z to x
+    return revolved(_cylinder_profile(a, c), edge)
+
+
+def _cylinder_profile(radius: float, half: float) -> list[np.ndarray]:
+    corners = np.array([[0.0, half], [radius, half], [radius, -half], [0.0, -half]])
+    return [corners[i : i + 2] for i in range(3)]
+
+
+def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """The closed surface that a profile makes about the z axis, with edges of about `edge` m.
+
+    profile: pieces (k,2) of radius and z, finely sampled, from the upper pole to the lower one; where pieces meet
+    there is a ring, so that sharp rims stay sharp. Returns vertices (n,3), triangles (m,3), outwards.
+    """
+    stations = [profile[0][:1]]
+    for piece in profile:
+        run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(piece, axis=0), axis=1))])
+        at = np.linspace(0.0, run[-1], max(1, round(run[-1] / (_RING * edge))) + 1)[1:]
+        stations.append(np.stack([np.interp(at, run, piece[:, i]) for i in range(2)], axis=1))
+    rings, vertices, angles = [], [], []
+    n = 0
+    for i, (r, z) in enumerate(np.concatenate(stations)):
+        count = 1 if r < 1e-6 * edge else max(6, round(2.0 * np.pi * r / edge))
+        phi = 2.0 * np.pi * (np.arange(count) + 0.5 * (i % 2)) / count
+        vertices.append(np.stack([r * np.cos(phi), r * np.sin(phi), np.full(count, z)], axis=1))
+        rings.append(np.arange(n, n + count))
+        angles.append(phi)
+        n += count
+    triangles = [t for i in range(len(rings) - 1) for t in _stitch(rings[i], angles[i], rings[i + 1], angles[i + 1])]
+    return np.concatenate(vertices), np.array(triangles)
+
+
+def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> list[tuple[int, int, int]]:
+    """Triangles between two rings of a surface of revolution, going round both at once: the nearer next vertex next."""
+    nu, nl = len(upper), len(lower)
+    if nu == 1:
+        return [(upper[0], lower[j], lower[(j + 1) % nl]) for j in range(nl)]
+    if nl == 1:
+        return [(upper[i], lower[0], upper[(i + 1) % nu]) for i in range(nu)]
+    found, i, j = [], 0, 0
+    while i < nu or j < nl:
+        next_u = phi_u[(i + 1) % nu] + 2.0 * np.pi * ((i + 1) // nu)
+        next_l = phi_l[(j + 1) % nl] + 2.0 * np.pi * ((j + 1) // nl)
+        if j == nl or (i < nu and next_u <= next_l):
+            found.append((upper[i % nu], lower[j % nl], upper[(i + 1) % nu]))
+            i += 1
+        else:
+            found.append((upper[i % nu], lower[j % nl], lower[(j + 1) % nl]))
+            j += 1
+    return found
+
+
+def _polyhedron(corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Surface of the convex hull of corners (c,3) m, its flat faces cut into triangles with edges of about `edge` m."""
+    from scipy.spatial import ConvexHull
+
+    size = float(np.abs(corners).max())
+    hull = ConvexHull(corners / size)
+    faces = hull.simplices.copy()
+    a, b, c = (hull.points[faces[:, i]] for i in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
+    faces[inwards] = faces[inwards][:, ::-1]
+    lengths = np.linalg.norm(hull.points[faces] - hull.points[np.roll(faces, 1, axis=1)], axis=2)
+    vertices, triangles = packing.subdivide(hull.points, faces, max(2, round(size * float(np.median(lengths)) / edge)))
+    return vertices * size, triangles
