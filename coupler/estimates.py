@@ -20,8 +20,8 @@ SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
 SECONDS_PER_ELEMENT = 0.12e-6
 SECONDS_PER_STEP = 6e-4
 
-BYTES_PER_POINT = 6e3
-BYTES_PER_ELEMENT = 3e3
+BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
+BYTES_PER_ELEMENT = 6e3
 BYTES_AT_LEAST = 4e8  # the program and its libraries
 
 
