@@ -106,9 +106,7 @@ def build(what: Plan, log: Path | None = None, numerics: Mapping[str, float] | N
     body = shapes.shape(i.shape, i.diameter, i.points, i.tilt, SURFACE_EDGE)
     place = np.array([*centre, body.half_height + i.gap])
     law = law_record(i.material, on, what.rate_filter)
-    particle = Particle(
-        body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**(numerics or {})), log=log
-    )
+    particle = Particle(body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**knobs), log=log)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
 
     top = mesh.sets["top"]

@@ -14,7 +14,7 @@ GROWTH = 0.35  # element size gained per unit of distance outside it
 COARSEST = 1 / 6  # largest element over the target's smaller dimension
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
-CFL = 0.28  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
+CFL = 0.21  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
 SHARE_OF_CAP = 0.33  # a run to rest takes about this share of the time allowed to it
 SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
 SECONDS_PER_ELEMENT = 0.12e-6

@@ -60,7 +60,7 @@ def test_crater_depth_is_the_bottom_of_the_bowl_wherever_the_nodes_lie(rng: np.r
         x[:, :2] = rng.uniform(-1, 1, (900, 2))
         x[:, 2] = np.minimum(-0.3 + 0.8 * ((x[:, 0] - 0.1) ** 2 + 1.2 * (x[:, 1] + 0.05) ** 2), 0.05)
         assert crater_depth(x) == pytest.approx(0.3, rel=0.02)
-        assert abs(crater_depth([*x, 0, 0, 0.01 * rng.standard_normal()]) - 0.3) < 0.05
+        assert abs(crater_depth(x + np.array([0, 0, 0.01 * rng.standard_normal()])) - 0.3) < 0.05
     assert crater_depth(np.concatenate([rng.uniform(-1, 1, (100, 2)), np.zeros((100, 1))], axis=1)) == 0.0
 
 

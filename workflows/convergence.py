@@ -30,7 +30,7 @@ KNOBS = [
     {"hourglass": 3.0},
     {"courant": 0.1, "stretch": 0.3},
     {"courant": 0.2, "stretch": 0.6},
-    {"courant": 0.5, "stretch": 1.7},
+    {"courant": 0.5, "stretch": 1.2},
     {"contact_stiffness": 0.3},
     {"contact_stiffness": 3.0},
 ]

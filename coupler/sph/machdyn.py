@@ -39,7 +39,7 @@ class Numerics:
     Q2: float = 0.0
     hourglass: float = 1.0
     courant: float = 0.4
-    stretch: float = 1.2
+    stretch: float = 0.9
 
 
 class Particle:
