@@ -71,7 +71,6 @@ class Target:
             raise SolverError("elements of different materials share nodes of the target: join meshes of one body each")
         self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
         self.f, self.f_ext, self.f_old = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-        self.f_ext_old = np.zeros((n, 3))
         self.total = np.zeros((n, 3))
         self.J, self.p, self.energy = np.ones(n), np.zeros(n), np.zeros(n)
         self.s, self.fe = np.zeros((m, 6)), np.zeros((m, 4, 3))
@@ -79,7 +78,7 @@ class Target:
         self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
         kinds, kind = np.unique(np.stack([self.law_of, self.T]), axis=1, return_inverse=True)
         self.sigma_y = np.array([yield_stress(self.laws[int(i)], 0.0, 0.0, T) for i, T in kinds.T])[kind.ravel()]
-        self.mass_scale, self.dt_of = np.ones(m), np.zeros(m)
+        self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
         self.mass = mesh.node_volume * self.laws["rho"][self.law_of_node]
@@ -88,7 +87,7 @@ class Target:
         self.inv_mass[self.fixed] = 0.0
         self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
         self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put in, J
-        self.internal_work = self.contact_work = self.absorbed = 0.0
+        self.internal_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.support, self.impulse = np.zeros(3), np.zeros(3)
         self.dt_last, self.time = 0.0, 0.0
@@ -134,7 +133,7 @@ class Target:
         """
         e = max(self.active_elements, 1)
         bound, where = k.stable_dt(
-            0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.mass_scale, self.dt_of
+            0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of
         )  # fmt: skip
         dt = COURANT * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
@@ -180,7 +179,6 @@ class Target:
         for sums in self._share(m, forces):
             self.sums += sums
         self._share(n, lambda lo, hi: k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f))
-        self.f_ext, self.f_ext_old = self.f_ext_old, self.f_ext
         self.f_ext[:n] = 0.0
         if self.conduction is not None:
             self.sums[2] += self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
@@ -198,7 +196,6 @@ class Target:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
         n, dt = self.active_nodes, self.dt_last
         self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
-        self.contact_work += motion.work_of(0, n, dt, self.f_ext_old, self.f_ext, self.v)
         np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
         self.support = np.zeros(3)
         if len(self.dashpot_nodes):

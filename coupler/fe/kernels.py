@@ -281,12 +281,11 @@ def _largest_eigenvalue(a, b, c, d, e, f):
 
 
 @njit(cache=True, nogil=True)
-def stable_dt(lo, hi, x, conn, J_node, laws, law_of, mass_scale, dt_of):
+def stable_dt(lo, hi, x, conn, J_node, laws, law_of, dt_of):
     """Bound on the stable time step of each element, s, into dt_of (m,); returns (smallest, its element).
 
     omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b: the
-    element's largest eigenvalue bounds the mesh's. K stiffens with compression. mass_scale (m,): factor on the
-    element's mass.
+    element's largest eigenvalue bounds the mesh's. K stiffens with compression.
     """
     smallest = 1e300
     where = -1
@@ -309,13 +308,8 @@ def stable_dt(lo, hi, x, conn, J_node, laws, law_of, mass_scale, dt_of):
         xy = (c00 * c01 + c10 * c11 + c20 * c21 + s0 * s1) * i2
         J = 0.25 * (J_node[n0] + J_node[n1] + J_node[n2] + J_node[n3])
         lame = bulk_stiffness(law, J) / J - 2.0 / 3.0 * law.G
-        # density now is rho0 / J_e, with the mass the element really carries
-        omega2 = (
-            4.0
-            * J
-            / (law.rho * mass_scale[e])
-            * (lame * (xx + yy + zz) + 2.0 * law.G * _largest_eigenvalue(xx, yy, zz, yz, xz, xy))
-        )
+        stiffness = lame * (xx + yy + zz) + 2.0 * law.G * _largest_eigenvalue(xx, yy, zz, yz, xz, xy)
+        omega2 = 4.0 * J / law.rho * stiffness  # density now is rho0 / J
         dt = 2.0 / sqrt(omega2) if det > 0.0 else 0.0
         dt_of[e] = dt
         if dt < smallest:

@@ -73,14 +73,14 @@ class Particle:
         r = law[0]
         self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
         self.volume = np.full(self.n, volume)
-        self.f_ext, self._f_ext_old = np.zeros((self.n, 3)), np.zeros((self.n, 3))
+        self.f_ext = np.zeros((self.n, 3))
         self._f_old = np.zeros((self.n, 3))
         self.eps_p, self.rate, self.work = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
         self.J, self.p, self.energy, self._set_e = np.ones(self.n), np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
         self.T = np.full(self.n, float(temperature))
         self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, float(temperature)))
         self.sums = np.zeros(2)  # plastic work and plastic heat, J
-        self.internal_work = self.contact_work = 0.0
+        self.internal_work = 0.0
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         self._on_step: Callable[[], None] | None = None
         self._failure: BaseException | None = None
@@ -165,11 +165,9 @@ class Particle:
             if not np.isfinite(self.sums[0]):
                 bad = int(np.argmin(np.isfinite(self.work)))
                 raise SolverError(self._where(f"the stress at point {bad} is no longer a number", bad))
-            self.f_ext, self._f_ext_old = self._f_ext_old, self.f_ext
             self.f_ext[:] = 0.0
             self._on_step()
             self.internal_work -= motion.work_of(0, self.n, dt, self._f_old, self.f, self.v)
-            self.contact_work += motion.work_of(0, self.n, dt, self._f_ext_old, self.f_ext, self.v)
             self._f_old[:] = self.f
             f_out[:] = self.f_ext
         except BaseException as problem:
