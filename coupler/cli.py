@@ -3,14 +3,18 @@
 import argparse
 import os
 import re
+import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from .errors import ColdsprayError
+from . import gas_command
+from .errors import ColdsprayError, speaks
 
 if TYPE_CHECKING:
     from .progress import Progress
+    from .result import Result
 
 # shared library that a wheel expects from the system -> Debian package
 _PACKAGES = {
@@ -27,7 +31,7 @@ _PACKAGES = {
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
 }
-_INTERRUPTED = 130  # as shells do for SIGINT
+_INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
 
 
@@ -75,8 +79,41 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     run.add_argument("--force", action="store_true", help="overwrite a finished run")
-    run.add_argument("--quiet", action="store_true", help="print errors only")
     run.set_defaults(command=_run)
+    report = commands.add_parser("report", help="write all about a run as one HTML page")
+    report.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
+    report.add_argument("--out", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    report.set_defaults(command=_report)
+    film = commands.add_parser("animate", help="write a film of the cut through particle and target")
+    film.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
+    film.add_argument("--out", type=Path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
+    film.add_argument("--field", default="T", help="T, eps_p or von_mises (default: T)")
+    film.add_argument("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
+    film.set_defaults(command=_animate)
+    compare = commands.add_parser("compare", help="print runs side by side and draw them")
+    compare.add_argument("runs", type=Path, nargs="+", metavar="DIR", help="folders of runs, two or more")
+    compare.add_argument("--out", type=Path, default=Path("comparison.png"), metavar="FILE",
+                         help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
+    compare.set_defaults(command=_compare)
+    resume = commands.add_parser("resume", help="go on with an unfinished run")
+    resume.add_argument("folder", type=Path, metavar="DIR", help="folder of the run")
+    resume.set_defaults(command=_resume)
+    for computing in (run, resume):
+        computing.add_argument("--quiet", action="store_true", help="print errors only")
+        computing.add_argument(
+            "--placement",
+            metavar="HOW",
+            help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
+            " particle on all ranks)",
+        )
+        computing.add_argument(
+            "--checkpoint",
+            type=float,
+            default=60.0,
+            metavar="SECONDS",
+            help="wall time between two checkpoints (default: 60)",
+        )
+    gas_command.add(commands)
     return parser
 
 
@@ -97,21 +134,44 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from .progress import Progress
     from .scene import Scene
 
     scene = Scene.load(arguments.scene)
     out = arguments.out or Path("runs") / scene.name
-    progress = Progress(quiet=arguments.quiet)
-    try:
+
+    def work(**how: Any) -> "Result":
         from .deposition import run
 
-        result = run(scene, out=out, force=arguments.force, progress=progress)
-    except KeyboardInterrupt:
-        return _fail(_stopped(progress, out), _INTERRUPTED)
+        return run(scene, out=out, force=arguments.force, **how)
+
+    return _compute(arguments, out, work)
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    def work(**how: Any) -> "Result":
+        from .deposition import resume
+
+        return resume(arguments.folder, **how)
+
+    return _compute(arguments, arguments.folder, work)
+
+
+def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
+    """Run or go on, show how far it is, and what came out."""
+    from .progress import Progress
+
+    progress = Progress(quiet=arguments.quiet)
+    how: dict[str, Any] = {"progress": progress, "checkpoint_every": arguments.checkpoint}
+    if arguments.placement:
+        how["placement"] = arguments.placement
+    try:
+        result = work(**how)
+    except KeyboardInterrupt as interrupt:
+        number = getattr(interrupt, "signal", signal.SIGINT)
+        return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
     finally:
         progress.stop()
-    if not arguments.quiet:
+    if not arguments.quiet and speaks():
         from rich.console import Console
 
         from .report import summary_table
@@ -121,10 +181,39 @@ def _run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _stopped(progress: "Progress", out: Path) -> str:
-    if progress.time != progress.time:  # nan
-        return "stopped before the first step"
-    return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable"
+def _report(arguments: argparse.Namespace) -> int:
+    from .report.page import write_report
+    from .result import Result
+
+    print(f"page in {write_report(Result(arguments.run), arguments.out)}")
+    return 0
+
+
+def _animate(arguments: argparse.Namespace) -> int:
+    from .report.animation import animate
+    from .result import Result
+
+    print(f"film in {animate(Result(arguments.run), arguments.out, arguments.field, arguments.fps)}")
+    return 0
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from .report.compare import compare, comparison_table
+    from .result import Result
+
+    results = [Result(folder) for folder in arguments.runs]
+    Console().print(comparison_table(results))
+    print(f"comparison in {compare(results, arguments.out)}")
+    return 0
+
+
+def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
+    go_on = f"; go on with coldspray resume {out}" if saved else ""
+    if progress.time != progress.time:  # nan, also on a rank that does not follow the time
+        return ("stopped" if saved else "stopped before the first step") + go_on
+    return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
 
 
 def _file_problem(error: Exception) -> str | None:
@@ -134,6 +223,8 @@ def _file_problem(error: Exception) -> str | None:
 
 
 def _fail(message: str, code: int) -> int:
+    if not speaks():  # every rank ends with the same error; one says so
+        return code
     try:
         print(f"coldspray: {message}", file=sys.stderr)
     except BrokenPipeError:

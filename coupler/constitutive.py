@@ -104,7 +104,10 @@ def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
         work = J * flow * deps
         eps_p += deps
         T += law.taylor_quinney * work / (law.rho * heat_capacity(law, T))
+    if deps > 0.0 or rate > law.eps_dot_0:
         sigma_y = yield_stress(law, eps_p, rate, T)
+    else:
+        rate = 0.0
     return eps_p, rate, T, sigma_y, work
 
 

@@ -1,12 +1,12 @@
 """The one time loop of an impact: an SPH particle and an FE target that meet in every step.
 
-LAMMPS owns the loop of single steps and calls `_rendezvous` between its forces and its kick; there the target makes
-the same step with the same dt, contact is computed once from the positions of both at n+1, and each domain leaves
-with its forces. Every CHUNK steps both agree on dt, pairs that may touch are searched, and the books are kept.
+LAMMPS owns the loop of single steps and calls back between its forces and its kick; there the target has made the same
+step with the same dt (`_begin`), contact is computed once from the positions of both at n+1 (`_meet`), and each domain
+leaves with its forces. Every CHUNK steps both agree on dt, pairs that may touch are searched, and the books are kept.
+The particle is a `team.Team`: whether it lives in this process or on other ranks makes no difference here.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,52 +16,79 @@ from .errors import SolverError
 CHUNK = 10  # steps between two agreements on dt; a stale dt at a Courant factor of 0.9 is known to blow up after more
 
 
-@dataclass
 class Ledger:
-    """Energies of both domains in J. Their sum is constant; `drift` is its change over the initial kinetic energy.
+    """Energies of both domains in J, of one impact: what the target held before it is not counted.
 
-    internal_particle is the work done against the particle's internal forces; what of it is neither elastic nor
-    plastic the SPH scheme itself has eaten (viscosity, hourglass control, kernel error): numerical_particle.
-    numerical_target is the work of the bulk viscosity. The target's elastic and plastic energies are functions of
-    its state, so that drift measures its stress update and the contact, not just arithmetic.
+    Their sum is constant; `drift` is its change over the particle's initial kinetic energy. internal_particle is the work
+    done against the particle's internal forces; what of it is neither elastic nor plastic the SPH scheme itself has eaten
+    (viscosity, hourglass control, kernel error): numerical_particle. numerical_target is the work of the bulk viscosity. The
+    target's elastic and plastic energies are functions of its state, so that drift measures its stress update and the
+    contact, not just arithmetic.
     """
 
-    kinetic_0: float
-    momentum_0: np.ndarray
-    rows: dict[str, float] = field(default_factory=dict)
+    def __init__(self, particle: Any, target: Any, contact: Any):
+        self.kinetic_0 = particle.kinetic()
+        self.momentum_0 = particle.momentum() + target.momentum() - target.external_impulse()
+        self.scale = float(np.linalg.norm(particle.momentum()))
+        self.before: dict[str, float] = {}
+        self.rows: dict[str, float] = {}
+        self.before = self._take_stock(particle, target, contact)
 
-    def close(self, particle: Any, target: Any, contact: Any) -> dict[str, float]:
-        """Take stock. Returns the energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum)."""
+    def _take_stock(self, particle: Any, target: Any, contact: Any) -> dict[str, float]:
         r: dict[str, float] = {}
         r["kinetic_particle"], r["kinetic_target"] = particle.kinetic(), target.kinetic()
         r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]
         r["elastic_particle"], r["elastic_target"] = particle.elastic(), target.elastic()
-        r["plastic_particle"], r["plastic_target"] = float(particle.sums[0]), float(target.sums[0])
+        r["plastic_particle"], r["plastic_target"] = particle.plastic_work, float(target.sums[0])
         r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
         r["numerical_target"] = float(target.sums[1])
         r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat
         r["boundary"] = target.absorbed
-        stored = sum(
-            r[f"{what}_{where}"] for what in ("elastic", "plastic", "numerical") for where in ("particle", "target")
-        )
-        total = r["kinetic"] + stored + r["contact"] + r["friction"] + r["boundary"]
-        r["drift"] = (total - self.kinetic_0) / self.kinetic_0
+        return r
+
+    def close(self, particle: Any, target: Any, contact: Any) -> dict[str, float]:
+        """Take stock. Returns the energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum)."""
+        r = self._take_stock(particle, target, contact)
+        total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
+        for name in r:
+            if "kinetic" not in name:
+                r[name] -= self.before[name]
+        r["drift"] = total / self.kinetic_0
         balance = particle.momentum() + target.momentum() - target.external_impulse() - self.momentum_0
-        r["momentum_error"] = float(np.linalg.norm(balance) / np.linalg.norm(self.momentum_0))
+        r["momentum_error"] = float(np.linalg.norm(balance) / self.scale)
         self.rows = r
         return r
+
+    def state(self) -> dict[str, Any]:
+        return {
+            "kinetic_0": self.kinetic_0, "momentum_0": self.momentum_0, "scale": self.scale, "before": self.before,
+            "rows": self.rows,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
+
+
+_STORED = (
+    "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
+    "numerical_target", "contact", "friction", "boundary",
+)  # fmt: skip
 
 
 class Impact:
     """One particle meeting one target. They touch where the particle's carried surface meets the target's facets."""
 
     def __init__(self, particle: Any, target: Any, surface: Any, contact: Any, threads: int = 1):
-        """threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the numbers are the same."""
+        """particle: a `team.Team`. threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the
+        numbers are the same.
+        """
         self.particle, self.target, self.surface, self.contact = particle, target, surface, contact
         self._softness = surface.softness(particle.mass)
-        self._forces = np.zeros((surface.touching.shape[0], 3))
+        # positions, velocities and forces of all that may touch
+        self._x, self._v, self._forces = (np.zeros((surface.touching.shape[0], 3)) for _ in range(3))
         self.surface_nodes = np.unique(contact.facets)
-        self.ledger = Ledger(particle.kinetic(), particle.momentum() + target.momentum())
+        self.ledger = Ledger(particle, target, contact)
         self._pool = ThreadPoolExecutor(1) if threads > 1 else None
         self._ahead: Future[None] | None = None
         self._left = 0  # steps of this chunk still to come
@@ -70,15 +97,22 @@ class Impact:
         self.deepest = 0.0  # largest penetration so far, m
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
 
-    def _rendezvous(self) -> None:
-        p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
+    def _begin(self) -> None:
+        """The target's own step, which needs nothing of the particle."""
         if self._ahead is None:
-            t.advance(dt)
+            self.target.advance(self.particle.dt)
         else:
             self._ahead.result()
-        self._forces[:] = 0.0
-        self.contact.forces(dt, s.contacts(p.x), s.contacts(p.v), t.x, t.v, self._forces, t.f_ext)
-        p.f_ext += s.spread(self._forces)
+
+    def _meet(self) -> None:
+        """Contact at n+1, once for both, and the forces to each."""
+        p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
+        rows = self.contact.rows
+        self._forces[rows] = 0.0
+        s.contacts(p.x, rows, self._x)
+        s.contacts(p.v, rows, self._v)
+        self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
+        s.spread(self._forces, rows, p.f_ext)
         t.finish()
         self._left -= 1
         # until LAMMPS calls again it works in C, without Python's lock: room for the target's next step
@@ -104,16 +138,32 @@ class Impact:
         if until is not None and self.time + steps * dt > until:
             steps = max(1, int(np.ceil((until - self.time) / dt - 1e-9)))
             dt = (until - self.time) / steps
-        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.particle.v, self.particle.v))))
+        fastest = self.particle.fastest
         fastest += float(np.sqrt(np.max(np.einsum("ij,ij->i", (v := self.target.v[self.surface_nodes]), v))))
         self.contact.search(self.surface.contacts(self.particle.x), self.target.x, 1.5 * fastest * steps * dt)
+        self._forces[:] = 0.0
         self._left, self._ahead = steps, None
-        self.particle.run(steps, dt, self._rendezvous)
+        self.particle.run(steps, dt, self._begin, self._meet, self.surface.support(self.contact.rows))
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
         self._share_heat()
         return dt
+
+    def state(self) -> dict[str, Any]:
+        """What goes on in the next chunk as if nothing had happened: numbers and arrays, nested."""
+        return {
+            "particle": self.particle.state(), "target": self.target.state(), "contact": self.contact.state(),
+            "ledger": self.ledger.state(), "time": self.time, "force": self.force, "deepest": self.deepest,
+            "limits": self.limits,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into an impact of the same plan that was just built."""
+        for name in ("particle", "target", "contact", "ledger"):
+            getattr(self, name).restore(state[name])
+        for name in ("time", "force", "deepest", "limits"):
+            setattr(self, name, state[name])
 
     def _share_heat(self) -> None:
         """Friction heat becomes temperature: of the points it arose at, and of the elements behind the facets."""
@@ -139,6 +189,13 @@ class Watch:
         self.peak = 0.0
         self.turned: float | None = None
         self._loud = 0.0
+
+    def state(self) -> dict[str, Any]:
+        return {"peak": self.peak, "turned": self.turned, "_loud": self._loud}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
 
     def look(self, time: float, sinking: float, force: float) -> bool:
         """sinking: downward speed of the centre of mass (m/s), force: on the particle, upwards (N). Returns True when it is over."""

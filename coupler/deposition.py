@@ -1,25 +1,27 @@
-"""From a scene to a result: builds the domains a plan calls for, runs the impact, writes what comes out."""
+"""From a scene to a result: who runs where, the domains a plan calls for, the impacts one after another."""
 
+import hashlib
 import os
+import sys
 import time as clock
-from collections.abc import Mapping
+import traceback
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from .errors import SolverError
+from . import parallel
+from .errors import ColdsprayError
 from .plan import Plan, plan
 from .result import Result
 from .scene import Scene
 
 SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
-DRIFT_BOUND = 0.02  # of the initial kinetic energy: beyond it a run is not called finished
-MOMENTUM_BOUND = 1e-6
-DISSIPATION_BOUND = -0.01  # a scheme that gives energy away is unstable
-# fields written without a change of name, and how they read in ParaView's order of tensors, xx yy zz xy yz xz
-_VTK_ORDER = [0, 1, 2, 5, 3, 4]
+CHECKPOINT_EVERY = 60.0  # s of wall time
+
+Probe = Callable[[Any], None]
 
 
 def run(
@@ -30,34 +32,132 @@ def run(
     progress: Any = None,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
+    placement: str | None = None,
+    probe: Probe | None = None,
+    checkpoint_every: float = CHECKPOINT_EVERY,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
     out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how
     far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in
     turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the
-    scheme, values in place of the defaults of `coupler.sph.machdyn.Numerics`. Raises SceneError, StoreError or
-    SolverError; whatever was written before an error or an interrupt stays readable.
+    scheme, values in place of the defaults of `coupler.sph.machdyn.Numerics`. probe(impact): called after every few steps
+    with the `coupling.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
+
+    Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
+    there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
+    whatever was written before an error or an interrupt stays readable.
     """
+    scene = scene if isinstance(scene, Scene) else Scene.load(scene)
+    folder = Path(out) if out is not None else Path("runs") / scene.name
+    how = _How(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
+    return _compute(scene, folder, how, anew=True, force=force)
+
+
+def resume(
+    out: str | Path,
+    *,
+    progress: Any = None,
+    threads: int | None = None,
+    numerics: Mapping[str, float] | None = None,
+    placement: str | None = None,
+    probe: Probe | None = None,
+    checkpoint_every: float = CHECKPOINT_EVERY,
+) -> Result:
+    """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
+
+    The number of ranks and their placement may differ from before. A finished run is returned as it is. Arguments and errors
+    as for `run`; raises CheckpointError for a checkpoint of another version or another scene.
+    """
+    folder = Path(out)
+    result = Result(folder)
+    if result.finished:
+        return result
+    scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
+    how = _How(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
+    return _compute(scene, folder, how, anew=False, force=False)
+
+
+@dataclass(frozen=True)
+class _How:
+    """How to run: nothing of it changes the numbers but `numerics`."""
+
+    progress: Any
+    threads: int | None
+    numerics: dict[str, float]
+    placement: str | None
+    probe: Probe | None
+    checkpoint_every: float
+
+
+def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> Result:
+    what = plan(scene)
+    ranks = parallel.arrange(parallel.world(), how.placement, what.home_load)
+    if not ranks.at_home:
+        parallel.follow(ranks, lambda: build_particle(what, ranks, how.numerics, folder / "log.lammps"))
+        return Result(folder)
+    try:
+        _lead(what, folder, how, ranks, anew, force)
+        result = Result(folder)
+        from .report import section_picture
+
+        section_picture(result)
+    except (ColdsprayError, KeyboardInterrupt) as error:
+        parallel.dismiss(ranks, error)
+        raise
+    except BaseException:
+        if ranks.size > 1:
+            traceback.print_exc()
+            parallel.abort(ranks.comm, "coldspray: the rank with the target failed; all ranks are stopped", 1)
+        raise
+    parallel.dismiss(ranks)
+    return result
+
+
+def _lead(what: Plan, folder: Path, how: _How, ranks: parallel.Ranks, anew: bool, force: bool) -> None:
+    """Run the impacts on the rank that has the target."""
+    from . import __version__, checkpoint
+    from .running import Running
     from .store import Store
 
-    scene = scene if isinstance(scene, Scene) else Scene.load(scene)
-    what = plan(scene)
-    folder = Path(out) if out is not None else Path("runs") / scene.name
-    with Store.create(folder, scene.to_toml(), force) as store:
-        started = clock.perf_counter()
-        setting = build(what, log=folder / "log.lammps", numerics=numerics)
+    started, before = clock.perf_counter(), 0.0
+    text = what.scene.to_toml()
+    about = {"version": __version__, "scene": hashlib.sha256(text.encode()).hexdigest()}
+    about["numerics"] = repr(sorted(how.numerics.items()))
+    log = how.progress.log if how.progress is not None else _to_stderr
+    state: dict[str, Any] | None = None
+    with Store.create(folder, text, force) if anew else Store.reopen(folder) as store:
+        if not anew:
+            kept = checkpoint.latest(folder, about, log)
+            if kept is None:
+                log(f"{folder} has no checkpoint: the run starts from its beginning")
+            else:
+                state, before = kept[0], kept[0]["wall"]
+            store.go_on(state["store"] if state else None, log)
+        mesh = state["mesh"] if state else None
+        setting = build(what, folder / "log.lammps", how.numerics, ranks, mesh)
         try:
-            _Run(what, setting, store, progress, started, threads or cores()).go()
+            running = Running(what, setting, store, how.progress, (how.threads or cores()) if ranks.size == 1 else 1)
+            if state:
+                running.restore(state["running"])
+                log(f"going on from {running.impact.time * 1e9:.1f} ns")
+
+            def save(now: dict[str, Any]) -> None:
+                wall = before + clock.perf_counter() - started
+                whole = {"running": now, "mesh": asdict(setting.target.mesh), "store": store.state(), "wall": wall}
+                checkpoint.write(folder, whole, about)
+
+            running.go(save, how.checkpoint_every, how.probe)
+            store.finish(running.summary(before + clock.perf_counter() - started))
+            checkpoint.clear(folder)
         finally:
             setting.particle.close()
-            if progress is not None:
-                progress.stop()
-    result = Result(folder)
-    from .report import section_picture
+            if how.progress is not None:
+                how.progress.stop()
 
-    section_picture(result)
-    return result
+
+def _to_stderr(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def cores() -> int:
@@ -67,7 +167,7 @@ def cores() -> int:
 
 @dataclass
 class Setting:
-    """The domains of one impact, ready to run."""
+    """The domains of one impact, ready to run. particle: a `team.Team`."""
 
     particle: Any
     target: Any
@@ -75,27 +175,37 @@ class Setting:
     surface: Any
 
 
-def build(what: Plan, log: Path | None = None, numerics: Mapping[str, float] | None = None) -> Setting:
-    """Mesh the target, pack the particle, and put contact between them. Starts LAMMPS and gmsh."""
+def build(
+    what: Plan,
+    log: Path | None = None,
+    numerics: Mapping[str, float] | None = None,
+    ranks: parallel.Ranks | None = None,
+    mesh: Mapping[str, Any] | None = None,
+) -> Setting:
+    """Mesh the target, pack the particle, and put contact between them. Starts LAMMPS and gmsh.
+
+    ranks: who runs where (default: this process alone); mesh: fields of the target's `fe.mesh.TetMesh`, where it is known.
+    """
     from .constitutive import law_record
     from .contact.penalty import STIFFNESS, PointContact
     from .fe import mesh as meshes
     from .fe.explicit import Target
-    from .sph import shapes
-    from .sph.machdyn import Numerics, Particle
     from .splat.carry import CarriedSurface
+    from .team import Team
 
-    knobs = dict(numerics or {})
-    stiffness = knobs.pop("contact_stiffness", STIFFNESS)
+    ranks = ranks or parallel.Ranks()
     i, t = what.impact, what.target
     on = {row.name: row.on for row in what.effects.rows}
-    centre = (i.offset[0], i.offset[1])
-    points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, centre)
-    mesh = meshes.prepare(points, tets, (*centre, 0.0))
+    if mesh is None:
+        centre = (i.offset[0], i.offset[1])
+        points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, centre)
+        tetmesh = meshes.prepare(points, tets, (*centre, 0.0))
+    else:
+        tetmesh = meshes.TetMesh(**mesh)
     sides = {"sides": t.sides, "bottom": t.bottom}
     absorbing = tuple(name for name, kind in sides.items() if kind == "absorbing" and on["absorbing_boundaries"])
     target = Target(
-        mesh,
+        tetmesh,
         law_record(t.material, on, what.rate_filter),
         t.temperature,
         fixed=tuple(name for name, kind in sides.items() if kind == "fixed"),
@@ -103,25 +213,49 @@ def build(what: Plan, log: Path | None = None, numerics: Mapping[str, float] | N
         conduction=on["conduction"],
     )
 
-    body = shapes.shape(i.shape, i.diameter, i.points, i.tilt, SURFACE_EDGE)
-    place = np.array([*centre, body.half_height + i.gap])
-    law = law_record(i.material, on, what.rate_filter)
-    particle = Particle(body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**knobs), log=log)
+    body, place = place_of(what)
+    parallel.begin_impact(ranks)
+    piece = build_particle(what, ranks, numerics, log) if ranks.has_points else None
+    particle = Team(ranks, piece, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
 
-    top = mesh.sets["top"]
+    top = tetmesh.sets["top"]
     contact = PointContact(
         surface.touching.shape[0],
-        mesh.facets[top],
+        tetmesh.facets[top],
         body.spacing,
         body.area / len(body.vertices),
         min(i.material.K, t.material.K),
         what.friction if on["friction"] else 0.0,
         share=_heat_share(i.material, i.temperature, t.material, t.temperature),
-        factor=stiffness,
+        factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
         facet_ids=top,
     )
     return Setting(particle, target, contact, surface)
+
+
+def place_of(what: Plan) -> tuple[Any, np.ndarray]:
+    """The particle's body, and where its centre is at the start (3,) m."""
+    from .sph import shapes
+
+    i = what.impact
+    body = shapes.shape(i.shape, i.diameter, i.points, i.tilt, SURFACE_EDGE)
+    return body, np.array([i.offset[0], i.offset[1], body.half_height + i.gap])
+
+
+def build_particle(what: Plan, ranks: parallel.Ranks, numerics: Mapping[str, float] | None, log: Path | None) -> Any:
+    """This rank's part of the particle. Starts LAMMPS, on all ranks that share the particle at once."""
+    from .constitutive import law_record
+    from .sph.machdyn import Numerics, Particle
+
+    i = what.impact
+    body, place = place_of(what)
+    law = law_record(i.material, {row.name: row.on for row in what.effects.rows}, what.rate_filter)
+    knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
+    return Particle(
+        body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**knobs),
+        comm=ranks.sph_comm, log=log, shares=ranks.shares,
+    )  # fmt: skip
 
 
 def _heat_share(a: Any, Ta: float, b: Any, Tb: float) -> float:
@@ -129,135 +263,3 @@ def _heat_share(a: Any, Ta: float, b: Any, Tb: float) -> float:
     ea = float(np.sqrt(a.k_at(Ta) * a.rho * a.cp_at(Ta)))
     eb = float(np.sqrt(b.k_at(Tb) * b.rho * b.cp_at(Tb)))
     return ea / (ea + eb)
-
-
-class _Run:
-    """One impact while it runs: the loop that a reader can follow, and its books."""
-
-    def __init__(self, what: Plan, setting: Setting, store: Any, progress: Any, started: float, threads: int):
-        from .coupling import Impact, Watch
-
-        self.what, self.setting, self.store, self.progress, self.started = what, setting, store, progress, started
-        self.impact = Impact(setting.particle, setting.target, setting.surface, setting.contact, threads)
-        crossing = what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
-        self.watch = Watch(what.end_time, what.end_at_rest, 0.1 * crossing)
-        self.expected = min(what.end_time, 1.1 * crossing) if what.end_at_rest else what.end_time
-        self.greatest: dict[str, float] | None = None
-        self.next_output = 0.0
-        self.row_every = crossing / 400.0
-        self.next_row = 0.0
-
-    def go(self) -> None:
-        from .coupling import check_books
-
-        if self.progress is not None:
-            self.progress.start(self.expected)
-        impact, particle = self.impact, self.setting.particle
-        self._write()
-        until = None if self.what.end_at_rest else self.what.end_time
-        looping = clock.perf_counter()
-        while True:
-            dt = impact.advance(until)
-            sinking = -float(particle.momentum()[2] / particle.mass.sum())
-            over = self.watch.look(impact.time, sinking, float(impact.force[2]))
-            if self.watch.turned is not None and self.greatest is None:
-                self.greatest = self._measure()
-                self._write()
-            if over or impact.time >= self.next_row:
-                self._row(dt)
-            if over or impact.time >= self.next_output:
-                self._write()
-            if over:
-                break
-        loop = clock.perf_counter() - looping
-        check_books(impact.ledger, DRIFT_BOUND, MOMENTUM_BOUND)
-        dissipated = impact.ledger.rows["numerical_particle"] / impact.ledger.kinetic_0
-        if dissipated < DISSIPATION_BOUND:
-            raise SolverError(
-                f"the SPH scheme gave away {-dissipated:.2%} of the initial kinetic energy: it is unstable"
-            )
-        self.store.finish(self._summary(loop))
-
-    def _row(self, dt: float) -> None:
-        from .measures import crater_depth
-
-        impact, particle, target = self.impact, self.setting.particle, self.setting.target
-        books = impact.ledger.close(particle, target, self.setting.contact)
-        skin = self.setting.surface.positions(particle.x)
-        row = {"time": impact.time, "dt": dt, "step": float(particle.steps), **books}
-        row["height"] = float(skin[:, 2].max())
-        row["thickness"] = float(np.ptp(skin[:, 2]))
-        row["crater_depth"] = crater_depth(target.x[impact.surface_nodes])
-        row["velocity_z"] = float(particle.momentum()[2] / particle.mass.sum())
-        row["contact_force"] = float(impact.force[2])
-        row["T_max"] = float(particle.T.max())
-        row["eps_p_mean"] = float(particle.eps_p.mean())
-        row["stretch_min"] = particle.stretch_min
-        self.store.record(row)
-        self.next_row = impact.time + self.row_every
-        if not np.isfinite(books["drift"]):
-            raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
-        if self.progress is not None:
-            self.progress.update(impact.time, books["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
-
-    def _write(self) -> None:
-        from .measures import von_mises_of
-
-        t, p, s = self.impact.time, self.setting.particle, self.setting.surface
-        stress = p.stress()
-        fields = {
-            "velocity": p.v, "stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": p.eps_p,
-            "eps_p_rate": p.rate, "T": p.T,
-        }  # fmt: skip
-        self.store.write("particle", t, p.x, np.arange(p.n)[:, None], fields)
-        skin = {name: s.values(field) for name, field in fields.items()}
-        self.store.write("surface", t, s.positions(p.x), s.triangles, skin)
-        e = self.setting.target
-        stress = e.stress()
-        cells = {"stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": e.eps_p, "T": e.T}
-        self.store.write("target", t, e.x, e.mesh.conn, {"velocity": e.velocity()}, cells)
-        self.next_output = t + self.what.output_every
-
-    def _measure(self) -> dict[str, float]:
-        from .measures import measure
-
-        setting = self.setting
-        m = measure(
-            setting.particle, setting.target, setting.surface, self.impact.surface_nodes, self.what.impact.diameter
-        )
-        return {"time_s": self.impact.time, **m}
-
-    def _summary(self, loop: float) -> dict[str, Any]:
-        from . import __version__
-
-        impact, particle, target = self.impact, self.setting.particle, self.setting.target
-        books, kinetic_0 = impact.ledger.rows, impact.ledger.kinetic_0
-        end = self._measure()
-        energies = {name: value / kinetic_0 for name, value in books.items() if name not in ("drift", "momentum_error")}
-        return {
-            **{name: value for name, value in end.items() if name != "time_s"},
-            "rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0),
-            "energy_drift": books["drift"],
-            "momentum_error": books["momentum_error"],
-            "numerical_dissipation": (books["numerical_particle"] + books["numerical_target"]) / kinetic_0,
-            "penetration_max_m": impact.deepest,
-            "points": particle.n,
-            "elements": len(target.mesh.conn),
-            "nodes": len(target.x),
-            "spacing_m": particle.spacing,
-            "element_size_m": self.what.target.element_size,
-            "steps": particle.steps,
-            "dt_mean_s": impact.time / particle.steps,
-            "dt_limited_by": impact.limits,
-            "numerics": asdict(particle.numerics),
-            "sim_time_s": impact.time,
-            "wall_s": clock.perf_counter() - self.started,
-            "wall_loop_s": loop,
-            "kinetic_energy_0_J": kinetic_0,
-            "energies": energies,
-            "greatest_deformation": self.greatest,
-            "end": end,
-            "effects": self.what.effects.active,
-            "warnings": list(self.what.warnings),
-            "version": __version__,
-        }

@@ -3,6 +3,16 @@
 The command line turns each of these into one message and an exit code; anything else is a bug and keeps its traceback.
 """
 
+import os
+
+# what launchers of MPI programs tell a process of its rank
+_RANK = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK")
+
+
+def speaks() -> bool:
+    """Whether this process is the one that talks to the user: the only one, or rank 0."""
+    return all(os.environ.get(name, "0") == "0" for name in _RANK)
+
 
 class ColdsprayError(Exception):
     """Something the user can mend: the message names the field or file and the remedy."""
@@ -19,9 +29,20 @@ class SceneError(ColdsprayError):
         head = f"{source}: {len(problems)} problem{'s' if len(problems) > 1 else ''}"
         super().__init__("\n  - ".join([head, *problems]))
 
+    def __reduce__(self) -> tuple[type["SceneError"], tuple[list[str], str]]:
+        return type(self), (self.problems, self.source)  # errors travel between ranks
+
 
 class StoreError(ColdsprayError):
     """A result folder or file that cannot be read or written."""
+
+
+class SplatError(ColdsprayError):
+    """A cloud of points that cannot become a finite-element body: says what is wrong with it and what to change."""
+
+
+class PlacementError(ColdsprayError):
+    """Ranks that cannot be arranged as asked."""
 
 
 class SolverError(ColdsprayError):

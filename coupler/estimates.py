@@ -18,7 +18,9 @@ CFL = 0.21  # dt = CFL spacing / wave speed: a mean over a run in which the spac
 SHARE_OF_CAP = 0.33  # a run to rest takes about this share of the time allowed to it
 SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
 SECONDS_PER_ELEMENT = 0.12e-6
+SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4
+SPLIT_FROM = 0.45  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
 BYTES_PER_ELEMENT = 6e3
@@ -66,3 +68,13 @@ def machine_memory() -> float:
 def wall_time(steps: float, points: float, n_elements: float) -> float:
     """Wall time of a run on one core, s."""
     return steps * (SECONDS_PER_POINT * points + SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_STEP)
+
+
+def home_load(points: float, n_elements: float) -> float:
+    """Cost of what the rank of the target does in a step, target and contact, over the cost of the particle."""
+    return (SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points) / (SECONDS_PER_POINT * points)
+
+
+def placement(load: float) -> str:
+    """Where two ranks are best used: apart where the target costs about as much as the particle."""
+    return "split" if load > SPLIT_FROM else "spread"

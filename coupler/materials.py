@@ -37,6 +37,7 @@ _LIMITS: dict[str, tuple[str, float, float]] = {
     "T_m": ("K", 200.0, 5000.0),
     "taylor_quinney": ("", 0.0, 1.0),
     "thermal_expansion": ("1/K", 0.0, 1e-3),
+    "sigma_TS": ("MPa", 1e6, 1e10),
 }
 _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
@@ -46,6 +47,7 @@ _DEFAULTS: dict[str, Any] = {
     "eps_dot_0": 1.0,
     "taylor_quinney": 0.9,
     "thermal_expansion": 0.0,
+    "sigma_TS": None,
     "source": "",
     "note": "",
 }
@@ -57,7 +59,8 @@ class Material:
 
     rho kg/m^3; G, A, B Pa; c0 m/s; s, Gamma0, n, C, m, taylor_quinney without unit; eps_dot_0 1/s;
     T_ref, T_m K; cp ((T, J/(kg K)), (T, J/(kg K))), k ((T, W/(m K)), (T, W/(m K))): linear between the
-    points, constant outside; thermal_expansion (linear) 1/K.
+    points, constant outside; thermal_expansion (linear) 1/K; sigma_TS Pa: tensile strength at 293 K, for critical velocities,
+    None where it is not known.
     """
 
     name: str
@@ -78,6 +81,7 @@ class Material:
     cp: Pairs
     k: Pairs
     thermal_expansion: float
+    sigma_TS: float | None
     source: str
     note: str
 

@@ -50,7 +50,8 @@ class TargetPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """What will be computed and at what cost. Times in s; end_time is the longest a run may take."""
+    """What will be computed and at what cost. Times in s; end_time is the longest a run may take; home_load: cost of the target and
+    the contact over that of the particle."""
 
     scene: Scene
     impact: ImpactPlan
@@ -65,6 +66,7 @@ class Plan:
     steps_estimate: int
     memory_bytes: float
     wall_estimate: float
+    home_load: float
     preset: str
     warnings: tuple[str, ...]
 
@@ -129,6 +131,7 @@ def plan(scene: Scene) -> Plan:
         steps_estimate=steps,
         memory_bytes=estimates.memory(scene.points, scene.elements),
         wall_estimate=estimates.wall_time(steps, scene.points, scene.elements),
+        home_load=estimates.home_load(scene.points, scene.elements),
         preset=scene.preset,
         warnings=tuple(_warnings(scene, metal, base, decided)),
     )
@@ -180,6 +183,7 @@ def describe(plan: Plan) -> str:
         f"  particle   {impact.material.name} {impact.shape.replace('_', ' ')} {show(impact.diameter, 'um')},"
         f" {show(speed, 'm/s', 4)} at {angle} from the normal, {show(impact.temperature, 'K', 4)}",
         *_shape(plan),
+        *_gas(plan.scene),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -194,6 +198,8 @@ def describe(plan: Plan) -> str:
         f"  steps      about {_round(plan.steps_estimate)}",
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
+        f" the target and the contact cost {plan.home_load:.2g} of the particle",
         "",
         "  effect                    on   decided by",
     ]
@@ -205,6 +211,15 @@ def describe(plan: Plan) -> str:
         )
     lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
     return "\n".join(lines)
+
+
+def _gas(scene: Scene) -> list[str]:
+    """What the gas of a scene gives its particle, as some lines; none without a gas."""
+    if scene.gas is None:
+        return []
+    from .scene_gas import describe as gas
+
+    return gas(scene)
 
 
 def _shape(plan: Plan) -> list[str]:

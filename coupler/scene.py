@@ -16,6 +16,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    StrictBool,
     StrictFloat,
     field_validator,
     model_validator,
@@ -89,6 +90,24 @@ class Particle(Section):
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
 
 
+class GasConditions(Section):
+    """The gas that brings the particle: it gives the velocity and temperature that the scene leaves out. SI units.
+
+    pressure, temperature: total, before the nozzle. nozzle: of the library or of [nozzles.NAME]. standoff: from there to
+    the target. ambient: pressure outside. powder_temperature: when fed. drag: a law of `coupler.flight`.
+    """
+
+    kind: Literal["N2", "He", "air"] = "N2"
+    pressure: Annotated[float, Quantity("bar", "1 bar", "100 bar")]
+    temperature: Annotated[float, Quantity("degC", "200 K", "1800 K")]
+    nozzle: str
+    standoff: Annotated[float, Quantity("mm", "1 mm", "500 mm")] = 30e-3
+    ambient: Annotated[float, Quantity("bar", "0.001 bar", "10 bar")] = 101325.0
+    powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
+    bow_shock: StrictBool = False
+    drag: Literal["henderson", "carlson-hoglund"] = "henderson"
+
+
 class Substrate(Section):
     """The target, a cylinder whose top is the surface. SI units."""
 
@@ -140,12 +159,14 @@ class Scene(Section):
     preset: Literal["draft", "standard", "fine"] = "standard"
     effects: str | list[str] = "auto"
     particles: list[Particle] = Field(alias="particle")
+    gas: GasConditions | None = None
     substrate: Substrate
     contact: Contact = Contact(friction=0.5)
     resolution: Resolution = Resolution()
     end: End = End(at="rest")
     output: Output = Output()
     materials: dict[str, dict[str, Any]] = {}
+    nozzles: dict[str, dict[str, Any]] = {}
 
     @field_validator("particles", mode="before")
     @classmethod

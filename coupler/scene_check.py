@@ -17,6 +17,7 @@ _EXAMPLES = {  # what a required field looks like; stands in for a faulty one wh
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
 }
+_GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 _EXTENT = ("particle.diameter", "particle.shape", "particle.tilt")
 _MOST_RECORDS = 5000
 _LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
@@ -33,6 +34,10 @@ def checked(data: Mapping[str, Any], source: str) -> Scene:
         given["materials"] = tables = {}
     catalogue, material_problems = materials.from_scene(tables)
     given.setdefault("name", safe_name(source))
+    if "gas" in given or "nozzles" in given:
+        from .scene_gas import fill
+
+        problems += fill(given, catalogue)
     faulty: set[str] = set()
     try:
         scene: Scene | None = Scene.model_validate(given)
@@ -141,6 +146,9 @@ def _without(given: dict[str, Any], faulty: set[str]) -> Scene | None:
         mended["particle"] = particle[0] if particle else {}
     for dotted in faulty:
         section, _, field = dotted.partition(".")
+        if section in ("gas", "nozzles"):  # what they say of the particle is in it already
+            mended.pop(section, None)
+            continue
         if field and isinstance(mended.get(section), dict):
             mended[section].pop(field.partition("[")[0], None)
         elif not field:
@@ -176,7 +184,7 @@ def _in_words(entry: Any) -> str:
     if kind == "missing":
         if field in _EXAMPLES:
             return f"{field}: missing; add a table [{field}]"
-        example = _EXAMPLES.get(str(loc[0]), {}).get(str(loc[-1]), "...")
+        example = (_EXAMPLES | _GAS_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
         return f'{field}: missing; add for example {loc[-1]} = "{example}"'
     start = f"{field} = {_shown(entry['input'])}"
     if kind == "literal_error":
@@ -234,9 +242,13 @@ def to_toml(scene: Scene) -> str:
         "time": (scene.end_time, "ns", "3 diameter / velocity at most"),
     }
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
-    for section in ("particle", "substrate", "contact", "resolution", "end", "output"):
-        table: BaseModel = getattr(scene, section)
+    for section in ("particle", "gas", "substrate", "contact", "resolution", "end", "output"):
+        table: BaseModel | None = getattr(scene, section)
+        if table is None:
+            continue
         lines += ["", f"[{section}]"]
+        if section == "gas":
+            lines.append("# takes effect again once the particle's velocity and temperature above are deleted")
         for field, info in type(table).model_fields.items():
             value = getattr(table, field)
             quantity = next((m for m in info.metadata if isinstance(m, Quantity)), None)
@@ -247,7 +259,8 @@ def to_toml(scene: Scene) -> str:
             elif field in derived:
                 number, unit, why = derived[field]
                 lines.append(f'# {field} = "{units.rounded(number, unit, 6)}"  (from: {why})')
-    for name, fields in scene.materials.items():
-        lines += ["", f"[materials.{json.dumps(name)}]"]
-        lines += [f"{json.dumps(field)} = {json.dumps(value)}" for field, value in fields.items()]
+    for kind in ("materials", "nozzles"):
+        for name, fields in getattr(scene, kind).items():
+            lines += ["", f"[{kind}.{json.dumps(name)}]"]
+            lines += [f"{json.dumps(field)} = {json.dumps(value)}" for field, value in fields.items()]
     return "\n".join(lines) + "\n"

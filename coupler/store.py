@@ -4,6 +4,7 @@ particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
 history.csv                                    one line for each record
 scene.toml                                     the scene with every default filled in
 summary.json                                   written last: its presence says that the run is finished
+checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.checkpoint`
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from . import checkpoint
 from .errors import StoreError
 from .vtkhdf import VtkHdfWriter
 
@@ -42,6 +44,7 @@ class Store:
         self._writers: dict[str, VtkHdfWriter] = {}
         self._history: TextIO | None = None
         self._columns: list[str] = []
+        self._rows = 0
 
     @classmethod
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False) -> Store:
@@ -57,11 +60,17 @@ class Store:
                 raise StoreError(
                     f"{directory} holds a finished run; add --force to replace it, or choose another folder with --out"
                 )
+            if checkpoint.found(directory) and not force:
+                raise StoreError(
+                    f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add --force to replace it,"
+                    " or choose another folder with --out"
+                )
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
                 for name in (SUMMARY, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
                     (directory / name).unlink(missing_ok=True)
+                checkpoint.clear(directory)
                 _replace(directory / SCENE, scene_toml)
             except BaseException:
                 store.close()
@@ -69,6 +78,66 @@ class Store:
         except OSError as error:
             raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
         return store
+
+    @classmethod
+    def reopen(cls, out_dir: str | Path) -> Store:
+        """Take the folder of an unfinished run. Raises StoreError: another run writes there, or it is not writable."""
+        directory = Path(out_dir)
+        try:
+            return cls(directory, _lock(directory))
+        except OSError as error:
+            raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
+
+    def state(self) -> dict[str, Any]:
+        """How much of each file is written: what `go_on` goes on from."""
+        return {"rows": self._rows, "steps": {domain: writer.steps for domain, writer in self._writers.items()}}
+
+    def go_on(self, state: Mapping[str, Any] | None, log: Any) -> None:
+        """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
+
+        Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
+        be read starts anew, with a line to log(text).
+        """
+        steps = dict(state["steps"]) if state else {}
+        for domain in DOMAINS:
+            path = self.directory / f"{domain}.vtkhdf"
+            with _named(path):
+                if steps.get(domain):
+                    self._copy_steps(domain, path, int(steps[domain]), log)
+                else:
+                    path.unlink(missing_ok=True)
+        path = self.directory / HISTORY
+        with _named(path):
+            lines = path.read_text(encoding="ascii").splitlines(keepends=True) if path.exists() else []
+            kept = lines[: int(state["rows"]) + 1] if state and int(state["rows"]) else []
+            if kept:
+                _replace(path, "".join(kept))
+                self._columns = kept[0].strip().split(",")
+                self._rows = len(kept) - 1
+                self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
+            else:
+                path.unlink(missing_ok=True)
+
+    def _copy_steps(self, domain: str, path: Path, steps: int, log: Any) -> None:
+        from .result import Result
+
+        old, part = Result(self.directory), path.with_suffix(".part")
+        writer = VtkHdfWriter(part)
+        try:
+            for step in range(steps):
+                f = old.fields(step, domain)
+                at_points = {name: data for name, data in f.data.items() if len(data) == len(f.points)}
+                in_cells = {name: data for name, data in f.data.items() if name not in at_points}
+                if domain == "particle":
+                    at_points, in_cells = f.data, {}
+                writer.write(f.time, f.points, f.cells, at_points, in_cells)
+        except (StoreError, IndexError) as error:
+            log(f"{path} cannot be read ({error}): it starts anew at the checkpoint")
+            writer.close()
+            writer = VtkHdfWriter(part)
+        os.replace(part, path)
+        writer.path = path
+        self._writers[domain] = writer
 
     def write(
         self,
@@ -104,6 +173,7 @@ class Store:
                 raise ValueError(f"history has the columns {self._columns}, got {list(row)}")
             self._history.write(",".join(f"{float(row[name]):.10g}" for name in self._columns) + "\n")
             self._history.flush()
+            self._rows += 1
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write summary.json whole or not at all. Numbers that are not finite become null."""

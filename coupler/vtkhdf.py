@@ -88,6 +88,11 @@ class VtkHdfWriter:
             self._give_up()
             raise
 
+    @property
+    def steps(self) -> int:
+        """How many steps the file holds."""
+        return self._state.steps
+
     def close(self) -> None:
         self._file.close()
 

@@ -54,6 +54,32 @@ def test_forces_spread_with_their_resultant_moment_and_power(body, rng: np.rando
     assert 300 <= surface.values(T).min() <= surface.values(T).max() <= 500
 
 
+def test_a_few_rows_are_those_of_all_and_need_only_their_support(body, rng: np.random.Generator) -> None:
+    points, skin, _, surface = body
+    v = rng.standard_normal(points.shape)
+    whole = surface.contacts(v)
+    assert whole == pytest.approx(np.concatenate([surface.positions(v), v]), abs=1e-13)
+    rows = np.flatnonzero(np.concatenate([skin, points])[:, 2] < -0.42 * D)
+    need = surface.support(rows)
+    assert 0 < len(need) < len(points) / 2
+    assert np.array_equal(need, np.unique(surface.touching[rows].indices))
+    blind = np.full_like(v, np.nan)
+    blind[need] = v[need]
+    out = np.full_like(whole, 7.0)
+    assert surface.contacts(blind, rows, out) is out
+    assert np.array_equal(out[rows], whole[rows])
+    assert np.all(np.delete(out, rows, axis=0) == 7.0)
+    f = np.zeros_like(whole)
+    f[rows] = rng.standard_normal((len(rows), 3))
+    g = surface.spread(f, rows)
+    assert np.array_equal(g, surface.spread(f))
+    assert np.array_equal(np.flatnonzero(np.any(g != 0.0, axis=1)), need)
+    assert np.sum(g * v) == pytest.approx(np.sum(f * whole), rel=1e-12)
+    more = surface.spread(f, rows, g.copy())
+    assert more == pytest.approx(2.0 * g, rel=1e-12)
+    assert len(surface.support(np.zeros(0, np.int64))) == 0
+
+
 def test_crater_depth_is_the_bottom_of_the_bowl_wherever_the_nodes_lie(rng: np.random.Generator) -> None:
     for _ in range(5):
         x = np.zeros((900, 3))

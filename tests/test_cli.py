@@ -108,7 +108,7 @@ class FakeDeposition:
     """Stands in for coupler.deposition: does what it is told instead of computing."""
 
     def __init__(self, act):
-        self.run = lambda scene, out, force, progress: act(out, progress)
+        self.run = lambda scene, out, force, progress, checkpoint_every: act(out, progress)
 
 
 @pytest.fixture

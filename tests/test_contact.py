@@ -123,6 +123,60 @@ def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator
     assert kernels.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
 
 
+def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng, bumps=0.05)
+    xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
+    ids = np.arange(len(facets))
+    corners, low, high = np.zeros((len(ids), 3, 3)), np.zeros((len(ids), 3)), np.zeros((len(ids), 3))
+    kernels.facet_boxes(x, facets, ids, corners, low, high)
+    assert np.array_equal(corners, x[facets])
+    start, boxes, _ = kernels.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
+    nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
+    kernels.closest_facets(xp, ids[:0], start, boxes, corners, low, high, nearest, foot, gap)
+    assert np.all(nearest == -1)
+    rows = np.arange(300)
+    kernels.closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap)
+    brute = np.empty((300, len(ids)))
+    for i in range(300):
+        for j in range(len(ids)):
+            u = np.array(kernels.closest_on_triangle(xp[i], *corners[j]))
+            brute[i, j] = np.linalg.norm(xp[i] - u @ corners[j])
+    assert np.abs(gap) == pytest.approx(brute.min(axis=1), rel=1e-9)
+    place = np.einsum("ij,ijd->id", foot, corners[boxes[nearest]])
+    assert np.linalg.norm(xp - place, axis=1) == pytest.approx(np.abs(gap), rel=1e-9)
+    for _ in range(3):  # from any other guess the same
+        again, where, far = start[:-1] + rng.integers(0, len(ids), 300), np.zeros((300, 3)), np.zeros(300)
+        kernels.closest_facets(xp, rows, start, boxes, corners, low, high, again, where, far)
+        assert far == pytest.approx(gap, rel=1e-9)
+
+
+def test_only_the_rows_of_a_search_are_read_and_none_is_missed(rng: np.random.Generator) -> None:
+    """Points that fly `travel` from where they were searched: the forces are those of a search at every place."""
+    x, facets = sheet(rng, bumps=0.03)
+    xp = rng.uniform(-0.8, 0.8, (400, 3)) * [1, 1, 0.3]
+    xp[xp[:, 2] < -0.03, 2] *= -1.0
+    travel = 0.08
+    c = make(len(xp), facets, friction=0.0)
+    c.search(xp, x, travel)
+    assert 0 < len(c.rows) < 300
+    touched = 0
+    for _ in range(5):
+        way = rng.standard_normal(xp.shape)
+        now = xp + travel * rng.uniform(0, 1, (400, 1)) * way / np.linalg.norm(way, axis=1)[:, None]
+        fresh = make(len(xp), facets, friction=0.0)
+        fresh.search(now, x, travel)
+        right, fn = np.zeros_like(xp), np.zeros_like(x)
+        fresh.forces(1e-3, now, np.zeros_like(xp), x, np.zeros_like(x), right, fn)
+        blind = np.full_like(now, np.nan)
+        blind[c.rows] = now[c.rows]
+        fp = np.zeros_like(xp)
+        c.forces(1e-3, blind, np.zeros_like(xp), x, np.zeros_like(x), fp, np.zeros_like(x))
+        deep = fresh.depth > 0.0
+        touched += int(deep.sum())
+        assert fp == pytest.approx(right, rel=1e-9, abs=1e-9 * np.abs(right).max())
+    assert touched > 100
+
+
 def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) -> None:
     w = rng.dirichlet([1, 1, 1], 4000)
     for _ in range(50):

@@ -3,97 +3,23 @@
 import io
 import shutil
 
+import h5py
 import numpy as np
 import pytest
+from made_up_run import ball, block, write
 
 from coupler.errors import StoreError
 from coupler.report import section_picture, summary_table
+from coupler.report.fields import FIELDS, from_points, in_tets
+from coupler.report.profiles import on_vertical, profiles
 from coupler.result import Result
 from coupler.section import crossing, cut_tets, section_loops
 from coupler.store import Store
 
-UM = 1e-6
-
-
-def block(half: float, depth: float, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """A box below z = 0 in tetrahedra, six for each cube, finer towards the middle."""
-    n, m = round(2 * half / step), round(depth / step)
-    side = np.linspace(-1, 1, n + 1)
-    side = half * np.sign(side) * np.abs(side) ** 1.4
-    down = -depth * np.linspace(0, 1, m + 1) ** 1.4
-    points = np.stack(np.meshgrid(side, side + 0.3 * step, down, indexing="ij"), axis=-1).reshape(-1, 3)
-    corner = np.arange((n + 1) ** 2 * (m + 1)).reshape(n + 1, n + 1, m + 1)
-    unit = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij")).reshape(3, -1).T
-    cube = np.stack([corner[i : n + i, j : n + j, k : m + k].ravel() for i, j, k in unit], axis=1)
-    ways = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
-    return points, cube[:, ways].reshape(-1, 4)
-
-
-def ball(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points on a unit sphere and their triangles, turning outwards."""
-    from scipy.spatial import ConvexHull
-
-    number = np.arange(count) + 0.5
-    polar, turn = np.arccos(1 - 2 * number / count), np.pi * (1 + 5**0.5) * number
-    points = np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)], axis=1)
-    triangles = ConvexHull(points).simplices
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
-    triangles[inwards] = triangles[inwards][:, ::-1]
-    return points, triangles
-
-
-def flattened(points: np.ndarray, amount: float) -> np.ndarray:
-    """A sphere of 25 um at the surface, pressed into a splat with its lower side in the crater."""
-    radius = np.hypot(points[:, 0], points[:, 1])
-    spread = 12.5 * (1 + 0.35 * amount * (1 - points[:, 2]) / 2)
-    z = 12.8 + 12.5 * points[:, 2]
-    height = np.abs(points[:, 2])
-    x = np.hypot(points[:, 0] * spread, points[:, 1] * spread)
-    lower = pressed(x) * np.clip(height / 0.3, 0, 1) ** 0.5
-    splat = np.where(points[:, 2] > 0, 11 * height**0.8 * (1 - 0.1 * radius**2), lower)
-    return np.column_stack([points[:, 0] * spread, points[:, 1] * spread, z + amount * (splat - z)]) * UM
-
-
-def pressed(r: np.ndarray) -> np.ndarray:
-    """Depth of the crater and its raised rim, um."""
-    return -5 * np.exp(-((r / 14) ** 4)) + 1.2 * np.exp(-(((r - 20) / 3.5) ** 2))
-
-
-def crater(points: np.ndarray, amount: float) -> np.ndarray:
-    moved = points.copy()
-    moved[:, 2] += amount * pressed(np.hypot(points[:, 0], points[:, 1])) * np.exp(points[:, 2] / 15)
-    return moved * UM
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("runs") / "single_ni"
-    scene = """
-        [particle]
-        material = "Ni"
-        diameter = "25 um"
-        velocity = "500 m/s"
-        [substrate]
-        material = "SS304"
-    """
-    rng = np.random.default_rng(0)
-    inside = rng.uniform(-1, 1, (8000, 3))
-    inside = inside[(inside**2).sum(1) < 0.95]
-    skin, triangles = ball(1500)
-    soil, tets = block(60, 50, 3)
-    with Store.create(folder, scene) as store:
-        for step, amount in enumerate((0.0, 1.0)):
-            heat = amount * np.exp(-(((inside[:, 2] + 0.9) / 0.6) ** 2)) * (0.4 + (inside[:, :2] ** 2).sum(1))
-            data = {"T": 300 + 160 * heat, "eps_p": 0.25 * amount + 1.1 * heat}
-            store.write("particle", step * 60e-9, flattened(inside, amount), np.arange(len(inside))[:, None], data)
-            store.write("surface", step * 60e-9, flattened(skin, amount), triangles)
-            middle = soil[tets].mean(1)
-            far = np.hypot(np.hypot(middle[:, 0], middle[:, 1]) / 14, (middle[:, 2] + 2) / 9)
-            strain = amount * 0.7 * np.exp(-(far**2)) * (1 + 0.1 * rng.normal(size=len(tets)))
-            data = {"T": 300 + 130 * strain, "eps_p": strain}
-            store.write("target", step * 60e-9, crater(soil, amount), tets, {}, data)
-    return folder
+    return write(tmp_path_factory.mktemp("runs") / "single_ni")
 
 
 def area(x: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -154,18 +80,18 @@ def test_picture_shows_both_fields(folder, tmp_path):
 
 
 def test_oblique_picture_of_a_named_scene(folder, tmp_path):
-    from coupler.report import _title
+    from coupler.report.words import title
 
     copy = shutil.copytree(folder, tmp_path / "oblique")
     text = (copy / "scene.toml").read_text().replace('"500 m/s"', '"500 m/s"\nangle = "30 deg"')
     (copy / "scene.toml").write_text(text)
-    assert _title(Result(copy)) == "25 µm Ni on SS304 at 500 m/s and 30°"
+    assert title(Result(copy)) == "25 µm Ni on SS304 at 500 m/s and 30°"
     # Text of a stranger's scene is shown as it stands: no formulas, no end of it.
     (copy / "scene.toml").write_text(text.replace('"Ni"', f'"$\\\\frac{{{"x" * 100}$"'))
-    assert len(_title(Result(copy))) < 120
+    assert len(title(Result(copy))) < 120
     section_picture(Result(copy))
     (copy / "scene.toml").write_text("particle = 3")
-    assert _title(Result(copy)) == "oblique"
+    assert title(Result(copy)) == "oblique"
 
 
 def test_picture_of_an_unfinished_run_says_what_is_missing(folder, tmp_path):
@@ -218,3 +144,102 @@ def test_summary_table(tmp_path):
     # Text is text, not markup.
     caption = summary_table(Result(tmp_path)).caption
     assert str(caption) == "effects: friction, [bold]mine\nwarnings: strain rates beyond the fit"
+
+
+def test_bands_stand_beside_their_values(tmp_path):
+    summary = {
+        "flattening_ratio": 0.55613,
+        "crater_depth_m": 5.02e-6,
+        "T_max_K": 612.3,
+        "steps": 10,
+        "bands": {
+            "flattening_ratio": 0.0118,
+            "crater_depth_m": {"half_width": 1.3e-7, "why": "points"},
+            "T_max_K": 0.0,
+        },
+        "impacts": [{"flattening_ratio": 0.5}],
+    }
+    with Store.create(tmp_path, "") as store:
+        store.finish(summary)
+    rows = {row[0]: row[1:] for row in printed(Result(tmp_path)) if len(row) > 1}
+    assert rows["flattening, above surface"] == ["0.556 ± 0.012", ""]
+    assert rows["crater depth"] == ["5.02 ± 0.13", "µm"]
+    assert rows["highest temperature"] == ["612.3", "K"]
+    assert not {"bands", "impacts"} & set(rows)
+
+
+# How people without one kind of cone see linear RGB: Machado, Oliveira & Fernandes (2009), severity 1.
+SEEN_BY = {
+    "all cones": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "no red": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "no green": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "no blue": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
+@pytest.mark.parametrize("eyes", SEEN_BY)
+@pytest.mark.parametrize("name", FIELDS)
+def test_everybody_sees_more_as_darker(name, eyes):
+    from matplotlib import colormaps
+
+    rgb = colormaps[FIELDS[name].colours](np.linspace(0, 1, 33))[:, :3]
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array(SEEN_BY[eyes]).T, 0, 1)
+    luminance = seen @ [0.2126, 0.7152, 0.0722]
+    lightness = np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+    assert lightness[0] - lightness[-1] > 60
+    assert (np.diff(lightness) < 0).all()
+
+
+def test_values_between_nodes_and_points():
+    points, tets = block(2.0, 3.0, 0.5)
+    places = np.random.default_rng(1).uniform([-1.9, -1.7, -2.9], [1.9, 1.9, -0.1], (50, 3))
+    owner, share = in_tets(points, tets, np.vstack([places, [[9.0, 0.0, 0.0]]]))
+    assert owner[-1] == -1
+    np.testing.assert_allclose(share.sum(1)[:-1], 1.0)
+    np.testing.assert_allclose(np.einsum("kj,kjx->kx", share[:-1], points[tets[owner[:-1]]]), places, atol=1e-12)
+    # of a cloud: a constant stays, and no value leaves the range of the points'
+    cloud = np.random.default_rng(2).uniform(-1, 1, (3000, 3))
+    index, weight = from_points(cloud, 0.5 * cloud[:40] + 0.01)
+    np.testing.assert_allclose(weight.sum(1), 1.0)
+    smooth = (weight * cloud[index][..., 0]).sum(1)
+    np.testing.assert_allclose(smooth, 0.5 * cloud[:40, 0] + 0.01, atol=0.08)
+
+
+def test_a_line_through_a_hollow_ball_goes_in_and_out_twice():
+    outer, triangles = ball(4000)
+    points = np.concatenate([outer, 0.6 * outer])
+    both = np.concatenate([triangles, triangles[:, ::-1] + len(outer)])
+    heights = on_vertical(points, both, 0.3, 0.2)
+    expected = [np.sqrt(r**2 - 0.13) for r in (1.0, 0.6)]
+    np.testing.assert_allclose(heights, [-expected[0], -expected[1], expected[1], expected[0]], atol=5e-3)
+    assert on_vertical(points, both, 1.2, 0.0) == []
+    # the corners of a symmetric surface do not count twice
+    corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+    faces = [[a, b, c] for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    np.testing.assert_allclose(on_vertical(corners, np.array(faces), 0.0, 0.0), [-1, 1], atol=1e-5)
+
+
+def test_profiles_follow_the_axis(folder):
+    result = Result(folder)
+    upper, lower = profiles(result, -1, ("T", "stress", "nothing"), 0.0, 20e-6)
+    assert (upper.body, lower.body) == ("splat", "substrate")
+    assert upper.depth[-1] == pytest.approx(lower.depth[0], abs=0.6e-6)  # they touch
+    assert lower.depth[-1] == pytest.approx(20e-6, rel=1e-6)
+    assert lower.depth[0] == pytest.approx(5e-6, abs=0.4e-6)  # the crater of the made-up run
+    assert "nothing" not in upper.values
+    assert upper.values["stress"].shape == (len(upper.depth), 6)
+    # its substrate: T = 300 + 91 exp(-(...)^2), known on the axis in the undeformed place
+    reference = np.linspace(-20, 0, 2001)
+    place = reference - 5 * np.exp(reference / 15)
+    known = np.interp(-lower.depth * 1e6, place, 300 + 91 * np.exp(-(((reference + 2) / 9) ** 2)))
+    np.testing.assert_allclose(lower.values["T"], known, atol=6)
+
+
+def test_a_step_that_broke_down_is_named(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "run")
+    with h5py.File(copy / "particle.vtkhdf", "a") as file:
+        file["VTKHDF/PointData/T"][-1] = np.nan
+    with pytest.raises(StoreError, match="step 1 holds values that are not numbers"):
+        section_picture(Result(copy))
+    section_picture(Result(copy), tmp_path / "first.png", step=0)

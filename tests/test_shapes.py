@@ -96,6 +96,46 @@ def test_spacing_is_uniform(body: tuple[str, shapes.Body]) -> None:
     assert np.percentile(neighbours, 70) == 12
 
 
+# the lattice as asked for, its nearest neighbours, how many of them, and their distance over the spacing
+@pytest.mark.parametrize(
+    ("lattice", "count", "distance"),
+    [
+        (packing.Lattice("fcc"), 12, 2 ** (1 / 6)),
+        (packing.Lattice("hcp"), 12, 2 ** (1 / 6)),
+        (packing.Lattice("bcc"), 8, 3**0.5 / 2 ** (2 / 3)),
+        (packing.Lattice("fcc", (0.3, -1.2, 0.8)), 12, 2 ** (1 / 6)),
+        (packing.Lattice.at_random(4, "bcc"), 8, 3**0.5 / 2 ** (2 / 3)),
+    ],
+)
+@pytest.mark.parametrize("name", ["sphere", "flake"])
+def test_any_lattice_fills_a_body(name: str, lattice: packing.Lattice, count: int, distance: float) -> None:
+    b = shapes.shape(name, D, 2000, lattice=lattice)
+    assert len(b.points) == pytest.approx(2000, rel=0.15 if name == "flake" else 0.03)
+    assert len(b.points) * b.volume == pytest.approx(V, rel=1e-12)
+    assert np.abs(b.points.mean(0)).max() < 1e-9 * D
+    tree = cKDTree(b.points)
+    nearest = tree.query(b.points, 2)[0][:, 1]
+    assert nearest.mean() == pytest.approx(distance * b.spacing, rel=0.05)
+    around = tree.query_ball_point(b.points, 1.05 * nearest.mean(), return_length=True) - 1
+    assert np.percentile(around, 80) == count
+    plain = packing.sphere(D, 2000)[0]
+    same = name == "sphere" and lattice == packing.FCC
+    assert np.array_equal(b.points, plain) == same
+
+
+@pytest.mark.parametrize("kind", packing.KINDS)
+def test_the_moment_of_a_lattices_cells(kind: str, rng: np.random.Generator) -> None:
+    lattice = packing.Lattice(kind)
+    x = rng.uniform(0, 1, (200_000, 3)) * lattice._cell(1.0)
+    far = cKDTree(lattice.points(1.0, [5.0] * 3, (0.0, 0.0, 0.0))).query(x)[0]
+    assert (far**2).mean() / 3 == pytest.approx(lattice.cell_moment(1.0), rel=5e-3)
+
+
+def test_an_unknown_lattice_is_named_with_those_there_are() -> None:
+    with pytest.raises(ValueError, match="'fcx' is not one of fcc, hcp, bcc"):
+        packing.Lattice("fcx")
+
+
 def test_surface_is_closed_outward_and_even(body: tuple[str, shapes.Body]) -> None:
     name, b = body
     parts = [(b.vertices, b.triangles)] + ([b.inner] if b.inner else [])

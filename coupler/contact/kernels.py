@@ -43,45 +43,73 @@ def closest_on_triangle(p, a, b, c):
 
 
 @njit(cache=True, nogil=True)
-def facet_boxes(x, facets, ids, margin, low, high):
-    """Bounding boxes (k,3) of the triangles `ids`, widened by margin."""
+def facet_boxes(x, facets, ids, corners, low, high):
+    """Corners (k,3,3) of the triangles `ids` and the boxes (k,3) around them."""
     for r in range(len(ids)):
         t = facets[ids[r]]
         for d in range(3):
             u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
-            low[r, d] = min(u, v, w) - margin
-            high[r, d] = max(u, v, w) + margin
+            corners[r, 0, d], corners[r, 1, d], corners[r, 2, d] = u, v, w
+            low[r, d] = min(u, v, w)
+            high[r, d] = max(u, v, w)
+
+
+@njit(cache=True, nogil=True)
+def bounds(low, high):
+    """Smallest of low (n,3) and largest of high (n,3)."""
+    least, most = np.full(3, np.inf), np.full(3, -np.inf)
+    for i in range(len(low)):
+        for d in range(3):
+            least[d] = min(least[d], low[i, d])
+            most[d] = max(most[d], high[i, d])
+    return least, most
+
+
+@njit(cache=True, nogil=True)
+def points_within(points, low, high):
+    """Which of points (n,3) lie in the box [low, high], ascending."""
+    found = np.empty(len(points), np.int64)
+    count = 0
+    for i in range(len(points)):
+        p = points[i]
+        if low[0] <= p[0] <= high[0] and low[1] <= p[1] <= high[1] and low[2] <= p[2] <= high[2]:
+            found[count] = i
+            count += 1
+    return found[:count]
 
 
 @njit(cache=True, nogil=True)
 def candidates(points, low, high, cell, capacity):
-    """Pairs of points and boxes that overlap, by a hash-free grid over the points' bounding box.
+    """Pairs of points and boxes that overlap, by a hash-free grid over the points within the bounds of all boxes.
 
     points (n,3); low, high (k,3) boxes; cell: grid spacing. Returns (start (n+1,), box indices, needed): CSR of the
     boxes around each point in ascending order; needed > capacity asks for another call with more room.
     """
     n, boxes = len(points), len(low)
-    origin = np.empty(3)
+    near = points_within(points, *bounds(low, high))
+    if len(near) == 0:
+        return np.zeros(n + 1, np.int64), np.empty(0, np.int64), 0
+    origin, end = bounds(points[near], points[near])
     shape = np.empty(3, np.int64)
     for d in range(3):
-        origin[d] = points[:, d].min()
-        shape[d] = int((points[:, d].max() - origin[d]) / cell) + 1
+        shape[d] = int((end[d] - origin[d]) / cell) + 1
     cells = shape[0] * shape[1] * shape[2]
-    home = np.empty(n, np.int64)
+    home = np.empty(len(near), np.int64)
     count = np.zeros(cells + 1, np.int64)
-    for i in range(n):
+    for q in range(len(near)):
+        i = near[q]
         a = int((points[i, 0] - origin[0]) / cell)
         b = int((points[i, 1] - origin[1]) / cell)
         c = int((points[i, 2] - origin[2]) / cell)
-        home[i] = (a * shape[1] + b) * shape[2] + c
-        count[home[i] + 1] += 1
+        home[q] = (a * shape[1] + b) * shape[2] + c
+        count[home[q] + 1] += 1
     for q in range(cells):
         count[q + 1] += count[q]
     slot = count[:-1].copy()
-    members = np.empty(n, np.int64)
-    for i in range(n):
-        members[slot[home[i]]] = i
-        slot[home[i]] += 1
+    members = np.empty(len(near), np.int64)
+    for q in range(len(near)):
+        members[slot[home[q]]] = near[q]
+        slot[home[q]] += 1
     pair_point = np.empty(capacity, np.int64)
     pair_box = np.empty(capacity, np.int64)
     found = 0
@@ -136,34 +164,42 @@ def _solve3(a, b, c, d, e, f, r0, r1, r2):
     )
 
 
-@njit(cache=True, nogil=True)
-def contact_forces(
-    dt, reach, tiny, stiffness, tangential, mu, xp, vp, rows, start, boxes, facet_ids, facets, x, v, f_point, f_node,
-    spring, heat_point, heat_facet, share, sums, depth,
-):  # fmt: skip
-    """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
+@njit(cache=True, nogil=True, inline="always")
+def _box_distance2(p, low, high):
+    """Square of the distance of p from the box [low, high], m2."""
+    u = max(low[0] - p[0], p[0] - high[0], 0.0)
+    v = max(low[1] - p[1], p[1] - high[1], 0.0)
+    w = max(low[2] - p[2], p[2] - high[2], 0.0)
+    return u * u + v * v + w * w
 
-    xp, vp (n,3) points; rows: the points that have candidates, with start/boxes the CSR of their candidate
-    triangles (indices into facet_ids); facets (k,3) nodes with outward normals; x, v (N,3) nodes. penetration =
-    reach - signed distance to the closest point of the surface, force stiffness x penetration along the line that
-    joins them (below the distance `tiny`: the normal). spring (n,3): friction force each point remembers, updated.
-    f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet (k,) J receive friction heat, `share` of
-    it the point. sums: [penalty energy, spring energy, friction heat of the step, touching points]. depth (n,):
-    penetration in m, 0 where there is none. The friction pair acts across the gap between the two surfaces; its
-    moment is balanced by a couple on the triangle's nodes, and the slip it works on excludes the triangle's own
-    rotation.
+
+@njit(cache=True, nogil=True)
+def closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap):
+    """Which of its candidate triangles each point of `rows` is closest to, where, and how far away.
+
+    xp, start, boxes as in `contact_forces`; corners (k,3,3), low, high (k,3): the triangles now and the boxes around
+    them. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look first, then it is written. foot
+    (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative inside, m.
     """
-    sums[0] = sums[1] = sums[2] = sums[3] = 0.0
     for q in range(len(rows)):
         i = rows[q]
         p = xp[i]
         best = 1e300
-        facing = -1.0
+        facing = side = -1.0
         face = -1
-        w0 = w1 = w2 = 0.0
-        for r in range(start[i], start[i + 1]):
-            t = facets[facet_ids[boxes[r]]]
-            A, B, C = x[t[0]], x[t[1]], x[t[2]]
+        first = nearest[i]
+        for look in range(start[i] - 1, start[i + 1]):
+            r = look
+            if look < start[i]:
+                if first < 0:
+                    continue
+                r = first
+            elif look == first:
+                continue
+            # no triangle is closer than the box around it: most are left out so, once one close by is known
+            if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > best * (1.0 + 4e-9):
+                continue
+            A, B, C = corners[boxes[r], 0], corners[boxes[r], 1], corners[boxes[r], 2]
             a, b, c = closest_on_triangle(p, A, B, C)
             d0 = p[0] - (a * A[0] + b * B[0] + c * C[0])
             d1 = p[1] - (a * A[1] + b * B[1] + c * C[1])
@@ -178,33 +214,38 @@ def contact_forces(
             align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
             # on a shared edge or corner the face that looks most towards the point decides inside or outside
             if dd < best * (1.0 - 1e-9) or align > facing:
-                best, facing, face = dd, align, r
-                w0, w1, w2 = a, b, c
-        if face < 0:
+                best, facing, side, face = dd, align, dn, r
+                foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
+        nearest[i] = face
+        gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
+
+
+@njit(cache=True, nogil=True)
+def contact_forces(
+    dt, reach, tiny, stiffness, tangential, mu, xp, vp, rows, boxes, facet_ids, nearest, foot, gaps, facets, x, v,
+    f_point, f_node, spring, heat_point, heat_facet, share, sums, depth,
+):  # fmt: skip
+    """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
+
+    xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (indices into facet_ids) with
+    nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; facets (k,3) nodes
+    with outward normals; x, v (N,3) nodes. penetration = reach - signed distance to the closest point of the surface,
+    force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal). spring (n,3):
+    friction force each point remembers, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet
+    (k,) J receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the
+    step, touching points]. depth (n,): penetration in m, 0 where there is none. The friction pair acts across the gap
+    between the two surfaces; its moment is balanced by a couple on the triangle's nodes, and the slip it works on
+    excludes the triangle's own rotation.
+    """
+    sums[0] = sums[1] = sums[2] = sums[3] = 0.0
+    for q in range(len(rows)):
+        i = rows[q]
+        if nearest[i] < 0:
             depth[i] = 0.0
             spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
-        fid = facet_ids[boxes[face]]
-        t = facets[fid]
-        A, B, C = x[t[0]], x[t[1]], x[t[2]]
-        d0 = p[0] - (w0 * A[0] + w1 * B[0] + w2 * C[0])
-        d1 = p[1] - (w0 * A[1] + w1 * B[1] + w2 * C[1])
-        d2 = p[2] - (w0 * A[2] + w1 * B[2] + w2 * C[2])
-        n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
-        n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
-        n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
-        inside = d0 * n0 + d1 * n1 + d2 * n2 < 0.0
-        gap = sqrt(best)
-        if gap > tiny:
-            scale = 1.0 / gap
-            if inside:
-                scale = -scale
-            n0, n1, n2 = d0 * scale, d1 * scale, d2 * scale
-        else:
-            scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
-        if inside:
-            gap = -gap
+        fid = facet_ids[boxes[nearest[i]]]
+        gap = gaps[i]
         pen = reach - gap
         if pen <= 0.0:
             depth[i] = 0.0
@@ -215,6 +256,20 @@ def contact_forces(
                 heat_facet[fid] += (1.0 - share) * 0.5 * lost / tangential
                 spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
+        p = xp[i]
+        t = facets[fid]
+        A, B, C = x[t[0]], x[t[1]], x[t[2]]
+        w0, w1, w2 = foot[i, 0], foot[i, 1], foot[i, 2]
+        if abs(gap) > tiny:
+            n0 = (p[0] - (w0 * A[0] + w1 * B[0] + w2 * C[0])) / gap
+            n1 = (p[1] - (w0 * A[1] + w1 * B[1] + w2 * C[1])) / gap
+            n2 = (p[2] - (w0 * A[2] + w1 * B[2] + w2 * C[2])) / gap
+        else:
+            n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
+            n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
+            n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
+            scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
         depth[i] = pen
         fn = stiffness * pen
         sums[0] += 0.5 * stiffness * pen * pen

@@ -26,6 +26,12 @@ LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
 COURANT = 0.85
 
+STATE_ARRAYS = (
+    "x", "v", "f", "f_old", "total", "J", "p", "energy", "s", "eps_p", "rate", "heat", "volume", "T", "sigma_y", "sums", "drag",
+    "support", "impulse",
+)  # fmt: skip
+STATE_NUMBERS = ("internal_work", "absorbed", "dt_last", "time", "reach", "active_nodes", "active_elements")
+
 
 class Target:
     """State and motion of one finite-element domain.
@@ -211,6 +217,28 @@ class Target:
     def external_impulse(self) -> np.ndarray:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
         return self.impulse + 0.5 * self.dt_last * self.support
+
+    def state(self) -> dict[str, Any]:
+        """Everything that makes the target go on as if nothing had happened: arrays and numbers. The mesh is not in it."""
+        found: dict[str, Any] = {name: getattr(self, name).copy() for name in STATE_ARRAYS}
+        found |= {name: getattr(self, name) for name in STATE_NUMBERS}
+        if self.conduction is not None:
+            found["conduction"] = self.conduction.state()
+        if self._highest is not None:
+            found["highest"] = self._highest.state()
+        return found
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into a target of the same mesh."""
+        for name in STATE_ARRAYS:
+            setattr(self, name, np.array(state[name]))
+        for name in STATE_NUMBERS:
+            setattr(self, name, state[name])
+        if self.conduction is not None:
+            self.conduction.restore(state["conduction"])
+        if "highest" in state:
+            self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
+            self._highest.restore(state["highest"])
 
     def velocity(self) -> np.ndarray:
         """Velocities at the same instant as the positions, (n,3) m/s."""

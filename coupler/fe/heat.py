@@ -11,6 +11,7 @@ Faces are adiabatic where no temperature is held.
 """
 
 from math import ceil, sqrt
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,6 +21,7 @@ from .mesh import TetMesh
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
 SAFETY = 0.9
+_STATE = ("last", "capacity", "T", "known", "held", "held_T")
 
 
 class Conduction:
@@ -38,6 +40,16 @@ class Conduction:
         self.known, self.known_elements = np.zeros(n, bool), 0
         self.held, self.held_T = np.zeros(0, np.int64), np.zeros(0)
         self.elapsed, self.steps = 0.0, 0
+
+    def state(self) -> dict[str, Any]:
+        """What a later call needs to know of earlier ones."""
+        return {name: np.copy(getattr(self, name)) for name in _STATE} | {"elapsed": self.elapsed, "steps": self.steps,
+                "known_elements": self.known_elements}  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        for name in _STATE:
+            setattr(self, name, np.array(state[name]))
+        self.elapsed, self.steps, self.known_elements = (state[k] for k in ("elapsed", "steps", "known_elements"))
 
     def hold(self, nodes: np.ndarray, temperature: float | np.ndarray) -> None:
         """Keep nodes at a temperature (K, one or one for each): a bath that gives or takes what heat that needs."""

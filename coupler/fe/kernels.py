@@ -11,8 +11,10 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..constitutive import bulk_stiffness, harden, mie_gruneisen, von_mises
+from ..constitutive import bulk_stiffness, harden, mie_gruneisen
 
+BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
+ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN
 SHAPE_LIMIT = 0.5
 SHAPE_STIFFNESS = 0.05
 
@@ -101,7 +103,38 @@ def shape_stress(law, J):
     return 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, inline="always")
+def _nine(rows, i):
+    """Column i of nine rows: a matrix, row by row."""
+    return (
+        rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _turned(wx, wy, wz, sxx, syy, szz, syz, sxz, sxy):
+    """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) (Cayley) of a step; (wx, wy, wz): axial vector of W/2."""
+    ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
+    r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
+    r01, r10 = ww * (wx * wy - wz), ww * (wx * wy + wz)
+    r02, r20 = ww * (wx * wz + wy), ww * (wx * wz - wy)
+    r12, r21 = ww * (wy * wz - wx), ww * (wy * wz + wx)
+    t00, t01, t02 = _row_times(r00, r01, r02, sxx, syy, szz, syz, sxz, sxy)
+    t10, t11, t12 = _row_times(r10, r11, r12, sxx, syy, szz, syz, sxz, sxy)
+    t20, t21, t22 = _row_times(r20, r21, r22, sxx, syy, szz, syz, sxz, sxy)
+    return (
+        t00 * r00 + t01 * r01 + t02 * r02, t10 * r10 + t11 * r11 + t12 * r12, t20 * r20 + t21 * r21 + t22 * r22,
+        t10 * r20 + t11 * r21 + t12 * r22, t00 * r20 + t01 * r21 + t02 * r22, t00 * r10 + t01 * r11 + t02 * r12,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _row_times(a, b, c, sxx, syy, szz, syz, sxz, sxy):
+    """The row (a, b, c) times a symmetric matrix."""
+    return a * sxx + b * sxy + c * sxz, a * sxy + b * syy + c * syz, a * sxz + b * syz + c * szz
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=ROUNDING)
 def element_forces(
     lo, hi, dt, b1, b2, x, v, conn, B, V0, volume, p, J_node, laws, law_of, s, sigma_y, eps_p, rate, T, heat, fe, sums
 ):  # fmt: skip
@@ -112,141 +145,132 @@ def element_forces(
     fe (m,4,3) receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T. heat (m,) receives
     the heat of the step in J. sums (3,) is increased by the plastic work, the work of the bulk viscosity and the
     plastic heat, J.
+
+    BLOCK elements at a time are laid out side by side, so that what has neither branches nor scattered memory is
+    done with the processor's vectors. A block that is not full is filled up with its last element: each element is
+    treated alike, wherever the range begins.
     """
     plastic = 0.0
     warmth = 0.0
     viscous = 0.0
     half = 0.5 * dt
-    for e in range(lo, hi):
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        law = laws[law_of[e]]
-        Be = B[e]
-        f00, f01, f02, f10, f11, f12, f20, f21, f22 = _gradient(x[n0], x[n1], x[n2], x[n3], Be)
-        g00, g01, g02, g10, g11, g12, g20, g21, g22 = _gradient(v[n0], v[n1], v[n2], v[n3], Be)
-        # velocity gradient at mid-step: L = Fdot F^-1, F at n+1/2
-        m00, m01, m02, m10, m11, m12, m20, m21, m22, Jm = _cofactor(
-            f00 - half * g00, f01 - half * g01, f02 - half * g02,
-            f10 - half * g10, f11 - half * g11, f12 - half * g12,
-            f20 - half * g20, f21 - half * g21, f22 - half * g22,
-        )  # fmt: skip
-        inv = 1.0 / Jm
-        l00 = (g00 * m00 + g01 * m01 + g02 * m02) * inv
-        l01 = (g00 * m10 + g01 * m11 + g02 * m12) * inv
-        l02 = (g00 * m20 + g01 * m21 + g02 * m22) * inv
-        l10 = (g10 * m00 + g11 * m01 + g12 * m02) * inv
-        l11 = (g10 * m10 + g11 * m11 + g12 * m12) * inv
-        l12 = (g10 * m20 + g11 * m21 + g12 * m22) * inv
-        l20 = (g20 * m00 + g21 * m01 + g22 * m02) * inv
-        l21 = (g20 * m10 + g21 * m11 + g22 * m12) * inv
-        l22 = (g20 * m20 + g21 * m21 + g22 * m22) * inv
-        div = l00 + l11 + l22
-        third = div / 3.0
+    w = np.empty((49, BLOCK))
+    F, G, C, S = w[0:9], w[9:18], w[18:27], w[27:33]  # F, its rate, its cofactors, the deviator
+    P = w[33:42]  # -V0 times the first Piola-Kirchhoff stress
+    two_G_dt, pressure, jacobian, div, q_squared, along, V = w[42], w[43], w[44], w[45], w[46], w[47], w[48]
+    for first in range(lo, hi, BLOCK):
+        count = min(BLOCK, hi - first)
+        for i in range(BLOCK):
+            e = min(first + i, hi - 1)
+            n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+            F[0, i], F[1, i], F[2, i], F[3, i], F[4, i], F[5, i], F[6, i], F[7, i], F[8, i] = _gradient(
+                x[n0], x[n1], x[n2], x[n3], B[e]
+            )
+            G[0, i], G[1, i], G[2, i], G[3, i], G[4, i], G[5, i], G[6, i], G[7, i], G[8, i] = _gradient(
+                v[n0], v[n1], v[n2], v[n3], B[e]
+            )
+            S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5]
+            two_G_dt[i] = 2.0 * laws[law_of[e]].G * dt
+            pressure[i] = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
+            V[i] = V0[e]
 
-        # rotate the old deviator: R = (1 - W/2)^-1 (1 + W/2), W = dt spin, axial vector w/2 below
-        wx, wy, wz = 0.25 * dt * (l21 - l12), 0.25 * dt * (l02 - l20), 0.25 * dt * (l10 - l01)
-        ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
-        r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
-        r01, r10 = ww * (wx * wy - wz), ww * (wx * wy + wz)
-        r02, r20 = ww * (wx * wz + wy), ww * (wx * wz - wy)
-        r12, r21 = ww * (wy * wz - wx), ww * (wy * wz + wx)
-        sxx, syy, szz, syz, sxz, sxy = s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5]
-        t00, t01, t02 = (
-            r00 * sxx + r01 * sxy + r02 * sxz,
-            r00 * sxy + r01 * syy + r02 * syz,
-            r00 * sxz + r01 * syz + r02 * szz,
-        )
-        t10, t11, t12 = (
-            r10 * sxx + r11 * sxy + r12 * sxz,
-            r10 * sxy + r11 * syy + r12 * syz,
-            r10 * sxz + r11 * syz + r12 * szz,
-        )
-        t20, t21, t22 = (
-            r20 * sxx + r21 * sxy + r22 * sxz,
-            r20 * sxy + r21 * syy + r22 * syz,
-            r20 * sxz + r21 * syz + r22 * szz,
-        )
-        # the rotated old deviator, kept for the work it does on the plastic strain of this step
-        oxx, oyy, ozz = (
-            t00 * r00 + t01 * r01 + t02 * r02,
-            t10 * r10 + t11 * r11 + t12 * r12,
-            t20 * r20 + t21 * r21 + t22 * r22,
-        )
-        oyz, oxz, oxy = (
-            t10 * r20 + t11 * r21 + t12 * r22,
-            t00 * r20 + t01 * r21 + t02 * r22,
-            t00 * r10 + t01 * r11 + t02 * r12,
-        )
-        G2dt = 2.0 * law.G * dt
-        sxx, syy, szz = oxx + G2dt * (l00 - third), oyy + G2dt * (l11 - third), ozz + G2dt * (l22 - third)
-        syz, sxz, sxy = oyz + 0.5 * G2dt * (l12 + l21), oxz + 0.5 * G2dt * (l02 + l20), oxy + 0.5 * G2dt * (l01 + l10)
+        for i in range(BLOCK):
+            f00, f01, f02, f10, f11, f12, f20, f21, f22 = _nine(F, i)
+            g00, g01, g02, g10, g11, g12, g20, g21, g22 = _nine(G, i)
+            # velocity gradient at mid-step: L = Fdot F^-1, F at n+1/2
+            m00, m01, m02, m10, m11, m12, m20, m21, m22, Jm = _cofactor(
+                f00 - half * g00, f01 - half * g01, f02 - half * g02,
+                f10 - half * g10, f11 - half * g11, f12 - half * g12,
+                f20 - half * g20, f21 - half * g21, f22 - half * g22,
+            )  # fmt: skip
+            inv = 1.0 / Jm
+            l00 = (g00 * m00 + g01 * m01 + g02 * m02) * inv
+            l01 = (g00 * m10 + g01 * m11 + g02 * m12) * inv
+            l02 = (g00 * m20 + g01 * m21 + g02 * m22) * inv
+            l10 = (g10 * m00 + g11 * m01 + g12 * m02) * inv
+            l11 = (g10 * m10 + g11 * m11 + g12 * m12) * inv
+            l12 = (g10 * m20 + g11 * m21 + g12 * m22) * inv
+            l20 = (g20 * m00 + g21 * m01 + g22 * m02) * inv
+            l21 = (g20 * m10 + g21 * m11 + g22 * m12) * inv
+            l22 = (g20 * m20 + g21 * m21 + g22 * m22) * inv
+            div[i] = l00 + l11 + l22
+            third = (l00 + l11 + l22) / 3.0
+            # the rotated old deviator, kept for the work it does on the plastic strain of this step
+            oxx, oyy, ozz, oyz, oxz, oxy = _turned(
+                0.5 * half * (l21 - l12), 0.5 * half * (l02 - l20), 0.5 * half * (l10 - l01),
+                S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i],
+            )  # fmt: skip
+            a = two_G_dt[i]
+            sxx, syy, szz = oxx + a * (l00 - third), oyy + a * (l11 - third), ozz + a * (l22 - third)
+            syz, sxz, sxy = oyz + 0.5 * a * (l12 + l21), oxz + 0.5 * a * (l02 + l20), oxy + 0.5 * a * (l01 + l10)
+            q_squared[i] = 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
+            along[i] = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
+            S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = sxx, syy, szz, syz, sxz, sxy
+            C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i], C[6, i], C[7, i], C[8, i], jacobian[i] = _cofactor(
+                f00, f01, f02, f10, f11, f12, f20, f21, f22
+            )
 
-        # radial return to the yield stress the last step left behind
-        c00, c01, c02, c10, c11, c12, c20, c21, c22, J = _cofactor(f00, f01, f02, f10, f11, f12, f20, f21, f22)
-        q_trial = von_mises(sxx, syy, szz, syz, sxz, sxy)
-        sy = sigma_y[e]
-        deps = 0.0
-        flow = sy
-        if q_trial > sy:
-            deps = (q_trial - sy) / (3.0 * law.G)
-            scale = sy / q_trial
-            # the step's mean stress along the plastic flow: what makes stored and dissipated energy add up to the work done
-            along = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
-            flow = 0.5 * (sy + 1.5 * along / q_trial)
-            sxx, syy, szz, syz, sxz, sxy = sxx * scale, syy * scale, szz * scale, syz * scale, sxz * scale, sxy * scale
-        if deps > 0.0 or rate[e] > 0.0:
-            eps_p[e], rate[e], T[e], sy, work = harden(law, deps, dt, J, flow, sy, eps_p[e], rate[e], T[e])
-            sigma_y[e] = sy
-            plastic += V0[e] * work
-            heat[e] = V0[e] * law.taylor_quinney * work
-            warmth += heat[e]
-        else:
-            heat[e] = 0.0
-        s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5] = sxx, syy, szz, syz, sxz, sxy
-
-        # bulk viscosity, linear and quadratic in the rate of compression, over the element's length
-        pressure = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
-        if div < 0.0:
-            length = volume[e] ** (1.0 / 3.0)
-            c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
-            qv = law.rho * length * (b2 * b2 * length * div * div - b1 * c * div)
-            viscous -= qv * div * dt * volume[e]
-            pressure += qv
-
-        pressure -= shape_stress(law, J)
+        for i in range(count):
+            e = first + i
+            law = laws[law_of[e]]
+            # radial return to the yield stress the last step left behind
+            sy = sigma_y[e]
+            deps = 0.0
+            flow = sy
+            if q_squared[i] > sy * sy:
+                q_trial = sqrt(q_squared[i])
+                deps = (q_trial - sy) / (3.0 * law.G)
+                # the step's mean stress along the plastic flow: what makes stored and dissipated energy add up to the work done
+                flow = 0.5 * (sy + 1.5 * along[i] / q_trial)
+                for k in range(6):
+                    S[k, i] *= sy / q_trial
+            if deps > 0.0 or rate[e] > 0.0:
+                eps_p[e], rate[e], T[e], sy, work = harden(
+                    law, deps, dt, jacobian[i], flow, sy, eps_p[e], rate[e], T[e]
+                )
+                sigma_y[e] = sy
+                plastic += V[i] * work
+                heat[e] = V[i] * law.taylor_quinney * work
+                warmth += heat[e]
+            else:
+                heat[e] = 0.0
+            for k in range(6):
+                s[e, k] = S[k, i]
+            # bulk viscosity, linear and quadratic in the rate of compression, over the element's length
+            if div[i] < 0.0:
+                length = volume[e] ** (1.0 / 3.0)
+                c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
+                qv = law.rho * length * (b2 * b2 * length * div[i] * div[i] - b1 * c * div[i])
+                viscous -= qv * div[i] * dt * volume[e]
+                pressure[i] += qv
+            pressure[i] -= shape_stress(law, jacobian[i])
 
         # P = sigma cof(F); f_I = -V0 P B_I
-        sxx -= pressure
-        syy -= pressure
-        szz -= pressure
-        P00, P01, P02 = (
-            sxx * c00 + sxy * c10 + sxz * c20,
-            sxx * c01 + sxy * c11 + sxz * c21,
-            sxx * c02 + sxy * c12 + sxz * c22,
-        )
-        P10, P11, P12 = (
-            sxy * c00 + syy * c10 + syz * c20,
-            sxy * c01 + syy * c11 + syz * c21,
-            sxy * c02 + syy * c12 + syz * c22,
-        )
-        P20, P21, P22 = (
-            sxz * c00 + syz * c10 + szz * c20,
-            sxz * c01 + syz * c11 + szz * c21,
-            sxz * c02 + syz * c12 + szz * c22,
-        )
-        V = V0[e]
-        q0 = 0.0
-        q1 = 0.0
-        q2 = 0.0
-        for k in range(3):
-            bx, by, bz = Be[k, 0], Be[k, 1], Be[k, 2]
-            h0 = -V * (P00 * bx + P01 * by + P02 * bz)
-            h1 = -V * (P10 * bx + P11 * by + P12 * bz)
-            h2 = -V * (P20 * bx + P21 * by + P22 * bz)
-            fe[e, k + 1, 0], fe[e, k + 1, 1], fe[e, k + 1, 2] = h0, h1, h2
-            q0 -= h0
-            q1 -= h1
-            q2 -= h2
-        fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
+        for i in range(BLOCK):
+            c00, c01, c02, c10, c11, c12, c20, c21, c22 = _nine(C, i)
+            a = -V[i]
+            sxx, syy, szz = a * (S[0, i] - pressure[i]), a * (S[1, i] - pressure[i]), a * (S[2, i] - pressure[i])
+            syz, sxz, sxy = a * S[3, i], a * S[4, i], a * S[5, i]
+            P[0, i], P[3, i], P[6, i] = _row_times(c00, c10, c20, sxx, syy, szz, syz, sxz, sxy)
+            P[1, i], P[4, i], P[7, i] = _row_times(c01, c11, c21, sxx, syy, szz, syz, sxz, sxy)
+            P[2, i], P[5, i], P[8, i] = _row_times(c02, c12, c22, sxx, syy, szz, syz, sxz, sxy)
+        for i in range(count):
+            e = first + i
+            Be = B[e]
+            P00, P01, P02, P10, P11, P12, P20, P21, P22 = _nine(P, i)
+            q0 = 0.0
+            q1 = 0.0
+            q2 = 0.0
+            for k in range(3):
+                bx, by, bz = Be[k, 0], Be[k, 1], Be[k, 2]
+                h0 = P00 * bx + P01 * by + P02 * bz
+                h1 = P10 * bx + P11 * by + P12 * bz
+                h2 = P20 * bx + P21 * by + P22 * bz
+                fe[e, k + 1, 0], fe[e, k + 1, 1], fe[e, k + 1, 2] = h0, h1, h2
+                q0 -= h0
+                q1 -= h1
+                q2 -= h2
+            fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
     sums[0] += plastic
     sums[1] += viscous
     sums[2] += warmth

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import tetrahedra
 from ..errors import SolverError
 from ..estimates import COARSEST
 
@@ -60,7 +61,7 @@ def cylinder(
         gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
-    points, tets = _with_gmsh(build)
+    points, tets = tetrahedra.build(build)
     return points * unit, tets
 
 
@@ -73,36 +74,8 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
         gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
 
-    points, tets = _with_gmsh(build)
+    points, tets = tetrahedra.build(build)
     return points * size, tets
-
-
-def _with_gmsh(build: Any) -> tuple[np.ndarray, np.ndarray]:
-    import gmsh
-
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)  # the same mesh on every machine
-        gmsh.model.add("target")
-        for name in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
-            gmsh.option.setNumber(f"Mesh.{name}", 0)
-        gmsh.option.setNumber("Mesh.Algorithm3D", 10)  # HXT
-        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers that would set dt
-        build(gmsh)
-        gmsh.model.mesh.generate(3)
-        tags, coords, _ = gmsh.model.mesh.getNodes()
-        _, nodes = gmsh.model.mesh.getElementsByType(4)
-    finally:
-        gmsh.finalize()
-    if len(nodes) == 0:
-        raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
-    lookup = np.zeros(int(tags.max()) + 1, np.int64)
-    lookup[tags.astype(np.int64)] = np.arange(len(tags))
-    tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
-    points = coords.reshape(-1, 3)
-    used, tets = np.unique(tets, return_inverse=True)  # geometry points that carry no element
-    return points[used], tets.reshape(-1, 4)
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:

@@ -7,6 +7,7 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 """
 
 from math import log
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -107,6 +108,13 @@ class HighestFrequency:
         self._dv, self._dp = np.zeros(elements), np.zeros(nodes)
         self._fe = np.zeros((elements, 4, 3))
         self._warm = False
+
+    def state(self) -> dict[str, Any]:
+        return {"w": self._w.copy(), "warm": self._warm, "random": self._random.bit_generator.state}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._w[:], self._warm = state["w"], state["warm"]
+        self._random.bit_generator.state = state["random"]
 
     def longest_step(self, t: object, bound: float) -> float:
         """Stable step in s of a `Target` whose element bound is `bound` s, without damping."""

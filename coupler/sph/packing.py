@@ -1,24 +1,105 @@
 """Bodies as points of uniform spacing, a face-centred cubic lattice; and the geodesic surface of a sphere."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
-_BASE = np.array([[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5], [0.5, 0.5, 0]])
-_CELL_MOMENT = 0.0787451  # second moment of the lattice's Voronoi cell about its centre, per axis, over volume^(5/3)
 _FEWEST_NEIGHBOURS = 4
 
 
-def sphere(diameter: float, points: int) -> tuple[np.ndarray, float]:
-    """Points of a face-centred cubic lattice inside a sphere, about `points` of them, centred on the origin.
+@dataclass(frozen=True)
+class _Kind:
+    """A lattice with an orthogonal cell.
+
+    edges (3,) of the cell, any unit; base (b,3): the points in it, in cells; layers (3,): distance of the layers across
+    each edge, in cells (the mean, where they are not even); moment: second moment of a point's Voronoi cell about its
+    centre, per axis, over volume^(5/3) (Conway & Sloane 1999, chapter 2).
+    """
+
+    edges: tuple[float, float, float]
+    base: tuple[tuple[float, float, float], ...]
+    layers: tuple[float, float, float]
+    moment: float
+
+
+_KINDS = {
+    "fcc": _Kind((1.0, 1.0, 1.0), ((0, 0, 0), (0, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 0.5, 0)), (0.5, 0.5, 0.5), 0.0787451),
+    "hcp": _Kind(
+        (1.0, np.sqrt(3.0), np.sqrt(8.0 / 3.0)),
+        ((0, 0, 0), (0.5, 0.5, 0), (0.5, 5 / 6, 0.5), (0, 1 / 3, 0.5)),
+        (0.5, 0.25, 0.5),
+        0.0787451,
+    ),
+    "bcc": _Kind((1.0, 1.0, 1.0), ((0, 0, 0), (0.5, 0.5, 0.5)), (0.5, 0.5, 0.5), 0.0785433),
+}
+KINDS = tuple(_KINDS)
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Which lattice the points lie on, and which way it is turned.
+
+    kind: fcc, hcp or bcc; turn: rotation vector (3,), rad, of the lattice and not of the body. Unturned
+    its cell's edges are along x, y, z. Raises ValueError for another kind.
+    """
+
+    kind: str = "fcc"
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.kind not in _KINDS:
+            raise ValueError(f"lattice kind {self.kind!r} is not one of {', '.join(KINDS)}")
+
+    @classmethod
+    def at_random(cls, seed: int, kind: str = "fcc") -> "Lattice":
+        """A lattice turned every way alike, the same for the same seed."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec()
+        return cls(kind, (float(turn[0]), float(turn[1]), float(turn[2])))
+
+    def points(self, spacing: float, half: tuple[float, ...] | list[float], offset: tuple[float, ...]) -> np.ndarray:
+        """The points (k,3), one per spacing^3, over a box of half extents `half` m; offset in cells."""
+        cell = self._cell(spacing)
+        reach = np.asarray(half) if not any(self.turn) else np.full(3, np.linalg.norm(half))
+        counts = np.ceil(reach / cell).astype(int) + 1
+        axes = [np.arange(-count, count) for count in counts]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+        at = (grid + (np.array(_KINDS[self.kind].base) + np.asarray(offset))).reshape(-1, 3) * cell
+        if not any(self.turn):
+            return at
+        from scipy.spatial.transform import Rotation
+
+        return Rotation.from_rotvec(self.turn).apply(at)
+
+    def layer(self, spacing: float, axis: int) -> float:
+        """Distance (m) of the lattice's layers along x, y or z, where it is not turned."""
+        return float(_KINDS[self.kind].layers[axis] * self._cell(spacing)[axis])
+
+    def cell_moment(self, spacing: float) -> float:
+        """Mean square distance (m2) along an axis of what is closest to a point from it."""
+        return _KINDS[self.kind].moment * spacing**2
+
+    def _cell(self, spacing: float) -> np.ndarray:
+        kind = _KINDS[self.kind]
+        edges = np.array(kind.edges)
+        return edges * (len(kind.base) / edges.prod()) ** (1.0 / 3.0) * spacing
+
+
+FCC = Lattice()
+
+
+def sphere(diameter: float, points: int, lattice: Lattice = FCC) -> tuple[np.ndarray, float]:
+    """Points of a lattice inside a sphere, about `points` of them, centred on the origin.
 
     Returns (n,3) positions in m and the volume each point carries (m3), the sphere's volume over n. The lattice is
     put so that no point lies on the centre: the outermost shell is then closer to even.
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
-    lattice = _lattice(spacing, [0.5 * diameter] * 3, (0.25, 0.25, 0.25))
-    inside = lattice[np.einsum("ij,ij->i", lattice, lattice) < (0.5 * diameter) ** 2]
+    cloud = lattice.points(spacing, [0.5 * diameter] * 3, (0.25, 0.25, 0.25))
+    inside = cloud[np.einsum("ij,ij->i", cloud, cloud) < (0.5 * diameter) ** 2]
     inside = inside - inside.mean(axis=0)
     return np.ascontiguousarray(inside), volume / len(inside)
 
@@ -29,42 +110,36 @@ def fill(
     volume: float,
     points: int,
     flat: tuple[int, ...] = (),
+    lattice: Lattice = FCC,
 ) -> tuple[np.ndarray, float]:
-    """Points of a face-centred cubic lattice inside a body, about `points` of them, their mean on the origin.
+    """Points of a lattice inside a body, about `points` of them, their mean on the origin.
 
     inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, shared
     equally; flat: the axes along which the body ends in flat faces. Of a few lattice constants and offsets that one
     is taken whose points, each with its cell about it, come closest to the body's volume and second moments, and
-    whose outermost layers lie half a layer inside flat faces. Points with too few neighbours to follow a deformation
-    are left out. Returns as `sphere` does.
+    whose outermost layers lie half a layer inside flat faces (a turned lattice has no such layers). Points with too
+    few neighbours to follow a deformation are left out. Returns as `sphere` does.
     """
     moments = _second_moments(inside, half)
     best: tuple[float, np.ndarray] | None = None
     for scale in np.linspace(0.97, 1.03, 21 if points < 20000 else 9):
         spacing = scale * (volume / points) ** (1.0 / 3.0)
         for offset in ((a, b, c) for a in (0.0, 0.25) for b in (0.0, 0.25) for c in (0.0, 0.25)):
-            lattice = _lattice(spacing, half, offset)
-            cloud = lattice[inside(lattice)]
+            cloud = lattice.points(spacing, half, offset)
+            cloud = cloud[inside(cloud)]
             if len(cloud) == 0:
                 continue
-            spread = cloud.var(axis=0) + _CELL_MOMENT * spacing**2
+            spread = cloud.var(axis=0) + lattice.cell_moment(spacing)
             misfit = abs(len(cloud) * spacing**3 / volume - 1.0) + float(np.abs(spread / moments - 1.0).max())
             misfit += float(np.abs(cloud.mean(axis=0)).max() / spacing) + 0.05 * abs(len(cloud) / points - 1.0)
-            layer = 2.0 ** (-1.0 / 3.0) * spacing  # half a cell
-            misfit += sum(0.1 * abs((half[i] - cloud[:, i].max() + cloud[:, i].mean()) / layer - 0.5) for i in flat)
+            for i in () if any(lattice.turn) else flat:
+                outside = half[i] - cloud[:, i].max() + cloud[:, i].mean()
+                misfit += 0.1 * abs(outside / lattice.layer(spacing, i) - 0.5)
             if best is None or misfit < best[0]:
                 best = misfit, _connected(cloud, spacing)
     assert best is not None
     cloud = best[1] - best[1].mean(axis=0)
     return np.ascontiguousarray(cloud), volume / len(cloud)
-
-
-def _lattice(spacing: float, half, offset) -> np.ndarray:
-    """The lattice (k,3) with one point per spacing^3 over a box of half extents `half` m; offset in cells."""
-    cell = 4.0 ** (1.0 / 3.0) * spacing  # four points to a cell
-    axes = [np.arange(-reach, reach) for reach in (int(np.ceil(h / cell)) + 1 for h in half)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-    return (grid + (_BASE + np.asarray(offset))).reshape(-1, 3) * cell
 
 
 def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half) -> np.ndarray:

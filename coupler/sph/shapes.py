@@ -34,21 +34,30 @@ class Body:
         return float(self.volume ** (1.0 / 3.0))
 
 
-def shape(name: str, diameter: float, points: int, tilt: float = 0.0, edge: float = 0.8) -> Body:
+def shape(
+    name: str,
+    diameter: float,
+    points: int,
+    tilt: float = 0.0,
+    edge: float = 0.8,
+    lattice: packing.Lattice = packing.FCC,
+) -> Body:
     """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about so many points.
 
-    tilt: rad, about y, see `coupler.morphology`. edge: length of the surface's edges over the points' spacing.
+    tilt: rad, about y, see `coupler.morphology`. edge: length of the surface's edges over the points' spacing. lattice: of
+    the points, before the tilt.
     """
     form = morphology.form(name, diameter)
     volume = np.pi / 6.0 * diameter**3
     inner = None
     if name == "sphere":
-        cloud, each = packing.sphere(diameter, points)
+        cloud, each = packing.sphere(diameter, points, lattice)
         skin = packing.surface(diameter, edge * each ** (1.0 / 3.0))
         body = Body(cloud, each, *skin, np.pi * diameter**2, 0.5 * diameter)
     else:
         half = (0.5 * form.lengths[0], 0.5 * form.lengths[1], 0.5 * form.lengths[2])
-        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, _FLAT.get(name, ()))
+        flat = _FLAT.get(name, ())
+        cloud, each = packing.fill(lambda x: _inside(form, x), half, volume, points, flat, lattice)
         vertices, triangles = _surface(form, edge * each ** (1.0 / 3.0))
         if name == "hollow_sphere":
             hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))

@@ -10,6 +10,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import ConvexHull, cKDTree
 
+from . import carry_kernels as k
+
 SUPPORT = 2.2  # spacings: some 20 points half-way round a vertex on the surface
 
 
@@ -41,7 +43,7 @@ class CarriedSurface:
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
         # Points themselves may touch too: a single one can slip through the average that the surface is.
         self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
-        self.transposed = self.touching.T.tocsr()
+        self._rows = np.arange(self.touching.shape[0])
         shepard = w / np.bincount(rows, w)[rows]
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
 
@@ -49,13 +51,36 @@ class CarriedSurface:
         """Vertices (k,3) now, from the positions x (n,3) of the points."""
         return self.weights @ x
 
-    def contacts(self, x: np.ndarray) -> np.ndarray:
-        """Positions or velocities (k+n,3) of all that may touch: the vertices, then the points."""
-        return self.touching @ x
+    def contacts(self, x: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
+        """Positions or velocities (k+n,3) of all that may touch: the vertices, then the points. x (n,3).
 
-    def spread(self, forces: np.ndarray) -> np.ndarray:
-        """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power."""
-        return self.transposed @ forces
+        With rows only these are computed (the rest of `out` stays as it is, or zero), from `support(rows)` alone.
+        """
+        W = self.touching
+        if out is None:
+            out = np.zeros((W.shape[0], 3))
+        k.combine(self._rows if rows is None else rows, W.indptr, W.indices, W.data, x, out)
+        return out
+
+    def spread(self, forces: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
+        """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power.
+
+        With rows only these forces are taken. With `out` they are added to it, at `support(rows)` and nowhere else.
+        """
+        W = self.touching
+        if out is None:
+            out = np.zeros((W.shape[1], 3))
+        k.spread(self._rows if rows is None else rows, W.indptr, W.indices, W.data, forces, out)
+        return out
+
+    def support(self, rows: np.ndarray) -> np.ndarray:
+        """The points (p,), ascending, that these rows of `contacts` are made of and their forces go back to."""
+        used = np.zeros(self.touching.shape[1], bool)
+        start = self.touching.indptr
+        counts = start[rows + 1] - start[rows]
+        steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        used[self.touching.indices[np.repeat(start[rows], counts) + steps]] = True
+        return np.flatnonzero(used)
 
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
         """Heat (k+n,) that arises at `contacts`, shared among the points (n,)."""

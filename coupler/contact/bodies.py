@@ -1,0 +1,188 @@
+"""Contact between the bodies of one finite-element domain: unilateral, with friction, by the kernels of `PointContact`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import SolverError
+from .bond import Bond
+from .penalty import STIFFNESS, PointContact
+from .surfaces import Surfaces
+
+
+@dataclass
+class _Side:
+    """The surface nodes of one body against facets of others.
+
+    facets: ids in `Surfaces`; near: those of them around the nodes at the last search; idle: none is.
+    """
+
+    nodes: np.ndarray
+    facets: np.ndarray
+    contact: PointContact
+    near: np.ndarray
+    idle: bool = True
+
+
+class BodyContact:
+    """Surface nodes of each body against the facets of the bodies that came before it.
+
+    So every pair of bodies is looked at once, and bodies fitted together (`Interface.fitted`) begin without a force. The
+    same sums as between particle and target: penalty k = factor K a / h for each node (K the softer bulk modulus, a
+    the mean area of a node, h the spacing of its body's surface), Coulomb friction with history, forces equal and
+    opposite in force and moment. Nodes that a bond holds are left to it.
+    """
+
+    def __init__(
+        self,
+        surfaces: Surfaces,
+        x: np.ndarray,
+        bulk_modulus: Sequence[float],
+        friction: float,
+        share: Sequence[float] | None = None,
+        factor: float = STIFFNESS,
+        both: bool = False,
+    ):
+        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; share (bodies,): of the heat
+        of friction that a body's nodes get (default a half). both: nodes of every body but the base against the facets of
+        all others, later ones too; catches corners that a coarser, later body straddles, but may begin with an overlap.
+        """
+        self.surfaces, self.friction, self.factor, self.both = surfaces, friction, factor, both
+        self.bulk_modulus = list(bulk_modulus)
+        self.share = [0.5] * surfaces.bodies if share is None else list(share)
+        if not len(self.bulk_modulus) == len(self.share) == surfaces.bodies:
+            raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli and shares of heat")
+        self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
+        self._held = np.zeros(len(x), bool)
+        self._sides = [self._side(body, x) for body in range(1, surfaces.bodies)]
+        corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
+        self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
+        self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
+
+    def _side(self, body: int, x: np.ndarray) -> _Side:
+        s = self.surfaces
+        partners = [b for b in range(s.bodies if self.both else body) if b != body]
+        nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, body)
+        area = float(np.linalg.norm(s.vectors(x, s.facets_of(body)), axis=1).sum()) / len(nodes)
+        softer = min(self.bulk_modulus[b] for b in (body, *partners))
+        contact = PointContact(
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, self.share[body], self.factor, ids
+        )
+        return _Side(nodes, ids, contact, ids[:0])
+
+    @property
+    def penalty_energy(self) -> float:
+        """Energy stored in the penalty and friction springs, J."""
+        return sum(side.contact.penalty_energy for side in self._sides)
+
+    @property
+    def friction_heat(self) -> float:
+        """Heat of friction so far, J."""
+        return sum(side.contact.friction_heat for side in self._sides)
+
+    @property
+    def touching(self) -> int:
+        """How many nodes touched at the last forces."""
+        return int(sum(side.contact.sums[3] for side in self._sides))
+
+    @property
+    def deepest(self) -> float:
+        """Deepest penetration at the last forces, m."""
+        return max((float(side.contact.depth.max()) for side in self._sides), default=0.0)
+
+    def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
+        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg; alone: see `Bond.stable_dt`."""
+        step = alone
+        for side in self._sides:
+            if not side.idle:
+                softness = 1.0 / float(mass[side.nodes].min())
+                springs = side.contact.stable_dt(softness, mass[self.surfaces.facets[side.near]].ravel())
+                step = min(step, float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / alone**2)))
+        return step
+
+    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None) -> None:
+        """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
+
+        Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
+        does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
+        """
+        if not np.isfinite(x).all():
+            raise SolverError("positions are no longer numbers: try a smaller time step or smaller elements")
+        given_up = bond.release() if bond is not None else 0.0
+        held = np.zeros(len(x), bool)
+        if bond is not None:
+            held[bond.held] = True
+        changed = bool(np.any(held != self._held))
+        before, self._held = self.penalty_energy, held
+        for side in self._sides:
+            c, taken = side.contact, held[side.nodes]
+            c.spring[taken], c.depth[taken] = 0.0, 0.0
+            side.near = self._around(side, x, travel)
+            side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
+            if not side.idle:
+                c.search(x[side.nodes], x, travel)
+                c.rows = c.rows[~taken[c.rows]]
+                side.idle = len(c.rows) == 0
+            if side.idle:
+                c.sums[:], c.depth[:] = 0.0, 0.0
+        if changed:  # a step of no time tells what the contact holds with its new nodes
+            rest = np.zeros_like(x)
+            self.forces(0.0, x, rest, rest.copy())
+            self.lost += given_up + before - self.penalty_energy
+
+    def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
+        """Those of a side's facets whose boxes come within reach of the box around its nodes."""
+        margin = 2.0 * (0.5 * side.contact.spacing + travel)
+        low, high = x[side.nodes].min(axis=0) - margin, x[side.nodes].max(axis=0) + margin
+        corners = x[self.surfaces.facets[side.facets]]
+        return side.facets[np.all((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low), axis=1)]
+
+    def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
+        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
+        for side in self._sides:
+            if side.idle:
+                continue
+            on_nodes = np.zeros((len(side.nodes), 3))
+            side.contact.forces(dt, x[side.nodes], v[side.nodes], x, v, on_nodes, f)
+            f[side.nodes] += on_nodes
+
+    def heat(self) -> tuple[np.ndarray, np.ndarray]:
+        """Heat of friction since the last call, for `Target.warm`: (elements, J), those behind nodes and facets that rubbed."""
+        of_node, of_facet = np.zeros(len(self._held)), np.zeros(len(self.surfaces.facets))
+        for side in self._sides:
+            of_node[side.nodes] += side.contact.heat_point
+            of_facet[side.facets] += side.contact.heat_facet
+            side.contact.heat_point[:], side.contact.heat_facet[:] = 0.0, 0.0
+        of_pair = (of_node * self._share_of_node)[self._behind[0]]
+        pairs, facets = np.flatnonzero(of_pair), np.flatnonzero(of_facet)
+        elements = np.concatenate([self._behind[1][pairs], self.surfaces.element[facets]])
+        return elements, np.concatenate([of_pair[pairs], of_facet[facets]])
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything there is to keep, as arrays of their own; "1.spring" is that of body 1, and so on."""
+        state = {"held": self._held.copy(), "lost": np.array(self.lost)}
+        for body, side in enumerate(self._sides, 1):
+            state |= {f"{body}.{name}": value for name, value in side.contact.state().items()}
+        return state
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go back to what `state` returned, of a contact of the same surfaces; a search comes next."""
+        self._held, self.lost = np.array(state["held"], bool), float(state["lost"])
+        for body, side in enumerate(self._sides, 1):
+            own = f"{body}."
+            side.contact.restore({k.removeprefix(own): value for k, value in state.items() if k.startswith(own)})
+
+    def follow(self, before: "BodyContact", node: np.ndarray) -> None:
+        """Take over what the contact of fewer bodies remembers. node (N before,): new number of each of its nodes.
+
+        For when a body has been joined: friction springs and books go on. Heat must have been fetched before.
+        """
+        springs = np.zeros((len(self._held), 3))
+        for side in before._sides:
+            springs[node[side.nodes]] = side.contact.spring
+        for side in self._sides:
+            side.contact.spring[:], side.contact.friction_heat = springs[side.nodes], 0.0
+        if self._sides:
+            self._sides[0].contact.friction_heat = before.friction_heat
+        self.lost = before.lost

@@ -1,0 +1,225 @@
+"""Bonds between bodies of finite elements: nodes tied to facets by cohesive springs that soften, break and stay broken."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..errors import SolverError
+from . import bond_kernels as k
+from .surfaces import Interface, Surfaces
+
+# bulk moduli per spacing: as soft as a quarter of a layer of elements, so that waves notice it no more than a change of mesh
+STIFFNESS = 4.0
+LOOSE = 0.5  # spacings: a bond opened further has slid too far for its triangle to be what the node is pressed against
+SAFETY = 0.9  # of the step the bound on the frequency allows
+
+_ROWS = (
+    "nodes", "triangles", "weights", "gap", "area", "stiffness", "strength", "energy", "loose", "damage", "opening", "traction",
+)  # fmt: skip
+
+
+def penalty(bulk_modulus: float, spacing: float, factor: float = STIFFNESS) -> float:
+    """Stiffness of a bond in Pa/m: factor K / h, K (Pa) the softer bulk modulus, h (m) the spacing of the tied nodes."""
+    return factor * bulk_modulus / spacing
+
+
+class Bond:
+    """Nodes of one body tied to fixed places on facets of another, each by a cohesive spring of its own.
+
+    Traction grows with the opening at the penalty stiffness up to the strength, then falls linearly until the fracture
+    energy is spent: Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of
+    mixed modes for the end. Damage never heals; unloading goes back to the origin; compression is resisted in full, by
+    the bond until it is broken or has slid by half a spacing (`release`), then by the contact of the bodies. Infinite
+    strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength. Damage grows with the
+    opening of the moment, so that what is dissipated is never negative when the mode mixity changes.
+
+    Arrays (n bonds): nodes (n,), triangles (n,3), weights (n,3), gap (n,) m, area (n,) m2, stiffness (n,) Pa/m, strength
+    (n,2) Pa and energy (n,2) J/m2 normal and shear, loose (n,), damage (n,), opening (n,3) m, traction (n,2) Pa normal and
+    shear.
+    """
+
+    nodes: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    gap: np.ndarray
+    area: np.ndarray
+    stiffness: np.ndarray
+    strength: np.ndarray
+    energy: np.ndarray
+    loose: np.ndarray
+    damage: np.ndarray
+    opening: np.ndarray
+    traction: np.ndarray
+
+    def __init__(
+        self,
+        where: Interface,
+        surfaces: Surfaces,
+        x: np.ndarray,
+        stiffness: float,
+        strength: float | np.ndarray = np.inf,
+        energy: float | np.ndarray = np.inf,
+        shear_strength: float | np.ndarray | None = None,
+        shear_energy: float | np.ndarray | None = None,
+        exponent: float = 1.0,
+    ):
+        """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`).
+
+        strength Pa and energy J/m2: of the normal direction, one or one for each row of the interface; the shear ones are
+        equal to them by default. exponent: of the power law of mixed modes. Rows without area are left out. Raises
+        SolverError for a strength or energy that makes no sense with this stiffness.
+        """
+        kept = where.area > 0.0
+        rows = len(where.nodes)
+
+        def column(value: float | np.ndarray) -> np.ndarray:
+            return np.broadcast_to(np.asarray(value, float), (rows,))[kept]
+
+        self.nodes = where.nodes[kept]
+        self.triangles = np.ascontiguousarray(surfaces.facets[where.facet[kept]])
+        self.area = where.area[kept]
+        n = len(self.nodes)
+        self.weights, self.gap = _foot(x[self.nodes], x[self.triangles])
+        self.stiffness = np.full(n, float(stiffness))
+        shear_strength = strength if shear_strength is None else shear_strength
+        shear_energy = energy if shear_energy is None else shear_energy
+        self.strength = np.stack([column(strength), column(shear_strength)], axis=1)
+        self.energy = np.stack([column(energy), column(shear_energy)], axis=1)
+        self.exponent = float(exponent)
+        self.loose, self.damage = np.zeros(n, bool), np.zeros(n)
+        self.opening, self.traction = np.zeros((n, 3)), np.zeros((n, 2))
+        self.stored = self.dissipated = 0.0
+        _check(self.stiffness, self.strength, self.energy, self.exponent)
+        self._ready()
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    def _ready(self) -> None:
+        with np.errstate(divide="ignore"):
+            self._weakness, self._ease = 1.0 / self.strength, 1.0 / self.energy
+        self._sums = np.zeros(2)
+
+    @property
+    def broken(self) -> np.ndarray:
+        """Mask (n,) of the bonds that hold no tension and no shear any more."""
+        return self.damage >= 1.0
+
+    def forces(self, x: np.ndarray, f: np.ndarray) -> None:
+        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on."""
+        if len(self) == 0:
+            return
+        k.bond_forces(
+            x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
+            self.exponent, self.loose, self.damage, self.opening, self.traction, f, self._sums,
+        )  # fmt: skip
+        self.stored = float(self._sums[0])
+        self.dissipated += float(self._sums[1])
+
+    def load(self, size: int) -> np.ndarray:
+        """What the springs add to each of `size` nodes in the bound on omega^2, N/m: largest load / mass (Gershgorin)."""
+        load = np.zeros(size)
+        k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load)
+        return load
+
+    def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
+        """Stable time step (s) of the springs between nodes of mass (N,) kg.
+
+        alone: the step (s) the bodies can take without them; frequencies of systems that act in parallel add up in
+        squares at most, so that the step of both together is the shorter.
+        """
+        if len(self) == 0:
+            return alone
+        omega2 = float(np.max(self.load(len(mass)) / mass))
+        return float(1.0 / np.sqrt(omega2 / (4.0 * SAFETY**2) + 1.0 / alone**2))
+
+    @property
+    def held(self) -> np.ndarray:
+        """Nodes whose compression is resisted here, and not by the contact of the bodies."""
+        return self.nodes[~self.loose]
+
+    def release(self) -> float:
+        """Drop broken bonds, and leave the compression of those that have slid far to the contact.
+
+        Returns the energy (J) that their compression held.
+        """
+        if len(self) == 0:
+            return 0.0
+        broken = self.broken
+        far = np.einsum("ij,ij->i", self.opening, self.opening) > LOOSE**2 * self.area
+        given = (broken | far) & ~self.loose
+        squeezed = np.minimum(self.traction[given, 0], 0.0)
+        energy = float(np.sum(0.5 * self.area[given] * squeezed**2 / self.stiffness[given]))
+        self.loose |= far
+        self.stored -= energy
+        if broken.any():
+            for name in _ROWS:
+                setattr(self, name, np.ascontiguousarray(getattr(self, name)[~broken]))
+            self._ready()
+        return energy
+
+    def renumber(self, node: np.ndarray) -> None:
+        """Follow a new numbering of the domain. node (N,): new number of each old one."""
+        self.nodes, self.triangles = node[self.nodes].astype(np.int64), node[self.triangles].astype(np.int64)
+
+    @classmethod
+    def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
+        """One set out of several of the same exponent, in their order; their books are added. Raises SolverError otherwise."""
+        if len({bond.exponent for bond in bonds}) != 1:
+            raise SolverError("bonds to be joined must be at least one and have one exponent of mixed modes")
+        one = cls.__new__(cls)
+        for name in _ROWS:
+            setattr(one, name, np.concatenate([getattr(bond, name) for bond in bonds]))
+        one.exponent = bonds[0].exponent
+        one.stored, one.dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
+        one._ready()
+        return one
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything there is to keep, as arrays of their own."""
+        rows = {name: getattr(self, name).copy() for name in _ROWS}
+        return {**rows, "exponent": np.array(self.exponent), "books": np.array([self.stored, self.dissipated])}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go back to what `state` returned."""
+        for name in _ROWS:
+            setattr(self, name, np.ascontiguousarray(state[name]).copy())
+        self.exponent = float(state["exponent"])
+        self.stored, self.dissipated = (float(value) for value in state["books"])
+        self._ready()
+
+    @classmethod
+    def from_state(cls, state: dict[str, np.ndarray]) -> "Bond":
+        """A set of bonds out of what `state` returned."""
+        one = cls.__new__(cls)
+        one.restore(state)
+        return one
+
+
+def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (n,3) and height (n,) m of points p (n,3) above the planes of triangles (n,3,3).
+
+    A point beyond the rim gets a slightly negative weight: so its bond has no slip to begin with, and needs no
+    direction within the triangle to remember.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    twice = np.linalg.norm(normal, axis=1)
+    unit = normal / twice[:, None]
+    wa = np.einsum("ij,ij->i", unit, np.cross(c - b, p - b)) / twice
+    wb = np.einsum("ij,ij->i", unit, np.cross(a - c, p - c)) / twice
+    return np.stack([wa, wb, 1.0 - wa - wb], axis=1), np.einsum("ij,ij->i", unit, p - a)
+
+
+def _check(stiffness: np.ndarray, strength: np.ndarray, energy: np.ndarray, exponent: float) -> None:
+    """Raise SolverError unless the law of every bond can be followed."""
+    if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0) and exponent > 0.0):
+        raise SolverError("a bond needs positive strength, stiffness and exponent, and an energy of zero or more")
+    held = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
+    short = (energy > 0.0) & (energy < held) & np.isfinite(held)
+    if short.any():
+        least = float(held[short].max())
+        raise SolverError(
+            f"a bond's fracture energy of {float(energy[short].min()):.3g} J/m2 is less than the {least:.3g} J/m2 its springs hold "
+            "at their strength: give more energy, 0 for a brittle bond, less strength, or a finer mesh"
+        )

@@ -1,0 +1,168 @@
+"""Bonds of nodes to triangles: which faces which, damage, cohesive forces (numba). Rows in order: the same sums every time."""
+
+from math import sqrt
+
+from numba import njit
+
+from .kernels import closest_on_triangle
+
+
+@njit(cache=True, nogil=True)
+def facing(points, outward, start, boxes, ids, facets, x, face, weights, gap):
+    """The closest triangle that each point looks at, if any: face (n,), weights (n,3), signed gap (n,) m are written.
+
+    outward (n,3): normals of the surface at the points; a triangle is looked at when its normal is against it. start,
+    boxes: candidates as `kernels.candidates` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is
+    closest, the triangle that looks most towards the point says inside or outside.
+    """
+    for i in range(len(points)):
+        p, o = points[i], outward[i]
+        best = 1e300
+        straight = -1.0
+        for r in range(start[i], start[i + 1]):
+            t = facets[ids[boxes[r]]]
+            A, B, C = x[t[0]], x[t[1]], x[t[2]]
+            n0, n1, n2 = _area_vector(A, B, C)
+            if n0 * o[0] + n1 * o[1] + n2 * o[2] >= 0.0:
+                continue
+            a, b, c = closest_on_triangle(p, A, B, C)
+            d0 = p[0] - (a * A[0] + b * B[0] + c * C[0])
+            d1 = p[1] - (a * A[1] + b * B[1] + c * C[1])
+            d2 = p[2] - (a * A[2] + b * B[2] + c * C[2])
+            dd = d0 * d0 + d1 * d1 + d2 * d2
+            if dd > best * (1.0 + 1e-9):
+                continue
+            dn = d0 * n0 + d1 * n1 + d2 * n2
+            align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
+            if dd < best * (1.0 - 1e-9) or align > straight:
+                best, straight = dd, align
+                face[i] = ids[boxes[r]]
+                weights[i, 0], weights[i, 1], weights[i, 2] = a, b, c
+                gap[i] = sqrt(dd) if dn >= 0.0 else -sqrt(dd)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _area_vector(A, B, C):
+    """(B - A) x (C - A): twice the area along the outward normal."""
+    u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
+    v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
+    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+
+
+@njit(cache=True, nogil=True)
+def damage_at(open2, slip2, k, weakness_n, weakness_s, ease_n, ease_s, alpha):
+    """Damage (0 to 1) of a bond that is opened so far for the first time. Camanho & Davila (2002), NASA/TM-2002-211737.
+
+    open2, slip2: squares of the opening and the slip, m2; k: penalty stiffness, Pa/m; weakness: 1/strength in tension and
+    shear, 1/Pa; ease: 1/fracture energy, m2/J. Softening begins where the tractions meet the quadratic criterion
+    (t_n/N)^2 + (t_s/S)^2 = 1 and is linear up to the opening where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1.
+    """
+    size2 = open2 + slip2
+    if size2 == 0.0:
+        return 0.0
+    cn, cs = open2 / size2, slip2 / size2  # mode mixity: G_I and G_II are these shares of G
+    q = cn * weakness_n**2 + cs * weakness_s**2
+    r = k * sqrt(q * size2)  # opening over the opening at onset
+    if r <= 1.0:
+        return 0.0
+    e = 0.0
+    if cn > 0.0:
+        e += (cn * ease_n) ** alpha
+    if cs > 0.0:
+        e += (cs * ease_s) ** alpha
+    brittleness = e ** (1.0 / alpha) / (2.0 * k * q)  # opening at onset over the last one
+    if brittleness >= 1.0:
+        return 1.0
+    return min((1.0 - 1.0 / r) / (1.0 - brittleness), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def bond_forces(
+    x, nodes, triangles, weights, gap, area, stiffness, weakness, ease, alpha, loose, damage, opening, traction, f, sums
+):  # fmt: skip
+    """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
+
+    x (N,3) m; nodes (n,), triangles (n,3), weights (n,3): node i is tied to the point sum w x of its triangle; gap (n,)
+    m: its distance above it, along the triangle's normal, at which the bond is at rest; area (n,) m2; stiffness (n,)
+    Pa/m; weakness (n,2) 1/Pa, ease (n,2) m2/J: see `damage_at`; loose (n,): bonds that leave compression to a contact. With
+    d from the foot to the node, n the normal, the potential is
+
+        U = area k / 2 ((1 - D) (<delta>^2 + |s|^2) + <-delta>^2),   delta = d.n - gap,   s = d - (d.n) n
+
+    and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment
+    of forces which act across a gap. damage D (n,), opening <delta> n + s (n,3) m and traction (n,2) Pa, normal
+    and shear, move on in place. sums: [energy stored, energy the damage of this call has dissipated], J.
+    """
+    stored = 0.0
+    lost = 0.0
+    for i in range(len(nodes)):
+        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
+        A, B, C, p = x[a], x[b], x[c], x[nodes[i]]
+        wa, wb, wc = weights[i, 0], weights[i, 1], weights[i, 2]
+        n0, n1, n2 = _area_vector(A, B, C)
+        size = sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        n0, n1, n2 = n0 / size, n1 / size, n2 / size
+        d0 = p[0] - (wa * A[0] + wb * B[0] + wc * C[0])
+        d1 = p[1] - (wa * A[1] + wb * B[1] + wc * C[1])
+        d2 = p[2] - (wa * A[2] + wb * B[2] + wc * C[2])
+        h = d0 * n0 + d1 * n1 + d2 * n2
+        delta = h - gap[i]
+        s0, s1, s2 = d0 - h * n0, d1 - h * n1, d2 - h * n2
+        slip2 = s0 * s0 + s1 * s1 + s2 * s2
+        wide = max(delta, 0.0)
+
+        k = stiffness[i]
+        D = damage[i]
+        if D < 1.0:
+            D = max(D, damage_at(wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha))
+        o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
+        if D > damage[i]:
+            # the work of the mean force of the step, less the change of U
+            along = o0 * opening[i, 0] + o1 * opening[i, 1] + o2 * opening[i, 2]
+            lost += 0.5 * k * area[i] * (D - damage[i]) * along
+            damage[i] = D
+        opening[i, 0], opening[i, 1], opening[i, 2] = o0, o1, o2
+
+        sound = (1.0 - D) * k
+        tn = 0.0 if loose[i] else k * delta
+        if delta > 0.0:
+            tn = sound * delta
+        traction[i, 0], traction[i, 1] = tn, sound * sqrt(slip2)
+        stored += 0.5 * area[i] * (tn * delta + sound * slip2)
+        sound *= area[i]
+        tn *= area[i]
+        f0, f1, f2 = -(tn * n0 + sound * s0), -(tn * n1 + sound * s1), -(tn * n2 + sound * s2)
+        # dU/dn = turn d, and d n = (1 - n n) d((B - A) x (C - A)) / size
+        turn = (tn - sound * h) / size
+        u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
+        v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
+        b0, b1, b2 = -turn * (v1 * s2 - v2 * s1), -turn * (v2 * s0 - v0 * s2), -turn * (v0 * s1 - v1 * s0)
+        c0, c1, c2 = -turn * (s1 * u2 - s2 * u1), -turn * (s2 * u0 - s0 * u2), -turn * (s0 * u1 - s1 * u0)
+        j = nodes[i]
+        f[j, 0] += f0
+        f[j, 1] += f1
+        f[j, 2] += f2
+        f[a, 0] -= wa * f0 + b0 + c0
+        f[a, 1] -= wa * f1 + b1 + c1
+        f[a, 2] -= wa * f2 + b2 + c2
+        f[b, 0] += b0 - wb * f0
+        f[b, 1] += b1 - wb * f1
+        f[b, 2] += b2 - wb * f2
+        f[c, 0] += c0 - wc * f0
+        f[c, 1] += c1 - wc * f1
+        f[c, 2] += c2 - wc * f2
+    sums[0] = stored
+    sums[1] = lost
+
+
+@njit(cache=True, nogil=True)
+def spring_load(nodes, triangles, weights, strength, load):
+    """Row sums of the springs' stiffness, N/m, added to load (N,): the largest load / mass bounds omega^2 (Gershgorin).
+
+    strength (n,) N/m: of the spring between each node and its foot, in any direction.
+    """
+    for i in range(len(nodes)):
+        reach = abs(weights[i, 0]) + abs(weights[i, 1]) + abs(weights[i, 2])
+        load[nodes[i]] += strength[i] * (1.0 + reach)
+        for j in range(3):
+            load[triangles[i, j]] += strength[i] * abs(weights[i, j]) * (1.0 + reach)

@@ -1,0 +1,143 @@
+"""Boundaries of several bodies in one domain, and the interface where one of them lies on the others."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import SolverError
+from . import bond_kernels, kernels
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The boundary triangles of bodies that share no nodes, in the order in which they came: body 0 is the base.
+
+    facets (k,3) nodes, outward normals; body (k,): whose each facet is; element (k,): the one behind each facet.
+    """
+
+    facets: np.ndarray
+    body: np.ndarray
+    element: np.ndarray
+
+    @classmethod
+    def of(cls, facets: np.ndarray, facet_element: np.ndarray, body_of_element: np.ndarray) -> "Surfaces":
+        """From a joined mesh: its facets (k,3), facet_element (k,), and the body (m,) of each element."""
+        body = np.asarray(body_of_element)[facet_element]
+        return cls(np.ascontiguousarray(facets, np.int64), body.astype(np.int64), np.asarray(facet_element, np.int64))
+
+    @property
+    def bodies(self) -> int:
+        """How many bodies there are."""
+        return int(self.body.max()) + 1
+
+    def facets_of(self, *bodies: int) -> np.ndarray:
+        """Ids of the facets of these bodies, ascending."""
+        return np.flatnonzero(np.isin(self.body, bodies))
+
+    def nodes_of(self, body: int) -> np.ndarray:
+        """Surface nodes of a body, ascending."""
+        return np.unique(self.facets[self.facets_of(body)])
+
+    def vectors(self, x: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """Area vectors (len(ids),3) of facets, m2: outward normal times area. x (N,3) m."""
+        a, b, c = (x[self.facets[ids, i]] for i in range(3))
+        return 0.5 * np.cross(b - a, c - a)
+
+    def spacing(self, x: np.ndarray, body: int) -> float:
+        """Edge (m) of the equilateral triangles that would give a body's surface its number of facets."""
+        area = float(np.mean(np.linalg.norm(self.vectors(x, self.facets_of(body)), axis=1)))
+        return float(np.sqrt(4.0 / np.sqrt(3.0) * area))
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Where surface nodes of one body lie on facets of others.
+
+    nodes (n,); facet (n,): ids in `Surfaces`; weights (n,3): of the facet's closest point, within it; gap (n,) m: signed
+    distance to it; area (n,) m2: what each node stands for, a third of each of its facets that lie on the others with
+    all three nodes (0 for a node at the end of a line of contact, or alone). own (p,2): pairs of row and facet of its
+    own body, for `behind`.
+    """
+
+    nodes: np.ndarray
+    facet: np.ndarray
+    weights: np.ndarray
+    gap: np.ndarray
+    area: np.ndarray
+    own: np.ndarray
+
+    def only(self, which: np.ndarray) -> "Interface":
+        """The rows of a boolean mask (n,); their areas do not change."""
+        row = np.cumsum(which) - 1
+        own = self.own[which[self.own[:, 0]]]
+        own = np.stack([row[own[:, 0]], own[:, 1]], axis=1)
+        parts = {name: getattr(self, name)[which] for name in ("nodes", "facet", "weights", "gap", "area")}
+        return replace(self, own=own, **parts)
+
+    def behind(self, surfaces: Surfaces, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A field (m,) of the elements on both sides: (mean behind each node's own facets (n,), behind its facet (n,))."""
+        n = len(self.nodes)
+        count = np.bincount(self.own[:, 0], minlength=n)
+        mine = np.bincount(self.own[:, 0], field[surfaces.element[self.own[:, 1]]], n) / np.maximum(count, 1)
+        return mine, field[surfaces.element[self.facet]]
+
+    def fitted(self, x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
+        """Positions x (N,3) with the interface's nodes put on their facets: neither gap nor overlap."""
+        moved = x.copy()
+        moved[self.nodes] = np.einsum("ij,ijd->id", self.weights, x[surfaces.facets[self.facet]])
+        return moved
+
+
+def interface(
+    surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float, others: tuple[int, ...] | None = None
+) -> Interface:
+    """Nodes of `body` that lie within `tolerance` m of a facet of the others (default: the bodies before it).
+
+    Only nodes that face their facet count, so that the far side of a thin lip does not. Raises SolverError where
+    positions x (N,3) are no numbers.
+    """
+    others = tuple(range(body)) if others is None else others
+    nodes, ids = surfaces.nodes_of(body), surfaces.facets_of(*others)
+    if not np.isfinite(x).all():
+        raise SolverError("positions of the bodies are no numbers: the interface cannot be found")
+    own_ids = surfaces.facets_of(body)
+    vectors, corners = surfaces.vectors(x, own_ids), surfaces.facets[own_ids]
+    rows = np.searchsorted(nodes, corners)
+    outward = np.zeros((len(nodes), 3))
+    for i in range(3):
+        np.add.at(outward, rows[:, i], vectors)
+    face, weights, gap = _facing(x[nodes], outward, x, surfaces.facets, ids, tolerance, surfaces.spacing(x, body))
+    on = (face >= 0) & (np.abs(gap) <= tolerance)
+
+    flat = on[rows].all(axis=1)
+    third = np.where(flat, np.linalg.norm(vectors, axis=1) / 3.0, 0.0)
+    area = np.bincount(rows.ravel(), np.repeat(third, 3), len(nodes))
+    own = np.stack([rows[flat].ravel(), np.repeat(own_ids[flat], 3)], axis=1)
+    return Interface(nodes, face, weights, gap, area, own).only(on)
+
+
+def _facing(
+    points: np.ndarray,
+    outward: np.ndarray,
+    x: np.ndarray,
+    facets: np.ndarray,
+    ids: np.ndarray,
+    reach: float,
+    cell: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Closest of the facets `ids` that each point (n,3) of a surface with normals outward (n,3) looks at, within `reach` m.
+
+    x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
+    (n,3) of its closest point; gap (n,) m, negative inside).
+    """
+    corners = x[facets[ids]]
+    low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
+    room = 64 * len(points)
+    while True:
+        start, boxes, found = kernels.candidates(points, low, high, cell, room)
+        if found <= room:
+            break
+        room = found
+    face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
+    bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
+    return face, weights, gap

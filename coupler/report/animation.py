@@ -1,0 +1,125 @@
+"""A film of the cut: MP4 or GIF, the same frame, the same colours and a scale bar from its first picture to its last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+from ..result import Result
+from .picture import beyond, colour_range, cut, drawable, panels, stage, stored_steps, window
+from .words import title
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL.Image import Image
+
+SECONDS = 4.0  # a film lasts about so long, whatever the number of its pictures
+RATES = (5.0, 25.0)  # pictures in a second, least and most
+REST = 1.5  # s that the last picture stays
+PIXELS = 250  # along the particle's longer side
+SUFFIXES = (".mp4", ".gif")
+
+
+def animate(result: Result, path: str | Path | None = None, field: str = "T", fps: float | None = None) -> Path:
+    """Write a film of the cut through particle and target, a picture for each stored step.
+
+    path: an .mp4 or .gif file, `<field>.mp4` in the run's folder unless given. field: a name of `fields.FIELDS`. fps: pictures
+    in a second; such that the film lasts some seconds unless given. Returns the path. Raises StoreError if the run
+    lacks what is needed, the name of the file ends otherwise or the file cannot be written.
+    """
+    path = Path(path) if path is not None else result.directory / f"{field}.mp4"
+    if path.suffix.lower() not in SUFFIXES:
+        raise StoreError(f"cannot write {path}: a film ends in {' or '.join(SUFFIXES)}")
+    if not path.parent.is_dir():
+        raise StoreError(f"cannot write {path}: there is no folder {path.parent}")
+    if fps is not None and not 0.1 <= fps <= 100:
+        raise StoreError(f"fps = {fps:g} is outside 0.1 to 100 pictures in a second")
+    have = drawable(result)
+    if not have:
+        raise StoreError(f"{result.directory} holds no step of particle, surface and target: nothing to animate yet")
+    if field not in have:
+        raise StoreError(f"{result.directory} has no field {field!r} to animate; has {', '.join(have)}")
+    count = stored_steps(result)
+    rate = fps or float(np.clip(count / SECONDS, *RATES))
+    write = _mp4 if path.suffix.lower() == ".mp4" else _gif
+    try:
+        write(path, frames(result, field), rate, round(REST * rate))
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    return path
+
+
+def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
+    """The pictures, (rows, columns, 3) each, all of one size with even numbers of rows and columns, as films need."""
+    at, steps = stage(result), range(stored_steps(result))
+    seen = window(result, steps, at)
+    cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
+    ends = colour_range(cuts, field)
+    arrow = {field: beyond(cuts, field, ends)}
+    heading = title(result)
+    for one in cuts:
+        yield _even(panels(one, {field: ends}, heading, arrow))
+
+
+def _even(figure: Figure) -> NDArray[np.uint8]:
+    canvas = figure.canvas
+    canvas.draw()
+    picture = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
+    rows, columns = (length - length % 2 for length in picture.shape[:2])
+    return np.ascontiguousarray(picture[:rows, :columns])
+
+
+def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
+    import imageio_ffmpeg  # type: ignore[import-untyped]
+
+    first = next(pictures)
+    size = (first.shape[1], first.shape[0])
+    try:
+        film = imageio_ffmpeg.write_frames(
+            str(path), size, fps=rate, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+        )
+        film.send(None)
+        picture = first
+        for picture in _chained(first, pictures):
+            film.send(picture)
+        for _ in range(rest):
+            film.send(picture)
+        film.close()
+    except RuntimeError as error:  # no ffmpeg for this machine, or it gave up
+        raise StoreError(
+            f"cannot write {path}: ffmpeg fails ({str(error).splitlines()[0]}); a .gif needs none"
+        ) from error
+
+
+def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
+    from PIL import Image
+
+    images = [Image.fromarray(picture) for picture in pictures]
+    images = [image.resize((image.width * 2 // 3, image.height * 2 // 3), Image.Resampling.LANCZOS) for image in images]
+    # One palette for all: the same colour has the same number, and the same look, in every picture.
+    palette = _mosaic(images).quantize(colors=256)
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    pause = round(1000 / rate)
+    pauses = [pause] * (len(small) - 1) + [pause * (1 + rest)]
+    small[0].save(path, save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=False)
+
+
+def _mosaic(images: Sequence[Image]) -> Image:
+    """First, middle and last picture below each other."""
+    from PIL.Image import new
+
+    some = [images[0], images[len(images) // 2], images[-1]]
+    whole = new("RGB", (some[0].width, some[0].height * len(some)))
+    for k, image in enumerate(some):
+        whole.paste(image, (0, k * image.height))
+    return whole
+
+
+def _chained(first: NDArray[np.uint8], rest: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+    yield first
+    yield from rest

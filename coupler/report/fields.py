@@ -1,0 +1,91 @@
+"""Fields that are drawn: their words and colours, and their values anywhere in particle and target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result import Fields
+
+NEAR = 12  # points whose average is the value at a place inside the particle
+
+
+@dataclass(frozen=True)
+class Field:
+    """label, unit and factor from SI, for people; colours: a map of matplotlib; floor: its least value, if it has one."""
+
+    label: str
+    unit: str
+    factor: float
+    colours: str
+    floor: float | None = None
+    least_range: float = 1.0  # in the shown unit: below it colours would only magnify noise
+
+    @property
+    def words(self) -> str:
+        return f"{self.label} ({self.unit})" if self.unit else self.label
+
+
+# Light is untouched and dark is hot, strained or stressed. The lightness of each map falls all the way, also in the
+# eyes of those who do not tell red from green, and in grey.
+FIELDS = {
+    "T": Field("temperature", "K", 1.0, "YlOrRd"),
+    "eps_p": Field("equivalent plastic strain", "", 1.0, "YlGnBu", 0.0, 0.01),
+    "von_mises": Field("von Mises stress", "MPa", 1e-6, "BuPu", 0.0),
+}
+
+
+def from_points(points: NDArray, places: NDArray) -> tuple[NDArray[np.int64], NDArray]:
+    """Which points, and with which weights, make the value at each place inside a cloud.
+
+    points: (n, 3) m. places: (k, 3) m. Returns indices and weights, (k, j) each; weights of a place sum to one.
+    """
+    from scipy.spatial import cKDTree
+
+    near = min(NEAR, len(points))
+    distance, index = cKDTree(points).query(places, k=near)
+    distance, index = distance.reshape(len(places), near), index.reshape(len(places), near)
+    # Weights fall over the distance of the points from each other, wherever that has been stretched.
+    reach = np.maximum(distance[:, min(3, near - 1)], 1e-12)[:, None]
+    weight = np.exp(-((distance / reach) ** 2))
+    return index, weight / weight.sum(1, keepdims=True)
+
+
+def at_nodes(fields: Fields, name: str) -> NDArray:
+    """A field at the points, (n, ...); values in tetrahedra are averaged with the volumes as weights."""
+    values = fields.data[name].astype(float)
+    if len(values) == len(fields.points):
+        return values
+    corners = fields.points[fields.cells]
+    volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    where, count = fields.cells.ravel(), len(fields.points)
+    weight = np.bincount(where, np.repeat(volume, 4), count)
+    columns = values.reshape(len(values), -1).T
+    sums = np.stack([np.bincount(where, np.repeat(volume * column, 4), count) for column in columns], axis=1)
+    return (sums / np.where(weight > 0, weight, 1.0)[:, None]).reshape(count, *values.shape[1:])
+
+
+def in_tets(points: NDArray, tets: NDArray, places: NDArray) -> tuple[NDArray[np.int64], NDArray]:
+    """The tetrahedron each place lies in, (k,), -1 outside of all, and its barycentric coordinates there, (k, 4).
+
+    points: (n, 3). tets: (m, 4). places: (k, 3), few: each is held against every tetrahedron near all of them.
+    """
+    corners = points[tets]
+    near = ((corners.min(1) <= places.max(0)) & (corners.max(1) >= places.min(0))).all(1)
+    some, corners = np.flatnonzero(near), corners[near]
+    owner, share = np.full(len(places), -1), np.zeros((len(places), 4))
+    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
+    whole = np.abs(np.linalg.det(edges)) > 0
+    some, corners, edges = some[whole], corners[whole], edges[whole]
+    if not len(some):
+        return owner, share
+    inverse = np.linalg.inv(edges)
+    for k, place in enumerate(places):
+        three = np.einsum("mij,mj->mi", inverse, place - corners[:, 0])
+        four = np.column_stack([1 - three.sum(1), three])
+        best = int(np.argmax(four.min(1)))
+        if four[best].min() > -1e-9:
+            owner[k], share[k] = some[best], four[best]
+    return owner, share

@@ -1,0 +1,305 @@
+"""One HTML file about one run: opens offline in any browser, asks for nothing outside of itself."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+from ..result import Result
+from . import charts, parts
+from .fields import FIELDS
+from .picture import (
+    Cut,
+    Stage,
+    beyond,
+    blank,
+    colour_bar,
+    colour_range,
+    cut,
+    draw,
+    drawable,
+    scale_bar,
+    stage,
+    stored_steps,
+    window,
+)
+from .profiles import profiles
+from .solid import frames, solid
+from .words import title
+
+MICRO = 1e6
+PICTURES = 5  # of the cut
+PICTURE_PIXELS = 260  # along the particle: a picture is a third of the page wide
+
+
+class Page:
+    """Sections with their headings, and the curves that belong into them."""
+
+    def __init__(self) -> None:
+        self.sections: list[tuple[str, str, str]] = []  # id, heading, HTML
+        self.charts: dict[str, charts.Figure] = {}
+        self.solid: dict[str, Any] | None = None
+
+    def section(self, name: str, heading: str, body: str) -> None:
+        """A section, unless there is nothing to say in it."""
+        if body:
+            self.sections.append((name, heading, body))
+
+    def chart(self, name: str, figure: charts.Figure | None, heading: str = "") -> str:
+        """The place of a curve in the page; nothing if there is none."""
+        if figure is None:
+            return ""
+        self.charts[name] = figure
+        return (
+            f'<figure>{f"<h3>{escape(heading)}</h3>" if heading else ""}<div class="chart" id="{name}"></div></figure>'
+        )
+
+    def html(self, heading: str, under: str, top: str, footer: str) -> str:
+        """The whole file."""
+        from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
+
+        here = files(__package__)
+        data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
+        return Template((here / "page.html").read_text(encoding="utf-8")).substitute(
+            title=escape(heading),
+            under=under,
+            top=top,
+            css=(here / "page.css").read_text(encoding="utf-8"),
+            nav="".join(f'<a href="#{name}">{escape(word)}</a>' for name, word, _ in self.sections),
+            sections="\n".join(
+                f'<section id="{name}"><h2>{escape(word)}</h2>\n{body}</section>' for name, word, body in self.sections
+            ),
+            footer=footer,
+            data=data.replace("<", "\\u003c"),
+            plotly=get_plotlyjs(),
+            js=(here / "page.js").read_text(encoding="utf-8"),
+        )
+
+
+def write_report(result: Result, path: str | Path | None = None) -> Path:
+    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given.
+
+    Returns the path. Raises StoreError if a file of the run is damaged or the page cannot be written.
+    """
+    path = Path(path) if path is not None else result.directory / "report.html"
+    write_text(path, report(result))
+    return path
+
+
+def report(result: Result) -> str:
+    """The page about a run as HTML."""
+    page, summary, scene = Page(), result.summary, parts.scene_of(result)
+    history = result.history() if (result.directory / "history.csv").is_file() else {}
+    what = parts.asked(scene, summary) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
+    page.section("computed", "What was computed", what)
+    page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
+    page.section("impacts", "Impacts", parts.each_impact(summary))
+    names = drawable(result)
+    if names:
+        at, picked = stage(result), picks(result)
+        seen = window(result, picked, at)
+        cuts = [cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
+        ranges = {name: colour_range(cuts, name) for name in names}
+        page.solid = solid(result, frames(stored_steps(result)), ranges, at)
+        page.section("in3d", "In 3D", SOLID)
+        page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
+        page.section("depth", "Along the axis", _depth(page, result, picked, at))
+    else:
+        page.section("in3d", "In 3D", '<p class="note">No step of particle, surface and target is stored yet.</p>')
+    page.section("energy", "Energy", _energy(page, history, summary))
+    motion = [
+        page.chart("lengths", charts.lengths(history)),
+        page.chart("velocity", charts.velocity(history)),
+        page.chart("force", charts.force(history)),
+    ]
+    page.section("motion", "Motion", f'<div class="three">{"".join(motion)}</div>' if any(motion) else "")
+    spent = [f"<div>{parts.timing(summary)}</div>", page.chart("step", charts.time_step(history))]
+    page.section("time", "Time spent", f'<div class="two">{"".join(spent)}</div>' if history or summary else "")
+    page.section("scene", "Scene", _scene(result))
+    return page.html(title(result), _under(result, scene, history), _top(result, history), _footer(summary))
+
+
+def picks(result: Result, most: int = PICTURES) -> list[int]:
+    """Steps worth a picture: on the way to greatest deformation, where the summary names it, that one, and the last."""
+    times = result.times("surface")[: stored_steps(result)]
+    last = len(times) - 1
+    peak = _named_times(result.summary).get("greatest deformation")
+    if peak is None:
+        return sorted({round(k) for k in np.linspace(0, last, min(most, last) + 1)[min(1, last) :]})
+    turn = int(np.argmin(np.abs(times - peak)))
+    wanted = [times[turn] * share for share in np.linspace(0, 1, most)[1:]]
+    return sorted({int(np.argmin(np.abs(times - time))) for time in wanted} | {last})
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all. Raises StoreError if that is impossible."""
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def embedded(figure: Any) -> str:
+    """A figure of matplotlib as an address that holds the picture itself."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+SOLID = """<div class="controls" id="solid-controls">
+<label>Colours <select id="field"></select></label>
+<label><input type="checkbox" id="whole"> whole, not cut open</label>
+<button id="play" type="button">Play</button>
+<label>Time <input type="range" id="time" min="0" step="1"> <output id="now"></output></label>
+</div>
+<div id="solid"></div><img id="solid-picture" alt="Particle and target in 3D">
+<p class="caption">Drag to turn, wheel to zoom, right button to move. Colours mean the same at all times; what lies above
+their range has the last one.</p>"""
+
+
+def _named_times(summary: Mapping[str, Any]) -> dict[str, float]:
+    peak = summary.get("greatest_deformation")
+    time = peak.get("time_s") if isinstance(peak, Mapping) else None
+    return {"greatest deformation": float(time)} if isinstance(time, int | float) else {}
+
+
+def _under(result: Result, scene: Mapping[str, Any], history: Mapping[str, NDArray]) -> str:
+    said = [str(scene.get("name", result.directory.resolve().name))]
+    if "preset" in scene:
+        said.append(f"preset {scene['preset']}")
+    end = result.summary.get("sim_time_s")
+    if isinstance(end, float):
+        said.append(f"{end * 1e9:.1f} ns simulated")
+    wall = result.summary.get("wall_s")
+    if isinstance(wall, float):
+        said.append(f"computed in {wall:.0f} s")
+    return escape(" · ".join(said))
+
+
+def _top(result: Result, history: Mapping[str, NDArray]) -> str:
+    state = ""
+    if not result.finished:
+        reached = f" It has reached {history['time'][-1] * 1e9:.1f} ns." if len(history.get("time", ())) else ""
+        state = (
+            f'<p class="warn" id="unfinished"><b>This run is not finished</b>: it is still running or was stopped.{reached}'
+            " What follows is what was written so far.</p>"
+        )
+    return state + parts.tiles(result.summary) + parts.warnings(result.summary)
+
+
+def _footer(summary: Mapping[str, Any]) -> str:
+    version = f" {summary['version']}" if "version" in summary else ""
+    return escape(
+        f"Computed by coldspray{version}. Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
+    )
+
+
+def _so_far(history: Mapping[str, NDArray]) -> str:
+    """The last line of the history, for a run without a summary."""
+    shown = {
+        "time": ("time", 1e9, "ns"), "height": ("height above surface", 1e6, "µm"), "thickness": ("whole thickness", 1e6, "µm"),
+        "crater_depth": ("crater depth", 1e6, "µm"), "velocity_z": ("velocity upwards", 1.0, "m/s"),
+        "T_max": ("highest temperature, particle", 1.0, "K"), "eps_p_mean": ("mean plastic strain, particle", 1.0, ""),
+        "drift": ("energy drift", 100.0, "%"), "step": ("steps", 1.0, ""),
+    }  # fmt: skip
+    rows = [
+        (words, f"{history[name][-1] * factor:.4g}", unit)
+        for name, (words, factor, unit) in shown.items()
+        if len(history.get(name, ()))
+    ]
+    return parts.table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
+
+
+def _cuts(cuts: Sequence[Cut], ranges: Mapping[str, tuple[float, float]], named: Mapping[str, float]) -> str:
+    """Pictures of the cut at several times, a row for each, and the colours above."""
+    left, right, bottom, top = cuts[0].window
+    wide, gap = 4.0, 0.06  # inches
+    tall, count = wide * (top - bottom) / (right - left), len(ranges)
+    whole = count * wide + (count - 1) * gap
+    bars = blank(whole, 0.62, 150)
+    for k, (name, ends) in enumerate(ranges.items()):
+        place = bars.add_axes(((k * (wide + gap) + 0.25) / whole, 0.72, (wide - 0.5) / whole, 0.24))
+        colour_bar(place, name, ends, beyond(cuts, name, ends), across=True)
+    found = [
+        f'<figure><img src="{embedded(bars)}" alt="colours: {", ".join(FIELDS[name].label for name in ranges)}"></figure>'
+    ]
+    for one in cuts:
+        figure = blank(whole, tall, 150)
+        for k, (name, ends) in enumerate(ranges.items()):
+            axis = figure.add_axes((k * (wide + gap) / whole, 0, wide / whole, 1))
+            draw(axis, one, name, ends)
+            scale_bar(axis, one.window, 10)
+        words = [word for word, time in named.items() if math.isclose(time, one.time, rel_tol=1e-6)]
+        said = f"<b>t = {one.time * 1e9:.1f} ns</b>{''.join(', ' + escape(word) for word in words)}"
+        found.append(
+            f'<figure><figcaption>{said}</figcaption><img src="{embedded(figure)}" alt="cut at {one.time * 1e9:.1f} ns"></figure>'
+        )
+    return "".join(found)
+
+
+def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
+    level, reach = at.level / MICRO, 1.5 * at.diameter / MICRO
+    lines = [
+        one for step in steps for one in profiles(result, step, ("T", "eps_p", "von_mises", "stress"), level, reach)
+    ]
+    last = [one for one in lines if one.time == max(line.time for line in lines)]
+    span = (min(float(one.depth[0]) for one in lines) * MICRO, reach * MICRO)
+    found = [
+        page.chart(f"depth-{name}", charts.with_depth(lines, name, FIELDS[name].words, FIELDS[name].factor, span))
+        for name in FIELDS
+    ]
+    found.append(page.chart("depth-stress", charts.stress_with_depth(last, span)))
+    said = (
+        "On the vertical line through the middle of the splat, from its top into the substrate; the gap in each line is where the "
+        "bodies meet, the dashed line the undeformed surface. Normal stresses at the last time, tension positive."
+    )
+    key = "".join(
+        f'<span><i style="background:{colour}"></i>{time * 1e9:.1f} ns</span>'
+        for time, colour in charts.shades(one.time for one in lines).items()
+    )
+    return (
+        f'<p class="caption">{said}</p><p class="key">{key}</p><div class="four">{"".join(found)}</div>'
+        if any(found)
+        else ""
+    )
+
+
+def _energy(page: Page, history: Mapping[str, NDArray], summary: Mapping[str, Any]) -> str:
+    kinetic_0 = summary.get("kinetic_energy_0_J")
+    stack = page.chart("ledger", charts.energy(history, float(kinetic_0) if isinstance(kinetic_0, float) else None))
+    if not stack:
+        return ""
+    said = (
+        "Where the initial kinetic energy is at each time. The stack is all that was booked; what it misses of 100 % "
+        "is the drift below."
+    )
+    return f'<p class="caption">{said}</p>{stack}{page.chart("drift", charts.drift(history), "Drift of the ledger")}'
+
+
+def _scene(result: Result) -> str:
+    try:
+        text = result.scene_text
+    except StoreError:
+        return ""
+    return (
+        '<p class="caption">With every default written out; save it as a file and compute it again with '
+        "<code>coldspray run</code>.</p>"
+        '<div class="code"><button class="copy" type="button" data-of="scene-text">Copy</button>'
+        f'<pre id="scene-text">{escape(text)}</pre></div>'
+    )

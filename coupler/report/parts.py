@@ -1,0 +1,274 @@
+"""Pieces of the page in HTML: tables, tiles, lists. Everything that comes from a run is escaped here."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from ..errors import ColdsprayError, StoreError
+from ..result import Result
+from .words import bands, columns, grouped, impacts, shown, words
+
+TILES = ("flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_p99", "T_p99_K", "rebound_velocity_m_s")
+# Of a material: name, what it is, factor to the unit it is shown in, unit.
+CONSTANTS = (
+    ("rho", "density", 1.0, "kg/m³"),
+    ("G", "shear modulus", 1e-9, "GPa"),
+    ("K", "bulk modulus, ρ c₀²", 1e-9, "GPa"),
+    ("c0", "sound speed c₀ of the shock relation", 1.0, "m/s"),
+    ("s", "slope s of the shock relation", 1.0, ""),
+    ("Gamma0", "Grüneisen coefficient", 1.0, ""),
+    ("A", "Johnson-Cook A", 1e-6, "MPa"),
+    ("B", "Johnson-Cook B", 1e-6, "MPa"),
+    ("n", "Johnson-Cook n", 1.0, ""),
+    ("C", "Johnson-Cook C", 1.0, ""),
+    ("m", "Johnson-Cook m", 1.0, ""),
+    ("eps_dot_0", "reference strain rate", 1.0, "1/s"),
+    ("T_ref", "reference temperature", 1.0, "K"),
+    ("T_m", "melting point", 1.0, "K"),
+    ("taylor_quinney", "share of plastic work that heats", 1.0, ""),
+)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    """A table of texts. numbers: columns that are set to the right; a head of empty texts is left out."""
+    kinds = [' class="n"' if k in numbers else "" for k in range(len(head))]
+    top = "".join(f"<th{kind}>{escape(text)}</th>" for text, kind in zip(head, kinds, strict=True))
+    above = f"<thead><tr>{top}</tr></thead>" if any(head) else ""
+    body = "".join(
+        "<tr>" + "".join(f"<td{kind}>{escape(text)}</td>" for text, kind in zip(row, kinds, strict=True)) + "</tr>"
+        for row in rows
+    )
+    return f'<div class="wide"><table>{above}<tbody>{body}</tbody></table></div>'
+
+
+def tiles(summary: Mapping[str, Any]) -> str:
+    """The measures most asked for, large."""
+    width = bands(summary)
+    values = list(columns(summary).values())[-1:] or [{}]
+    found = []
+    for key in TILES:
+        if values[0].get(key) is not None:
+            label, unit = words(key)
+            number = escape(shown(key, values[0][key], width.get(key, (None,))[0]))
+            found.append(f'<div class="tile"><b>{number} <small>{unit}</small></b><span>{escape(label)}</span></div>')
+    return f'<div class="tiles">{"".join(found)}</div>' if found else ""
+
+
+def measures(summary: Mapping[str, Any]) -> str:
+    """All measures of a summary, a table for each group, with bands where there are any."""
+    blocks, band = columns(summary), bands(summary)
+    tables = []
+    for group, keys in grouped(key for block in blocks.values() for key in block):
+        used = {name: block for name, block in blocks.items() if any(block.get(key) is not None for key in keys)}
+        rows = []
+        for key in keys:
+            label, unit = words(key)
+            width = band.get(key, (None,))[0]
+            rows.append([label, *(shown(key, block.get(key), width) for block in used.values()), unit])
+        heads = list(used) if len(used) > 1 else [""] * len(used)
+        if used:
+            tables.append(table([group.capitalize(), *heads, ""], rows, numbers=range(1, 1 + len(used))))
+    drives = [f"{words(key)[0]}: {why}" for key, (_, why) in band.items() if why]
+    note = f'<p class="caption">What drives the bands: {escape("; ".join(drives))}.</p>' if drives else ""
+    return f'<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
+
+
+def several(entries: Sequence[Mapping[str, Any]], headings: Sequence[str]) -> str:
+    """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
+    rows = []
+    for group, keys in grouped(key for entry in entries for key in entry):
+        lines = []
+        for key in keys:
+            if any(isinstance(entry.get(key), int | float) for entry in entries):
+                label, unit = words(key)
+                cells = "".join(f'<td class="n">{escape(shown(key, entry.get(key)))}</td>' for entry in entries)
+                lines.append(f'<tr><td>{escape(label)}</td>{cells}<td class="u">{escape(unit)}</td></tr>')
+        if lines:
+            rows += [
+                f'<tr class="group"><th colspan="{len(entries) + 2}">{escape(group.capitalize())}</th></tr>',
+                *lines,
+            ]
+    head = "".join(f'<th class="n">{escape(heading)}</th>' for heading in headings)
+    head = f"<thead><tr><th></th>{head}<th></th></tr></thead>"
+    return f'<div class="wide"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>' if rows else ""
+
+
+def each_impact(summary: Mapping[str, Any]) -> str:
+    """The impacts of a run of several, side by side; nothing for a run of one."""
+    entries = impacts(summary)
+    return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
+
+
+def scene_of(result: Result) -> dict[str, Any]:
+    """The scene as nested dicts of its own words; empty if there is none that can be read."""
+    try:
+        return tomllib.loads(result.scene_text)
+    except (StoreError, ValueError, RecursionError):
+        return {}
+
+
+def asked(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    """What was computed, in the scene's own words, and how finely."""
+    given = scene.get("particle")
+    bodies = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, Mapping)]
+    lines = [("particle" if len(bodies) == 1 else f"particle {k + 1}", _particle(one)) for k, one in enumerate(bodies)]
+    if isinstance(scene.get("substrate"), Mapping):
+        lines.append(("target", _target(scene["substrate"])))
+    for name, word in (("contact", "contact"), ("adhesion", "adhesion"), ("end", "ends")):
+        entry = scene.get(name)
+        if isinstance(entry, Mapping) and entry:
+            lines.append((word, ", ".join(f"{key} {value}" for key, value in entry.items())))
+        elif isinstance(entry, str):
+            lines.append((word, entry))
+    lines.append(("resolution", _resolution(scene, summary)))
+    return (
+        "<dl>"
+        + "".join(f"<dt>{escape(word)}</dt><dd>{escape(_micro(said))}</dd>" for word, said in lines if said)
+        + "</dl>"
+    )
+
+
+def effects(result: Result) -> str:
+    """Which effects took part, and why: decided again from the stored scene, as `coldspray check` does."""
+    from ..plan import plan
+    from ..scene import Scene
+
+    used = _taking_part(result.summary.get("effects"))
+    try:
+        rows = plan(Scene.from_text(result.scene_text)).effects.rows
+    except ColdsprayError as error:
+        said = f"Taking part: {', '.join(map(_plain, used))}. " if used else ""
+        return f'<p class="note">{escape(said)}The reasons cannot be shown: {escape(str(error))}</p>'
+    lines, differ = [], []
+    for row in rows:
+        on = row.on if used is None else row.name in used
+        differ += [row.name] if on != row.on else []
+        sign = ">" if row.value > row.threshold else "≤"
+        number = f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}"
+        cells = (_plain(row.name), "on" if on else "off", number, row.why)
+        off = "" if on else ' class="off"'
+        lines.append(f"<tr{off}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+    head = "".join(f"<th>{text}</th>" for text in ("effect", "", "decided by", "because"))
+    found = f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    others = [name for name in used or [] if name not in {row.name for row in rows}]
+    if others:
+        found += f'<p class="caption">Also on: {escape(", ".join(map(_plain, others)))}.</p>'
+    if differ:
+        found += (
+            f'<p class="note">This version would decide otherwise on: {escape(", ".join(map(_plain, differ)))}.</p>'
+        )
+    return found
+
+
+def material_data(result: Result) -> str:
+    """The constants of the scene's materials with their sources, folded away; nothing if the scene cannot be read."""
+    from ..scene import Scene
+
+    try:
+        scene = Scene.from_text(result.scene_text)
+        names = dict.fromkeys([*(one.material for one in scene.particles), scene.substrate.material])
+        metals = [scene.material(name) for name in names]
+    except ColdsprayError:
+        return ""
+    rows = [
+        (words_, *(f"{getattr(metal, key) * factor:.4g}" for metal in metals), unit)
+        for key, words_, factor, unit in CONSTANTS
+    ]
+    head = ["", *(metal.name for metal in metals), ""]
+    sources = "".join(
+        f'<p class="caption">{escape(metal.name)}: {escape(metal.source or "no source given")}. {escape(metal.note)}</p>'
+        for metal in metals
+    )
+    whole = table(head, rows, numbers=range(1, len(head) - 1))
+    return f"<details><summary>Material data and their sources</summary>{whole}{sources}</details>"
+
+
+def warnings(summary: Mapping[str, Any]) -> str:
+    """What the run warned of; nothing if it did not."""
+    given = summary.get("warnings")
+    if not isinstance(given, list) or not given:
+        return ""
+    items = "".join(f"<li>{escape(str(text))}</li>" for text in given)
+    return f'<div class="warn" id="warnings"><b>Warnings</b><ul>{items}</ul></div>'
+
+
+def timing(summary: Mapping[str, Any]) -> str:
+    """Where the seconds went, as far as the summary says."""
+    wall, loop, steps = (_number(summary, key) for key in ("wall_s", "wall_loop_s", "steps"))
+    if not (wall and loop and steps):
+        return ""
+    rows = [
+        ("whole run", f"{wall:.1f} s"),
+        ("meshing, packing, compiling", f"{wall - loop:.1f} s"),
+        ("the steps, with writing", f"{loop:.1f} s"),
+        ("steps", shown("steps", int(steps))),
+        ("a step", f"{loop / steps * 1e3:.2f} ms"),
+    ]
+    for key, word in (("points", "point"), ("elements", "element")):
+        count = _number(summary, key)
+        if count:
+            rows.append((f"a step, over the {word}s", f"{loop / steps / count * 1e6:.2f} µs"))
+    simulated = _number(summary, "sim_time_s")
+    if simulated:
+        rows.append(("1 ns simulated", f"{loop / (simulated * 1e9):.2f} s"))
+    given = summary.get("dt_limited_by")
+    limits = {name: _number(given, name) or 0.0 for name in given} if isinstance(given, Mapping) else {}
+    if sum(limits.values()) > 0:
+        said = ", ".join(f"{name} {value / sum(limits.values()):.0%}" for name, value in limits.items() if value)
+        rows.append(("who set the time step", said))
+    share = 100 * loop / wall
+    pieces = ((share, "#8ecbee", "steps"), (100 - share, "#f0c15c", "before them"))
+    bar = "".join(
+        f'<span style="width:{part:.1f}%;background:{colour}">{word if part > 20 else ""}</span>'  # no room in a short one
+        for part, colour, word in pieces
+    )
+    bar = f'<div class="bar">{bar}</div>'
+    return bar + table(("", ""), rows, numbers=(1,))
+
+
+def _particle(one: Mapping[str, Any]) -> str:
+    shape = str(one.get("shape", "sphere")).replace("_", " ")
+    said = f"{one.get('material', '?')} {shape}, {one.get('diameter', '?')}, {one.get('velocity', '?')}"
+    said += f" at {one.get('angle', '0 deg')} from the surface normal, {one.get('temperature', '300 K')}"
+    return said + "".join(f", {key} {one[key]}" for key in ("tilt",) if str(one.get(key, "0 deg")) != "0 deg")
+
+
+def _target(one: Mapping[str, Any]) -> str:
+    said = f"{one.get('material', '?')} cylinder, {one.get('diameter', '?')} across and {one.get('height', '?')} high"
+    said += f", {one.get('temperature', '300 K')}"
+    return said + "".join(f", {key} {one[key]}" for key in ("sides", "bottom") if key in one)
+
+
+def _resolution(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+    said = [f"preset {scene['preset']}"] if "preset" in scene else []
+    for count, size, what in (
+        ("points", "spacing_m", "points {} µm apart"),
+        ("elements", "element_size_m", "tetrahedra of {} µm and more"),
+    ):
+        if _number(summary, count) and _number(summary, size):
+            said.append(f"{shown(count, summary[count])} {what.format(shown(size, summary[size]))}")
+    return ", ".join(said)
+
+
+def _number(values: Mapping[str, Any], key: str) -> float | None:
+    value = values.get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def _taking_part(given: Any) -> list[str] | None:
+    """Names of effects, of a list of names or of tables with `name` and `on`; None if there is no list."""
+    if not isinstance(given, list):
+        return None
+    tables = [item if isinstance(item, Mapping) else {"name": item} for item in given]
+    return [str(item.get("name")) for item in tables if item.get("on", True)]
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _micro(text: str) -> str:
+    return text.replace(" um", " µm")

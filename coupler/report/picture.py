@@ -1,0 +1,302 @@
+"""Pictures of the cut through particle and target."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+from ..result import DOMAINS, Fields, Result
+from ..section import crossing, cut_tets, cut_triangles, section_loops
+from .fields import FIELDS, at_nodes, from_points
+from .words import title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MICRO = 1e6
+PIXELS = 500  # along the longer side of the particle
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # of a tetrahedron
+
+Window = tuple[float, float, float, float]  # left, right, bottom, top, um
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Where all cuts of a run are made, from its first step: plane y (m); level of the undeformed surface and the
+    particle's diameter (um)."""
+
+    plane: float
+    level: float
+    diameter: float
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The cut at one time (s). Lengths in um, values in the units of `FIELDS`.
+
+    loops: outline of the particle, (k, 2) each. corners: polygons of the target, (q, 4, 2). rim: surface of the
+    target, (r, 2, 2). values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`.
+    """
+
+    time: float
+    level: float
+    window: Window
+    loops: list[NDArray]
+    corners: NDArray
+    rim: NDArray
+    extent: Window
+    values: dict[str, NDArray]
+    images: dict[str, NDArray]
+
+
+def stored_steps(result: Result) -> int:
+    """Steps of which particle, surface and target are all written."""
+    return min(len(result.times(domain)) for domain in DOMAINS)
+
+
+def drawable(result: Result) -> list[str]:
+    """Names of the fields that can be drawn: particle and target have them; none without a stored step."""
+    if not stored_steps(result):
+        return []
+    first = [result.fields(0, domain).data for domain in ("particle", "target")]
+    return [name for name in FIELDS if all(name in data for data in first)]
+
+
+def stage(result: Result) -> Stage:
+    """The plane through the middle of the particle at the start. Raises StoreError without a stored step."""
+    if not stored_steps(result):
+        raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
+    start = result.fields(0, "surface").points
+    plane = float(start[:, 1].min() + start[:, 1].max()) / 2
+    level = float(result.fields(0, "target").points[:, 2].max()) * MICRO
+    return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO)
+
+
+def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
+    """What a picture shows so that the particle is in it at all the given steps, um."""
+    spans = []
+    for step in steps:
+        skin = result.fields(step, "surface").points * MICRO
+        spans.append((skin[:, 0].min(), skin[:, 0].max(), skin[:, 2].max()))
+    lefts, rights, tops = np.array(spans).T
+    middle, D = (lefts.min() + rights.max()) / 2, at.diameter
+    half = max(1.5 * D, (rights.max() - lefts.min()) / 2 + 0.5 * D)
+    top = max(tops.max(), at.level) + 0.15 * D
+    return float(middle - half), float(middle + half), at.level - 0.9 * D, float(top)
+
+
+def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window, pixels: int = PIXELS) -> Cut:
+    """Cut particle and target at a stored step; names: fields of `FIELDS`; pixels: along the particle's longer side.
+
+    Raises StoreError if something that is needed is missing.
+    """
+    particle, surface, target = read(result, step, names)
+    polygons, _ = cut_tets(target.points, target.cells, at.plane)
+    corners, share = crossing(target.points, polygons, at.plane)
+    corners *= MICRO
+    x, z = corners[..., 0], corners[..., 1]
+    inside = (x.max(1) > seen[0]) & (x.min(1) < seen[1]) & (z.max(1) > seen[2]) & (z.min(1) < seen[3])
+    polygons, corners, share = polygons[inside], corners[inside], share[inside]
+    values = {}
+    for name in names:
+        ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
+        values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
+    skin = boundary_faces(target.cells)
+    rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
+    loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
+    images, extent = _images(particle, names, loops, at.plane, pixels)
+    return Cut(particle.time, at.level, seen, loops, corners, rim, extent, values, images)
+
+
+def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fields, Fields]:
+    """Particle, surface and target at a stored step, with all that a picture needs. Raises StoreError if they lack it."""
+    steps = stored_steps(result)
+    if not -steps <= step < steps:
+        raise StoreError(f"{result.directory} holds {steps} steps of particle, surface and target, not step {step}")
+    particle, surface, target = (result.fields(step % steps, domain) for domain in DOMAINS)
+    missing = {name for name in names for fields in (particle, target) if name not in fields.data}
+    if missing or target.cells.shape[1:] != (4,) or surface.cells.shape[1:] != (3,):
+        raise StoreError(f"{result.directory} lacks what a picture needs: {', '.join(sorted(missing)) or 'cells'}")
+    numbers: list[NDArray] = [fields.points for fields in (particle, surface, target)]
+    numbers += [fields.data[name] for name in names for fields in (particle, target)]
+    if not all(np.isfinite(part).all() for part in numbers):
+        raise StoreError(
+            f"{result.directory}: step {step % steps} holds values that are not numbers; the run broke down"
+        )
+    return particle, surface, target
+
+
+def boundary_faces(tets: NDArray) -> NDArray[np.int64]:
+    """Faces (k, 3) that belong to one tetrahedron (m, 4) only, turning outwards where these are positive."""
+    faces = tets[:, FACES].reshape(-1, 3)
+    _, where, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[where[count == 1]]
+
+
+def _images(
+    particle: Fields, names: Sequence[str], loops: list[NDArray], plane: float, pixels: int
+) -> tuple[dict[str, NDArray], Window]:
+    """The particle's fields on pixels over its section, averaged from the nearest points; the extent in um."""
+    if not loops:
+        return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
+    corners = np.concatenate(loops)
+    (left, bottom), (right, top) = corners.min(0), corners.max(0)
+    step = max(right - left, top - bottom) / pixels
+    columns, rows = (max(int(np.ceil(length / step)), 2) for length in (right - left, top - bottom))
+    x = left + (np.arange(columns) + 0.5) * (right - left) / columns
+    z = bottom + (np.arange(rows) + 0.5) * (top - bottom) / rows
+    grid = np.stack(np.broadcast_arrays(x, plane * MICRO, z[:, None]), axis=-1).reshape(-1, 3) / MICRO
+    index, weight = from_points(particle.points, grid)
+    images = {}
+    for name in names:
+        values = (weight * at_nodes(particle, name)[index]).sum(1) * FIELDS[name].factor
+        images[name] = values.reshape(rows, columns)
+    return images, (float(left), float(right), float(bottom), float(top))
+
+
+def colour_range(cuts: Sequence[Cut], name: str) -> tuple[float, float]:
+    """Ends of the colours of a field, one range for all cuts, so that colours mean the same in each of them."""
+    field = FIELDS[name]
+    parts = [part for one in cuts for part in (one.values[name], one.images[name]) if part.size]
+    low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
+    # A few points at an edge must not take the whole range of colours, nor one body that of the other.
+    tops = [float(np.percentile(part, 99.5)) for part in parts]
+    return low, max([*tops, low + field.least_range])
+
+
+def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
+    """Draw the cut coloured by one field. ends: of the colours, as from `colour_range`."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.colors import Normalize
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+    from matplotlib.tri import Triangulation
+
+    left, right, bottom, top = what.window
+    colours, scale = FIELDS[name].colours, Normalize(*ends)
+    corners, values = what.corners, what.values[name]
+    halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
+    flat = corners.reshape(-1, 2)
+    sides = np.roll(flat[halves], -1, axis=1) - flat[halves]
+    # Thinner than a pixel or two they show nothing but streaks of colours beyond those of their corners.
+    double_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    thick = double_area > (right - left) / 600 * np.hypot(sides[..., 0], sides[..., 1]).max(axis=1)
+    below = {
+        "array": values.mean(axis=1),
+        "cmap": colours,
+        "norm": scale,
+        "edgecolors": "face",
+        "linewidths": 0.5,
+    }
+    axis.add_collection(PolyCollection(list(corners), **below))  # so that no seam shows white
+    if thick.any():
+        grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
+        axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
+    rim = LineCollection(list(what.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2)
+    axis.add_collection(rim)
+    if what.loops:
+        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in what.loops)
+        outline = Outline.make_compound_path(*closed)
+        picture = axis.imshow(what.images[name], extent=what.extent, origin="lower", cmap=colours, norm=scale, zorder=3)
+        picture.set_clip_path(outline, axis.transData)
+        axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))
+    axis.plot([left, right], [what.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
+    axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    axis.set_axis_off()
+
+
+def colour_bar(box: Axes, name: str, ends: tuple[float, float], beyond: bool, across: bool = False) -> None:
+    """Draw the colours of a field with their values. beyond: some values lie above them; across: lying down."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    field = FIELDS[name]
+    bar = box.figure.colorbar(
+        ScalarMappable(Normalize(*ends), field.colours),
+        cax=box,
+        extend="max" if beyond else "neither",
+        orientation="horizontal" if across else "vertical",
+    )
+    bar.set_label(field.words, fontsize=11)
+
+
+def beyond(cuts: Sequence[Cut], name: str, ends: tuple[float, float]) -> bool:
+    """Whether values lie clearly above the colours."""
+    parts = [part for one in cuts for part in (one.values[name], one.images[name]) if part.size]
+    return any(part.max() > ends[1] * 1.02 for part in parts)
+
+
+def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
+    """Draw a length of 1, 2 or 5 times a power of ten, in um."""
+    left, right, bottom, top = seen
+    wanted = (right - left) / 7
+    power = 10.0 ** np.floor(np.log10(wanted))
+    length = power * max(step for step in (1, 2, 5) if step * power <= wanted)
+    x, z = left + 0.03 * (right - left), bottom + 0.06 * (top - bottom)
+    axis.plot([x, x + length], [z, z], color="black", linewidth=3, solid_capstyle="butt", zorder=7)
+    axis.text(x + length / 2, z + 0.03 * (top - bottom), f"{length:g} µm", ha="center", fontsize=fontsize, zorder=7)
+
+
+def blank(width: float, height: float, dpi: float) -> Figure:
+    """A white figure of this size in inches that needs no screen."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def panels(what: Cut, ranges: dict[str, tuple[float, float]], heading: str, arrows: dict[str, bool]) -> Figure:
+    """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other.
+
+    arrows: name -> whether the bar shows that values go beyond it.
+    """
+    left, right, bottom, top = what.window
+    width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
+    tall = width * (top - bottom) / (right - left)
+    count = len(ranges)
+    size = (width + bar + 2 * margin, count * tall + (count - 1) * gap + margin + 0.55)
+    figure = blank(*size, dpi=160)
+    for row, (name, ends) in enumerate(ranges.items()):
+        low = margin + (count - 1 - row) * (tall + gap)
+        axis = figure.add_axes((margin / size[0], low / size[1], width / size[0], tall / size[1]))
+        draw(axis, what, name, ends)
+        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, arrows[name])
+    scale_bar(figure.axes[0], what.window)
+    height = 1 - 0.27 / size[1]
+    figure.text(margin / size[0], height, heading, fontsize=13, va="center", parse_math=False)
+    when = f"t = {what.time * 1e9:.1f} ns"
+    figure.text((margin + width) / size[0], height, when, fontsize=13, va="center", ha="right")
+    return figure
+
+
+def section_picture(result: Result, path: str | Path | None = None, step: int = -1) -> Path:
+    """Draw the cut through the middle of particle and target, once by temperature, once by plastic strain.
+
+    path: PNG file, `section.png` in the run's folder unless given. step: stored step, -1 is the last.
+    Returns the path. Raises StoreError if something to draw is missing or the picture cannot be written.
+    """
+    path = Path(path) if path is not None else result.directory / "section.png"
+    at, names = stage(result), ("T", "eps_p")
+    read(result, step, names)
+    what = cut(result, step, names, at, window(result, [step], at))
+    ranges = {name: colour_range([what], name) for name in names}
+    figure = panels(what, ranges, title(result), {name: beyond([what], name, ranges[name]) for name in names})
+    save(figure, path)
+    return path
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG. Raises StoreError if it cannot be written."""
+    try:
+        figure.savefig(path, format="png")
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error

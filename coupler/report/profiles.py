@@ -1,0 +1,82 @@
+"""Fields along the vertical line through the middle of the splat, from its top down into the substrate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result import Result
+from .fields import at_nodes, from_points, in_tets
+
+SAMPLES = 60  # in each body
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Values along the line at one time (s). depth (k,) m below the undeformed surface, increasing.
+
+    body: "splat" or "substrate". values: name -> (k, ...) in SI units, stress in the order xx yy zz xy yz xz.
+    """
+
+    time: float
+    body: str
+    depth: NDArray
+    values: dict[str, NDArray]
+
+
+def profiles(result: Result, step: int, names: Sequence[str], level: float, reach: float) -> list[Profile]:
+    """Profiles through splat and substrate at a stored step, a hollow one in pieces.
+
+    names: fields that are stored; those a body lacks are left out. level (m): the undeformed surface. reach (m):
+    depth at which to end. Raises StoreError if a file is missing or damaged.
+    """
+    particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
+    x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))
+    found = []
+    crossings = on_vertical(surface.points, surface.cells, x, y)
+    for low, high in zip(crossings[0::2], crossings[1::2], strict=False):
+        z = np.linspace(high, low, SAMPLES)
+        index, weight = from_points(particle.points, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]))
+        values = {
+            name: np.einsum("kj,kj...->k...", weight, at_nodes(particle, name)[index])
+            for name in names
+            if name in particle.data
+        }
+        found.append(Profile(particle.time, "splat", level - z, values))
+    found.reverse()  # the upper piece first
+
+    # Elements grow with depth, and so do the distances of the samples.
+    top = float(target.points[:, 2].max()) + 1e-9
+    z = top - (top - level + reach) * np.linspace(0, 1, 4 * SAMPLES) ** 1.5
+    owner, share = in_tets(target.points, target.cells, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]))
+    inside = owner >= 0
+    corners = target.cells[owner[inside]]
+    values = {
+        name: np.einsum("kj,kj...->k...", share[inside], at_nodes(target, name)[corners])
+        for name in names
+        if name in target.data
+    }
+    found.append(Profile(target.time, "substrate", level - z[inside], values))
+    return [profile for profile in found if len(profile.depth)]
+
+
+def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:
+    """Heights, from below, at which the vertical line at x, y meets a closed surface: in and out, in and out.
+
+    points: (n, 3). triangles: (m, 3).
+    """
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    u, v = b[:, :2] - a[:, :2], c[:, :2] - a[:, :2]
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    size = max(float(np.abs(area).max()), 1e-300)
+    # A hair beside the middle: symmetric surfaces have edges exactly there, which would count twice or not at all.
+    d = np.array([x, y]) + np.array([1.0, 0.7]) * 1e-6 * float(np.ptp(points[:, 0])) - a[:, :2]
+    steep = np.abs(area) < 1e-12 * size
+    safe = np.where(steep, 1.0, area)
+    s = (d[:, 0] * v[:, 1] - d[:, 1] * v[:, 0]) / safe
+    t = (u[:, 0] * d[:, 1] - u[:, 1] * d[:, 0]) / safe
+    hit = ~steep & (s >= 0) & (t >= 0) & (s + t <= 1)
+    return sorted((a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2])[hit].tolist())

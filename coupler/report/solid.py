@@ -1,0 +1,219 @@
+"""What the page shows in 3D: particle and target, whole or cut open, at many times, small enough for one file.
+
+All numbers go as little-endian integers of 16 bits in base64: positions as steps through a box round all that is
+shown, values as steps through their range.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..result import Fields, Result
+from ..section import crossing, cut_tets, cut_triangles, section_loops
+from .fields import FIELDS, at_nodes, from_points
+from .picture import MICRO, Stage, boundary_faces, read
+
+FRAMES = 26  # of the time slider, at most
+VERTICES = 2500  # of the particle's surface: more are merged
+CUT_STEPS = 28  # triangles along the longer side of the particle's cut
+TOP = 2**16 - 1
+
+# One mesh: points (n, 3) um, triangles (m, 3), name -> values (n,) in the units of FIELDS.
+Mesh = tuple[NDArray, NDArray, dict[str, NDArray]]
+
+
+def frames(count: int) -> list[int]:
+    """Which of so many stored steps the slider shows: all, or FRAMES of them evenly spread from first to last."""
+    return sorted({round(step) for step in np.linspace(0, count - 1, min(count, FRAMES))})
+
+
+def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, tuple[float, float]], at: Stage) -> dict[str, Any]:
+    """The 3D view as plain data for JSON. steps: stored ones to show. ranges: ends of the colours of each field.
+
+    `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cut (um);
+    `lowest`: a little below all that the particle reaches (um); `fields`: what to choose from, its colours
+    and its range; `triangles`: index triplets that frames share; `frames`: at each time the meshes "target",
+    "particle", "target cut" and "particle cut", each with the number of its triangles, its points (in a box three times
+    as large about the same middle) and values, and `lines`, x and z (um) of what outlines the cut.
+    """
+    box = _box([result.fields(step, "surface").points * MICRO for step in steps], at)
+    cells, kept = np.zeros((0, 3), int), (np.zeros(0, int), np.zeros((0, 3), int))
+    times, shown, lines = [], [], []
+    for step in steps:
+        particle, surface, target = read(result, step, ranges)
+        if not np.array_equal(cells, surface.cells):
+            cells, kept = surface.cells, thinned(surface.points, surface.cells)
+        nodal = {name: at_nodes(target, name) * FIELDS[name].factor for name in ranges}
+        cloud = {name: at_nodes(particle, name) * FIELDS[name].factor for name in ranges}
+        skin = boundary_faces(target.cells)
+        loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
+        rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
+        shown.append(
+            {
+                "target": _target(target.points * MICRO, skin, nodal, box),
+                "target cut": _target_cut(target, nodal, at, box),
+                "particle": _particle(particle.points, cloud, surface, kept),
+                "particle cut": _particle_cut(particle.points, cloud, loops, at),
+            }
+        )
+        lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(_within(rim, box)))
+        times.append(round(particle.time * 1e9, 3))
+    every = {name: np.concatenate([mesh[2][name] for meshes in shown for mesh in meshes.values()]) for name in ranges}
+    reach = {name: (float(values.min()), float(np.ptp(values)) or 1.0) for name, values in every.items()}
+    triangles: dict[str, int] = {}  # packed -> number
+    return {
+        "times": times,
+        "box": box.T.tolist(),
+        "plane": at.plane * MICRO,
+        "lowest": min(float(mesh[0][:, 2].min()) for mesh in (each["particle"] for each in shown)) - 0.1 * at.diameter,
+        "fields": [_colours(name, *ranges[name], *reach[name]) for name in ranges],
+        "frames": [_frame(*each, box, reach, triangles) for each in zip(shown, lines, strict=True)],
+        "triangles": list(triangles),
+    }
+
+
+def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[NDArray, NDArray]:
+    """Vertices (k,) to keep of a surface and triangles (j, 3) between them (as indices into these k).
+
+    points: (n, 3). triangles: (m, 3). Vertices in one cube of a grid are merged into the one nearest to their mean;
+    the grid is as fine as `most` vertices allow. A surface that is small enough stays as it is.
+    """
+    if len(points) <= most:
+        return np.arange(len(points)), triangles
+    size = float(np.ptp(points, axis=0).max())
+    places = (points - points.min(0)) / size
+    fine, coarse = 1.0, 1e4  # cubes along the longer side: so few are too few, so many too many
+    for _ in range(30):
+        middle = np.sqrt(fine * coarse)
+        few = len(np.unique(np.floor(places * middle).astype(int), axis=0)) <= most
+        fine, coarse = (middle, coarse) if few else (fine, middle)
+    group = np.unique(np.floor(places * fine).astype(int), axis=0, return_inverse=True)[1].ravel()
+    number = np.bincount(group)
+    mean = np.stack([np.bincount(group, column) for column in places.T], axis=1) / number[:, None]
+    order = np.lexsort((((places - mean[group]) ** 2).sum(1), group))
+    kept = order[np.cumsum(number) - number]
+    merged = group[triangles]
+    merged = merged[(merged != np.roll(merged, 1, axis=1)).all(1)]
+    _, first = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+    return kept, merged[np.sort(first)]
+
+
+def _box(skins: Sequence[NDArray], at: Stage) -> NDArray:
+    """Low and high corner (2, 3), um, of what is shown: the particle at all times and the target near it."""
+    low, high = (np.array([getattr(skin, end)(0) for skin in skins]) for end in ("min", "max"))
+    plane, D = at.plane * MICRO, at.diameter
+    half = max(plane - low[:, 1].min(), high[:, 1].max() - plane) + 0.9 * D
+    return np.array(
+        [
+            [low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D],
+            [high[:, 0].max() + 0.9 * D, plane + half, max(high[:, 2].max(), at.level) + 0.1 * D],
+        ]
+    )
+
+
+def _within(corners: NDArray, box: NDArray) -> NDArray:
+    """Those of the polygons (q, k, 2 or 3) that reach into the box; of two coordinates these are x and z."""
+    low, high = (box if corners.shape[-1] == 3 else box[:, [0, 2]])[:, None]
+    return corners[((corners.max(1) > low) & (corners.min(1) < high)).all(1)]
+
+
+def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: NDArray) -> Mesh:
+    """The target's surface near the impact."""
+    corners = points[skin]
+    near = ((corners.max(1) > box[0]) & (corners.min(1) < box[1])).all(1)
+    used, triangles = np.unique(skin[near], return_inverse=True)
+    return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
+
+
+def _target_cut(target: Fields, nodal: Mapping[str, NDArray], at: Stage, box: NDArray) -> Mesh:
+    polygons, _ = cut_tets(target.points, target.cells, at.plane)
+    corners = crossing(target.points, polygons, at.plane)[0] * MICRO
+    near = ((corners.max(1) > box[0, [0, 2]]) & (corners.min(1) < box[1, [0, 2]])).all(1)
+    edges, corner = np.unique(np.sort(polygons[near], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
+    corner = corner.reshape(-1, 4)
+    places, share = crossing(target.points, edges, at.plane)
+    values = {name: field[edges[:, 0]] * (1 - share) + field[edges[:, 1]] * share for name, field in nodal.items()}
+    triangles = np.concatenate([corner[:, [0, 1, 2]], corner[:, [0, 2, 3]]])
+    return _upright(places * MICRO, at), triangles[triangles[:, 1] != triangles[:, 2]], values
+
+
+def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, kept: tuple[NDArray, NDArray]) -> Mesh:
+    vertices, triangles = kept
+    places, values = surface.points[vertices], {}
+    index, weight = from_points(points, places)
+    for name, field in cloud.items():
+        if name in surface.data and len(surface.data[name]) == len(surface.points):
+            values[name] = surface.data[name][vertices].astype(float) * FIELDS[name].factor
+        else:
+            values[name] = (weight * field[index]).sum(1)
+    return places * MICRO, triangles, values
+
+
+def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
+    """The section of the particle in triangles: between its outline and a grid of points inside."""
+    from matplotlib.path import Path as Outline
+    from scipy.spatial import Delaunay, cKDTree
+
+    if not loops:
+        return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
+
+    def inside(places: NDArray) -> NDArray:
+        return np.bitwise_xor.reduce([Outline(loop).contains_points(places) for loop in loops])
+
+    outline = np.concatenate(loops)
+    low, high = outline.min(0), outline.max(0)
+    step = float((high - low).max()) / CUT_STEPS
+    x, z = (np.arange(a, b, step) for a, b in zip(low, high, strict=True))
+    grid = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
+    grid = grid[inside(grid) & (cKDTree(outline).query(grid)[0] > 0.4 * step)]
+    places = np.concatenate([outline, grid])
+    triangles = Delaunay(places).simplices
+    triangles = triangles[inside(places[triangles].mean(1))]
+    upright = _upright(places, at)
+    index, weight = from_points(points, upright / MICRO)
+    return upright, triangles, {name: (weight * field[index]).sum(1) for name, field in cloud.items()}
+
+
+def _upright(places: NDArray, at: Stage) -> NDArray:
+    """x and z (um) in the plane of the cut, as points in space."""
+    return np.stack([places[:, 0], np.full(len(places), at.plane * MICRO), places[:, 1]], axis=1)
+
+
+def _colours(name: str, low: float, high: float, least: float, span: float) -> dict[str, Any]:
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    field = FIELDS[name]
+    scale = [[k / 16, to_hex(colormaps[field.colours](k / 16))] for k in range(17)]
+    words = {"name": name, "label": field.label, "unit": field.unit, "colours": scale}
+    return words | {"low": low, "high": high, "least": least, "span": span}
+
+
+def _frame(
+    meshes: Mapping[str, Mesh],
+    lines: Sequence[NDArray],
+    box: NDArray,
+    reach: Mapping[str, tuple[float, float]],
+    triangles: dict[str, int],
+) -> dict[str, Any]:
+    span = box[1] - box[0]
+    frame: dict[str, Any] = {"lines": [np.round(line, 2).ravel().tolist() for line in lines]}
+    for kind, (points, corners, values) in meshes.items():
+        frame[kind] = {
+            "triangles": triangles.setdefault(_packed(corners), len(triangles)),
+            # a box as large again on every side, for triangles that only reach into the one that is shown
+            "points": _packed((points - box[0] + span) / (3 * span) * TOP),
+            "values": {
+                name: _packed((field - reach[name][0]) / reach[name][1] * TOP) for name, field in values.items()
+            },
+        }
+    return frame
+
+
+def _packed(numbers: NDArray) -> str:
+    return base64.b64encode(np.rint(np.clip(numbers, 0, TOP)).astype("<u2").tobytes()).decode()

@@ -1,0 +1,227 @@
+"""One impact while it runs: the loop that a reader can follow, its books, its files and its checkpoints."""
+
+import resource
+import signal
+import threading
+import time as clock
+from collections.abc import Callable
+from dataclasses import asdict
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+from .coupling import Impact, Watch, check_books
+from .errors import SolverError
+from .plan import Plan
+
+DRIFT_BOUND = 0.02  # of the initial kinetic energy: beyond it a run is not called finished
+MOMENTUM_BOUND = 1e-6
+DISSIPATION_BOUND = -0.01  # a scheme that gives energy away is unstable
+# fields written without a change of name, and how they read in ParaView's order of tensors, xx yy zz xy yz xz
+_VTK_ORDER = [0, 1, 2, 5, 3, 4]
+
+
+class Stopped(KeyboardInterrupt):
+    """The run was asked to stop, and has written a checkpoint. signal: the number of what asked."""
+
+    def __init__(self, number: int = signal.SIGINT):
+        super().__init__(number)
+        self.signal = number
+
+
+class StopSignals:
+    """While in use, SIGINT and SIGTERM are noted and the chunk is ended in peace; a second one interrupts at once."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> "StopSignals":
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        return self
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        if self.number:
+            raise KeyboardInterrupt
+        self.number = number
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+
+class Running:
+    """One impact and what is written of it. setting: the domains (`deposition.Setting`); store: where it goes."""
+
+    def __init__(self, what: Plan, setting: Any, store: Any, progress: Any, threads: int):
+        self.what, self.setting, self.store, self.progress = what, setting, store, progress
+        self.impact = Impact(setting.particle, setting.target, setting.surface, setting.contact, threads)
+        crossing = what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
+        self.watch = Watch(what.end_time, what.end_at_rest, 0.1 * crossing)
+        self.expected = min(what.end_time, 1.1 * crossing) if what.end_at_rest else what.end_time
+        self.greatest: dict[str, float] | None = None
+        self.next_output = 0.0
+        self.row_every = crossing / 400.0
+        self.next_row = 0.0
+        self.looped = 0.0  # s of wall time in the loop
+
+    def state(self) -> dict[str, Any]:
+        """All that goes on in the next chunk as if nothing had happened."""
+        return {
+            "impact": self.impact.state(), "watch": self.watch.state(), "greatest": self.greatest,
+            "next_output": self.next_output, "next_row": self.next_row, "looped": self.looped,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into a fresh one of the same plan."""
+        self.impact.restore(state["impact"])
+        self.watch.restore(state["watch"])
+        for name in ("greatest", "next_output", "next_row", "looped"):
+            setattr(self, name, state[name])
+
+    def go(
+        self, save: Callable[[dict[str, Any]], None], save_every: float, probe: Callable[[Impact], None] | None = None
+    ) -> None:
+        """Run to the end. save(state) is called every `save_every` seconds of wall time, and before a signal stops the run.
+
+        probe(impact) is called after every chunk of steps. Raises SolverError, StoreError, or Stopped.
+        """
+        if self.progress is not None:
+            self.progress.start(self.expected)
+        impact, particle = self.impact, self.setting.particle
+        if impact.time == 0.0:
+            self._write()
+        until = None if self.what.end_at_rest else self.what.end_time
+        saved = clock.perf_counter()
+        started = saved - self.looped
+        with StopSignals() as asked:
+            while True:
+                dt = impact.advance(until)
+                sinking = -float(particle.momentum()[2] / particle.mass.sum())
+                over = self.watch.look(impact.time, sinking, float(impact.force[2]))
+                if self.watch.turned is not None and self.greatest is None:
+                    self.greatest = self._measure()
+                    self._write()
+                if over or impact.time >= self.next_row:
+                    self._row(dt)
+                if over or impact.time >= self.next_output:
+                    self._write()
+                if probe is not None:
+                    probe(impact)
+                now = clock.perf_counter()
+                self.looped = now - started
+                if over:
+                    break
+                if asked.number or now - saved >= save_every:
+                    save(self.state())
+                    saved = clock.perf_counter()
+                if asked.number:
+                    raise Stopped(asked.number)
+        self._judge()
+
+    def _judge(self) -> None:
+        """Refuse a run whose books do not close."""
+        ledger = self.impact.ledger
+        check_books(ledger, DRIFT_BOUND, MOMENTUM_BOUND)
+        dissipated = ledger.rows["numerical_particle"] / ledger.kinetic_0
+        if dissipated < DISSIPATION_BOUND:
+            raise SolverError(
+                f"the SPH scheme gave away {-dissipated:.2%} of the initial kinetic energy: it is unstable"
+            )
+
+    def _row(self, dt: float) -> None:
+        from .measures import crater_depth
+
+        impact, particle, target = self.impact, self.setting.particle, self.setting.target
+        books = impact.ledger.close(particle, target, self.setting.contact)
+        skin = self.setting.surface.positions(particle.x)
+        row = {"time": impact.time, "dt": dt, "step": float(particle.steps), **books}
+        row["height"] = float(skin[:, 2].max())
+        row["thickness"] = float(np.ptp(skin[:, 2]))
+        row["crater_depth"] = crater_depth(target.x[impact.surface_nodes])
+        row["velocity_z"] = float(particle.momentum()[2] / particle.mass.sum())
+        row["contact_force"] = float(impact.force[2])
+        row["T_max"] = float(particle.T.max())
+        row["eps_p_mean"] = float(particle.eps_p.mean())
+        row["stretch_min"] = particle.stretch_min
+        self.store.record(row)
+        self.next_row = impact.time + self.row_every
+        if not np.isfinite(books["drift"]):
+            raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
+        if self.progress is not None:
+            self.progress.update(impact.time, books["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
+
+    def _write(self) -> None:
+        from .measures import von_mises_of
+
+        t, p, s = self.impact.time, self.setting.particle, self.setting.surface
+        stress = p.stress()
+        fields = {
+            "velocity": p.v, "stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": p.eps_p,
+            "eps_p_rate": p.rate, "T": p.T,
+        }  # fmt: skip
+        self.store.write("particle", t, p.x, np.arange(p.n)[:, None], fields)
+        skin = {name: s.values(field) for name, field in fields.items()}
+        self.store.write("surface", t, s.positions(p.x), s.triangles, skin)
+        e = self.setting.target
+        stress = e.stress()
+        cells = {"stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": e.eps_p, "T": e.T}
+        self.store.write("target", t, e.x, e.mesh.conn, {"velocity": e.velocity()}, cells)
+        self.next_output = t + self.what.output_every
+
+    def _measure(self) -> dict[str, float]:
+        from .measures import measure
+
+        setting = self.setting
+        m = measure(
+            setting.particle, setting.target, setting.surface, self.impact.surface_nodes, self.what.impact.diameter
+        )
+        return {"time_s": self.impact.time, **m}
+
+    def summary(self, wall: float) -> dict[str, Any]:
+        """What is to be said of the finished impact. wall: s it has taken in all."""
+        from . import __version__
+
+        impact, particle, target = self.impact, self.setting.particle, self.setting.target
+        books, kinetic_0 = impact.ledger.rows, impact.ledger.kinetic_0
+        end = self._measure()
+        energies = {name: value / kinetic_0 for name, value in books.items() if name not in ("drift", "momentum_error")}
+        return {
+            **{name: value for name, value in end.items() if name != "time_s"},
+            "rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0),
+            "energy_drift": books["drift"],
+            "momentum_error": books["momentum_error"],
+            "numerical_dissipation": (books["numerical_particle"] + books["numerical_target"]) / kinetic_0,
+            "penetration_max_m": impact.deepest,
+            "points": particle.n,
+            "elements": len(target.mesh.conn),
+            "nodes": len(target.x),
+            "spacing_m": particle.spacing,
+            "element_size_m": self.what.target.element_size,
+            "steps": particle.steps,
+            "dt_mean_s": impact.time / particle.steps,
+            "dt_limited_by": impact.limits,
+            "numerics": asdict(particle.numerics),
+            "sim_time_s": impact.time,
+            "wall_s": wall,
+            "wall_loop_s": self.looped,
+            "placement": particle.ranks.placement,
+            "ranks": particle.ranks.size,
+            "idle_share": particle.idle(self.looped),
+            "memory_peak_bytes": sum(particle.everywhere(peak_memory)),
+            "kinetic_energy_0_J": kinetic_0,
+            "energies": energies,
+            "greatest_deformation": self.greatest,
+            "end": end,
+            "effects": self.what.effects.active,
+            "warnings": list(self.what.warnings),
+            "version": __version__,
+        }
+
+
+def peak_memory() -> float:
+    """Largest resident memory of this process so far, bytes."""
+    return 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -1,0 +1,53 @@
+"""Kernels of the splat's room: which cells of a grid lie inside a closed surface (numba)."""
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def winding(vertices, triangles, corner, h, count):
+    """Winding number of a closed surface about the centres of cubic cells: count (nx,ny,nz), zero before.
+
+    vertices (k,3) m, triangles (m,3) outwards; corner (3,): of the first cell, m; h: edge of the cells, m. Along the
+    line of cells through each (x, y) a triangle that faces down is a way in and one that faces up is a way out. A line
+    that meets an edge belongs to one of its two triangles: both see the same sign, taken from the lower vertex.
+    """
+    nx, ny, nz = count.shape
+    w = np.empty(3)
+    for f in range(len(triangles)):
+        a, b, c = vertices[triangles[f, 0]], vertices[triangles[f, 1]], vertices[triangles[f, 2]]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0.0:
+            continue
+        up = 1.0 if area > 0.0 else -1.0
+        i0 = max(int(np.ceil((min(a[0], b[0], c[0]) - corner[0]) / h - 0.5)), 0)
+        i1 = min(int(np.floor((max(a[0], b[0], c[0]) - corner[0]) / h - 0.5)), nx - 1)
+        j0 = max(int(np.ceil((min(a[1], b[1], c[1]) - corner[1]) / h - 0.5)), 0)
+        j1 = min(int(np.floor((max(a[1], b[1], c[1]) - corner[1]) / h - 0.5)), ny - 1)
+        for i in range(i0, i1 + 1):
+            x = corner[0] + (i + 0.5) * h
+            for j in range(j0, j1 + 1):
+                y = corner[1] + (j + 0.5) * h
+                inside = True
+                for k in range(3):
+                    m, n = triangles[f, (k + 1) % 3], triangles[f, (k + 2) % 3]
+                    way = up
+                    if m > n:
+                        m, n, way = n, m, -way
+                    u, v = vertices[m], vertices[n]
+                    side = (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0])
+                    if side == 0.0:  # as if the line stood a little to the one side
+                        side = u[1] - v[1] if u[1] != v[1] else v[0] - u[0]
+                    if side * way < 0.0:
+                        inside = False
+                        break
+                    w[k] = abs(side)
+                if inside:
+                    z = (w[0] * a[2] + w[1] * b[2] + w[2] * c[2]) / (w[0] + w[1] + w[2])
+                    first = max(int(np.ceil((z - corner[2]) / h - 0.5)), 0)
+                    if first < nz:
+                        count[i, j, first] -= np.int8(up)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(1, nz):
+                count[i, j, k] += count[i, j, k - 1]

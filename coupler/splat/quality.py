@@ -1,0 +1,62 @@
+"""How good a tetrahedral mesh is: shape, dihedral angles, what time step it allows, whether it is closed and whole."""
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outwards of a positive tetrahedron
+
+
+def volumes(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Signed volumes (m,) m3."""
+    edges = points[tets[:, 1:]] - points[tets[:, :1]]
+    return np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
+
+
+def _face_normals(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Outward normals (m,4,3) of the faces opposite each corner, as long as twice their area."""
+    corner = points[tets]
+    return np.stack([np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]) for a, b, c in _FACES], axis=1)
+
+
+def gamma(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Radius of the inscribed sphere over the longest edge, 1 for a regular tetrahedron (m,): gmsh's gamma; < 0 inverted."""
+    area = 0.5 * np.linalg.norm(_face_normals(points, tets), axis=2).sum(axis=1)
+    longest = np.max([np.linalg.norm(points[tets[:, i]] - points[tets[:, j]], axis=1) for i, j in _EDGES], axis=0)
+    return 6.0 * np.sqrt(6.0) * volumes(points, tets) / np.maximum(area * longest, 1e-300)
+
+
+def dihedral_angles(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Angles (m,6) between the faces, rad."""
+    n = _face_normals(points, tets)
+    n /= np.maximum(np.linalg.norm(n, axis=2), 1e-300)[:, :, None]
+    return np.stack([np.pi - np.arccos(np.clip(np.einsum("ij,ij->i", n[:, i], n[:, j]), -1, 1)) for i, j in _EDGES], 1)
+
+
+def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Stable explicit time step of each element times the longitudinal wave speed, (m,) m.
+
+    2 / omega of the element's highest elastic mode, bounded by omega^2 <= 4 c^2 (0.43 tr M + 0.57 lambda_max(M)),
+    M = sum of b (x) b over its shape function gradients b: the bound of `coupler.fe.kernels.stable_dt` for a
+    Poisson's ratio of 0.3 (0.43 is lambda / (lambda + 2 G)).
+    """
+    b = -_face_normals(points, tets) / (6.0 * np.maximum(volumes(points, tets), 1e-300))[:, None, None]
+    M = np.einsum("eki,ekj->eij", b, b)
+    return 1.0 / np.sqrt(3.0 / 7.0 * np.trace(M, axis1=1, axis2=2) + 4.0 / 7.0 * np.linalg.eigvalsh(M)[:, 2])
+
+
+def boundary(tets: np.ndarray) -> np.ndarray:
+    """Outward triangles (k,3) that only one tetrahedron has."""
+    faces = np.concatenate([tets[:, face] for face in _FACES])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def pieces(tets: np.ndarray) -> int:
+    """Number of parts of a mesh that share no node."""
+    used, numbered = np.unique(tets, return_inverse=True)
+    conn = numbered.reshape(-1, 4)
+    pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
+    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(used), len(used)))
+    return int(connected_components(graph, directed=False)[0])

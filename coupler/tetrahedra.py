@@ -1,0 +1,77 @@
+"""Tetrahedra by gmsh, its only place: of solids it builds itself, and inside closed surfaces."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .errors import SolverError, SplatError
+
+HXT, DELAUNAY = 10, 1
+
+
+def build(model: Callable[[Any], None], name: str = "target", algorithm: int = HXT) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit it uses.
+
+    Sizes come from what `model` sets, never from curvature or points. Raises SolverError where gmsh makes nothing, and
+    whatever gmsh raises.
+    """
+    import gmsh
+
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)  # the same mesh on every machine
+        gmsh.model.add(name)
+        for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
+            gmsh.option.setNumber(f"Mesh.{option}", 0)
+        gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
+        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers that would set dt
+        model(gmsh)
+        gmsh.model.mesh.generate(3)
+        tags, coords, _ = gmsh.model.mesh.getNodes()
+        _, nodes = gmsh.model.mesh.getElementsByType(4)
+    finally:
+        gmsh.finalize()
+    if len(nodes) == 0:
+        raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
+    lookup = np.zeros(int(tags.max()) + 1, np.int64)
+    lookup[tags.astype(np.int64)] = np.arange(len(tags))
+    tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
+    points = coords.reshape(-1, 3)
+    used, tets = np.unique(tets, return_inverse=True)  # geometry points that carry no element
+    return points[used], tets.reshape(-1, 4)
+
+
+def fill(
+    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
+
+    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. Raises SplatError
+    where gmsh cannot. Bad input can bring the process down: call it in one that may die.
+    """
+
+    def model(gmsh: Any) -> None:
+        nodes = elements = 1
+        loops = []
+        for vertices, triangles in shells:
+            surface = gmsh.model.addDiscreteEntity(2)
+            numbers = np.arange(nodes, nodes + len(vertices))
+            gmsh.model.mesh.addNodes(2, surface, numbers, (vertices / size).ravel())
+            own = np.arange(elements, elements + len(triangles))
+            gmsh.model.mesh.addElementsByType(surface, 2, own, (triangles + nodes).ravel())
+            loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
+            nodes += len(vertices)
+            elements += len(triangles)
+        gmsh.model.geo.addVolume(loops)
+        gmsh.model.geo.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
+
+    try:
+        points, tets = build(model, "splat", algorithm)
+    except SolverError:
+        raise SplatError("gmsh made no tetrahedra inside the surface") from None
+    except Exception as problem:  # gmsh raises plain Exception
+        raise SplatError(f"gmsh: {str(problem).splitlines()[0] if str(problem) else 'failed'}") from problem
+    return points * size, tets

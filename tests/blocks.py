@@ -1,0 +1,104 @@
+"""Blocks of finite elements that meet in one target: what the tests of contact and bonds between bodies share."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from conftest import elastic
+
+from coupler.constitutive import law_record
+from coupler.contact.bodies import BodyContact
+from coupler.contact.bond import Bond, penalty
+from coupler.contact.surfaces import Surfaces, interface
+from coupler.fe import mesh as meshes
+from coupler.fe.explicit import Target
+
+Place = tuple[tuple[float, float, float], float, tuple[float, float, float]]  # edges, element size, lowest corner
+
+
+class Blocks:
+    """Elastic blocks a, b, c ... in one target, stepped together with their contact and bonds."""
+
+    def __init__(
+        self, *places: Place, fixed: tuple[str, ...] = (), material: Any = None, turn: np.ndarray | None = None
+    ):
+        material = material or elastic()
+        turn = np.eye(3) if turn is None else turn
+        parts = {}
+        for name, (lengths, size, corner) in zip("abcdef", places, strict=False):
+            points, tets = meshes.box(lengths, size)
+            parts[name] = meshes.prepare((points + corner) @ turn.T, tets)
+        mesh, self.body = meshes.join(parts)
+        self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, sleeping=False)
+        self.surfaces = Surfaces.of(mesh.facets, mesh.facet_element, self.body)
+        self.body_of_node = np.zeros(len(t.x), int)
+        self.body_of_node[mesh.conn.ravel()] = np.repeat(self.body, 4)
+        self.K = material.K
+        self.contact: BodyContact | None = None
+        self.bond: Bond | None = None
+
+    def touch(self, friction: float = 0.0, **more: Any) -> BodyContact:
+        self.contact = BodyContact(self.surfaces, self.target.x, [self.K] * self.surfaces.bodies, friction, **more)
+        return self.contact
+
+    def tie(self, **law: float) -> Bond:
+        """Bond the second block to the first."""
+        t, spacing = self.target, self.surfaces.spacing(self.target.x, 1)
+        found = interface(self.surfaces, t.x, 1, 0.1 * spacing)
+        self.bond = Bond(found, self.surfaces, t.x, penalty(self.K, spacing), **law)
+        return self.bond
+
+    def nodes(self, body: int) -> np.ndarray:
+        return np.flatnonzero(self.body_of_node == body)
+
+    def velocity(self, body: int) -> np.ndarray:
+        mine, t = self.nodes(body), self.target
+        return t.mass[mine] @ t.velocity()[mine] / t.mass[mine].sum()
+
+    def energy(self) -> float:
+        t, c, b = self.target, self.contact, self.bond
+        held = t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]
+        if c is not None:
+            held += c.penalty_energy + c.friction_heat + c.lost
+        return float(held + (b.stored + b.dissipated if b is not None else 0.0))
+
+    def moment(self) -> np.ndarray:
+        t = self.target
+        return np.cross(t.x, t.mass[:, None] * t.velocity()).sum(axis=0)
+
+    def run(
+        self,
+        until: float,
+        push: np.ndarray | None = None,
+        watch: Callable[[], None] | None = None,
+        limit: float = np.inf,
+    ) -> None:
+        """Step to the time `until`, s; push (N,3) N: dead load; watch: called after each step."""
+        t, steps, dt = self.target, 0, 0.0
+        while t.time < until * (1 - 1e-12):
+            if steps % 10 == 0:
+                dt = min(t.stable_dt()[0], limit)
+                alone = dt
+                if self.bond is not None:
+                    dt = self.bond.stable_dt(t.mass, alone)
+                if self.contact is not None:
+                    fastest = float(np.linalg.norm(t.v, axis=1).max())
+                    self.contact.search(t.x, 15 * fastest * dt, self.bond)
+                    dt = min(dt, self.contact.stable_dt(t.mass, alone))
+            step = min(dt, until - t.time)
+            t.advance(step)
+            if self.contact is not None:
+                self.contact.forces(step, t.x, t.v, t.f_ext)
+            if self.bond is not None:
+                self.bond.forces(t.x, t.f_ext)
+            if push is not None:
+                t.f_ext += push
+            t.finish()
+            steps += 1
+            if watch is not None:
+                watch()
+
+
+def cubes(side: float) -> Blocks:
+    """Two cubes of unlike meshes, one on the other; side in m."""
+    return Blocks(((side,) * 3, 0.3 * side, (0, 0, 0)), ((side,) * 3, 0.25 * side, (0, 0, side)))

@@ -1,0 +1,266 @@
+"""Contact between bodies of one target: Coulomb's law, collisions, what is conserved, heat, bonds, checkpoints."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from blocks import Blocks
+from scipy.spatial.transform import Rotation
+
+from coupler.constitutive import law_record
+from coupler.contact.bodies import BodyContact
+from coupler.contact.bond import Bond, penalty
+from coupler.contact.surfaces import interface
+from coupler.errors import SolverError
+from coupler.fe import explicit
+from coupler.fe.explicit import Target
+from coupler.materials import material
+
+SLAB = ((2.0, 1.0, 0.4), 0.25, (0.0, 0.0, 0.0))
+SLIDER = ((0.5, 0.5, 0.3), 0.2, (0.3, 0.25, 0.4))
+
+
+@pytest.fixture(autouse=True)
+def undamped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+
+
+def weight(b: Blocks, body: int, g: float) -> np.ndarray:
+    """Dead load (N,3) of a body, N."""
+    mine, load = b.nodes(body), np.zeros_like(b.target.x)
+    load[mine, 2] = -b.target.mass[mine] * g
+    return load
+
+
+def test_a_pressed_block_sinks_until_the_penalty_carries_its_weight() -> None:
+    """Mean contact force over a long time is the weight; the depth is what the stiffness says."""
+    b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+    contact, t, g = b.touch(), b.target, 1e4
+    load, carried = weight(b, 1, g), [0.0]
+    mass = float(t.mass[b.nodes(1)].sum())
+    pen: list[float] = []
+
+    def watch() -> None:
+        carried[0] += t.dt_last * float(t.f_ext[b.nodes(0), 2].sum())
+        pen.append(contact.deepest)
+
+    b.run(1.5e-3, push=load, watch=watch)
+    assert -carried[0] == pytest.approx(mass * (g * t.time + b.velocity(1)[2]), rel=0.01)
+    assert contact.penalty_energy > 0
+    side = contact._sides[0].contact
+    nodes = len(interface(b.surfaces, t.mesh.points, 1, 1e-3).nodes)
+    assert 0.5 < np.mean(pen) / (mass * g / (nodes * side.stiffness)) < 3.0
+
+
+def test_a_sliding_block_slows_down_by_coulombs_law() -> None:
+    """Dv = mu (g t + v_z): the integral of the normal force is known from the motion normal to the plane."""
+    b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+    mu, g, start = 0.3, 3e4, 15.0
+    contact, t, up = b.touch(friction=mu), b.target, b.nodes(1)
+    t.v[up, 0] = start
+    b.run(1e-3, push=weight(b, 1, g))
+    v = b.velocity(1)
+    assert start - v[0] == pytest.approx(mu * (g * t.time + v[2]), rel=0.01)
+    assert abs(v[1]) < 0.01 * start
+    # what the block has lost is heat, but for the waves that the jerk of sliding has sent through both
+    loss = 0.5 * float(t.mass[up].sum()) * (start**2 - v[0] ** 2)
+    assert 0.9 * loss < contact.friction_heat < loss
+
+
+def test_friction_that_is_not_overcome_holds() -> None:
+    """A push of half of what Coulomb allows moves the block as far as its springs and its own shear give, and no further."""
+    b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+    _, t, up, g = b.touch(friction=0.5), b.target, b.nodes(1), 3e4
+    down, push, steps = weight(b, 1, g), weight(b, 1, g), 40
+    moved = []
+    for i in range(1, 2 * steps + 1):  # slowly, so that little swings: pressed, then pushed, then left so
+        push[:] = down * min(1.0, 2 * i / steps)
+        push[up, 0] = -0.25 * down[up, 2] * min(max(0.0, 2 * i / steps - 1), 1.0)
+        b.run(t.time + 1e-4, push=push)
+        moved.append(float(np.mean(t.x[up, 0] - t.mesh.points[up, 0])))
+    free = 0.5 * 0.25 * g * (steps * 1e-4) ** 2  # how far the push would have led it meanwhile without friction
+    assert 0 < moved[steps - 1] < 0.01 * free
+    assert moved[-1] == pytest.approx(moved[steps - 1], rel=0.3)
+
+
+@pytest.mark.parametrize("turned", [False, True], ids=["along the axes", "turned"])
+def test_equal_bars_exchange_their_velocities(turned: bool) -> None:
+    """End on: the striking bar all but stops, the other flies off; energy, momentum and its moment stay."""
+    turn = Rotation.from_rotvec([0.5, 0.3, 0.2]).as_matrix() if turned else np.eye(3)
+    bars = ((0.3, 0.3, 1.0), 0.15, (0.0, 0.0, 0.0)), ((0.3, 0.3, 1.0), 0.13, (0.0, 0.0, 1.01))
+    b = Blocks(*bars, turn=turn)
+    contact, t = b.touch(), b.target
+    t.v[b.nodes(1)] = turn @ [0, 0, -10.0]
+    start, momentum, moment = b.energy(), t.momentum(), b.moment()
+    b.run(1.6e-3)
+    assert contact.touching == 0
+    assert (b.velocity(0) @ turn)[2] == pytest.approx(-10.0, abs=0.5)
+    assert (b.velocity(1) @ turn)[2] == pytest.approx(0.0, abs=0.5)
+    assert b.energy() == pytest.approx(start, rel=1e-4)
+    scale = float(t.mass.sum()) * 10.0
+    assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
+    assert np.abs(b.moment() - moment).max() < 1e-12 * scale
+
+
+def test_an_oblique_collision_with_friction_closes_its_books() -> None:
+    b = Blocks(((0.3, 0.3, 1.0), 0.15, (0.0, 0.0, 0.0)), ((0.3, 0.3, 1.0), 0.13, (0.05, 0.02, 1.01)))
+    contact, t = b.touch(friction=0.3), b.target
+    t.v[b.nodes(1)] = [3.0, 1.0, -10.0]
+    start, momentum, moment = b.energy(), t.momentum(), b.moment()
+    b.run(1.6e-3, limit=1e-6)
+    assert contact.friction_heat > 1e-3 * start
+    assert b.energy() == pytest.approx(start, rel=1e-4)
+    scale = float(t.mass.sum()) * 10.0
+    assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
+    assert np.abs(b.moment() - moment).max() < 1e-12 * scale
+
+
+def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
+    b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+    contact = b.touch(friction=0.3, share=[0.5, 0.7])
+    t = Target(b.target.mesh, law_record(material("OFHC_Cu")), 300.0, fixed=("a.bottom",), sleeping=False)
+    b.target = t
+    t.v[b.nodes(1)] = [20.0, 0, -5.0]
+    b.run(1.5e-4)
+    made = contact.friction_heat
+    elements, heat = contact.heat()
+    assert heat.sum() == pytest.approx(made, rel=1e-12)
+    assert heat[b.body[elements] == 1].sum() == pytest.approx(0.7 * made, rel=1e-12)
+    behind = t.mesh.points[t.mesh.conn[elements]]
+    assert np.abs(behind[:, :, 2] - 0.4).min(axis=1).max() < 1e-9  # all of them lie on the interface
+    before = t.T.copy()
+    t.warm(elements, heat)
+    assert np.all(t.T[np.unique(elements)] > before[np.unique(elements)])
+    assert contact.heat()[1].size == 0
+    assert contact.friction_heat == made
+
+
+def test_three_bodies_each_against_those_before_it() -> None:
+    """A tower: the third lies on the second, which lies on the first; all stand still, pressed together."""
+    tower = [((1.0, 1.0, 0.5), 0.3, (0, 0, 0.5 * i)) for i in range(3)]
+    x = Blocks(*tower).target.x
+    for both in (False, True):
+        b = Blocks(*tower)
+        contact = b.touch(both=both)
+        squeezed = x.copy()
+        for body in (1, 2):
+            squeezed[b.nodes(body), 2] -= 1e-4 * body
+        f = np.zeros_like(x)
+        contact.search(squeezed, 0.0)
+        contact.forces(1e-9, squeezed, np.zeros_like(x), f)
+        up = [f[b.nodes(body), 2].sum() for body in range(3)]
+        assert up[0] < 0 < up[2]
+        assert sum(up) == pytest.approx(0, abs=1e-9 * up[2])
+        assert up[2] == pytest.approx(-up[0], rel=0.3) if not both else up[2] > -up[0]
+
+
+def test_bodies_fitted_together_begin_without_force() -> None:
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
+    t, up = b.target, b.nodes(1)
+    rng = np.random.default_rng(3)
+    rough = t.x.copy()
+    rough[up] += 0.01 * rng.standard_normal((len(up), 3))
+    fitted = interface(b.surfaces, rough, 1, 0.1).fitted(rough, b.surfaces)
+    energies = []
+    for x in (rough, fitted):
+        contact = BodyContact(b.surfaces, x, [b.K] * 2, 0.3)
+        contact.search(x, 0.0)
+        contact.forces(1e-9, x, np.zeros_like(x), np.zeros_like(x))
+        energies.append(contact.penalty_energy)
+    assert energies[0] > 1.0
+    assert energies[1] < 1e-20 * energies[0]
+
+
+def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
+    b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
+    contact, t, s = b.touch(), b.target, b.surfaces
+    x = t.x.copy()
+    x[b.nodes(1), 2] -= 1e-4
+    contact.search(x, 0.0)
+    contact.forces(1e-9, x, np.zeros_like(x), np.zeros_like(x))
+    assert contact.touching > 10
+    assert contact.stable_dt(t.mass) < np.inf
+    bond = Bond(interface(s, x, 1, 0.01), s, x, penalty(b.K, 0.3))
+    contact.search(x, 0.0, bond)
+    f = np.zeros_like(x)
+    contact.forces(1e-9, x, np.zeros_like(x), f)
+    assert contact.touching == 0
+    assert not f.any()
+    x[b.nodes(1), 2] += 5.0
+    contact.search(x, 0.0)
+    contact.forces(1e-9, x, np.zeros_like(x), f)
+    assert not f.any()
+    assert contact.stable_dt(t.mass, 1e-6) == 1e-6
+    assert contact.penalty_energy == 0.0
+
+
+def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
+    def start() -> tuple[Blocks, BodyContact]:
+        b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+        contact = b.touch(friction=0.3)
+        b.target.v[b.nodes(1)] = [15.0, 3.0, -5.0]
+        return b, contact
+
+    one, contact = start()
+    one.run(1e-4)
+    kept = contact.state()
+    assert all(isinstance(value, np.ndarray | np.floating) for value in kept.values())
+    fresh = BodyContact(one.surfaces, one.target.mesh.points, [one.K] * 2, 0.3)
+    fresh.restore(kept)
+    assert fresh.friction_heat == contact.friction_heat > 0
+    assert fresh.penalty_energy == contact.penalty_energy
+    t = one.target
+    forces = []
+    for c in (contact, fresh):
+        f = np.zeros_like(t.x)
+        c.search(t.x, 1e-3)
+        for _ in range(3):
+            c.forces(1e-6, t.x, t.v, f)
+        forces.append(f)
+    assert np.array_equal(*forces)
+    assert fresh.friction_heat == contact.friction_heat
+
+
+def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
+    b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
+    contact, t = b.touch(friction=0.3), b.target
+    t.v[b.nodes(1)] = [15.0, 3.0, -5.0]
+    b.run(1e-4)
+    contact.heat()
+    more = Blocks(SLAB, SLIDER, ((0.2, 0.2, 0.2), 0.1, (1.2, 0.4, 0.4)))
+    node = np.empty(len(t.x), int)  # each old node's new number, by the place it had to begin with
+    for body in (0, 1):
+        for new in more.nodes(body):
+            gap = np.abs(t.mesh.points - more.target.x[new]).max(axis=1)
+            gap[b.body_of_node != body] = 1.0
+            node[int(gap.argmin())] = new
+    later = more.touch(friction=0.3)
+    later.follow(contact, node)
+    x, v = more.target.x.copy(), np.zeros_like(more.target.x)
+    x[node], v[node] = t.x, t.v
+    f, g = np.zeros_like(t.x), np.zeros_like(x)
+    contact.search(t.x, 1e-3)
+    later.search(x, 1e-3)
+    contact.forces(1e-9, t.x, t.v, f)
+    later.forces(1e-9, x, v, g)
+    assert np.abs(f).max() > 0
+    assert g[node] == pytest.approx(f, rel=1e-12, abs=1e-12 * np.abs(f).max())
+    assert later.friction_heat == contact.friction_heat
+
+
+@pytest.mark.parametrize("more", [{"bulk_modulus": [1e11]}, {"share": [0.5]}])
+def test_a_number_for_each_body_is_asked_for(more: dict[str, Any]) -> None:
+    b = Blocks(SLAB, SLIDER)
+    with pytest.raises(SolverError, match="contact of 2 bodies needs"):
+        BodyContact(b.surfaces, b.target.x, **{"bulk_modulus": [1e11, 1e11], "friction": 0.3, **more})
+
+
+def test_positions_that_are_no_numbers_are_refused() -> None:
+    b = Blocks(SLAB, SLIDER)
+    contact, x = b.touch(), b.target.x.copy()
+    x[b.surfaces.nodes_of(1)[0]] = np.nan
+    with pytest.raises(SolverError, match="no longer numbers"):
+        contact.search(x, 0.1)
+    with pytest.raises(SolverError, match="no numbers"):
+        interface(b.surfaces, x, 1, 0.1)

@@ -1,0 +1,353 @@
+"""Bonds between bodies: the traction law in each mode, what is conserved, waves across, breaking in a run, checkpoints."""
+
+import numpy as np
+import pytest
+from blocks import Blocks, cubes
+from scipy.spatial.transform import Rotation
+
+from coupler.contact.bond import Bond
+from coupler.contact.surfaces import interface
+from coupler.errors import SolverError
+from coupler.fe import explicit
+
+N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
+SIDE = 1e-3
+
+
+@pytest.fixture
+def pair() -> Blocks:
+    return cubes(SIDE)
+
+
+@pytest.fixture
+def undamped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
+    monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
+
+
+def cohesive(b: Blocks) -> Bond:
+    return b.tie(strength=N, energy=GI, shear_strength=S, shear_energy=GII)
+
+
+def shifted(b: Blocks, shift: np.ndarray) -> np.ndarray:
+    """Positions with the upper block displaced as a whole."""
+    x = b.target.x.copy()
+    x[b.nodes(1)] += shift
+    return x
+
+
+def pull(b: Blocks, bond: Bond, path: np.ndarray) -> np.ndarray:
+    """Force (steps,3) on the upper block while it is led along a path of displacements (steps,3)."""
+    out = []
+    for shift in path:
+        f = np.zeros_like(b.target.x)
+        bond.forces(shifted(b, shift), f)
+        out.append(f[b.nodes(1)].sum(axis=0))
+    return np.array(out)
+
+
+@pytest.mark.parametrize(
+    ("toward", "strength", "energy"),
+    [((0, 0, 1), N, GI), ((1, 0, 0), S, GII), ((-0.6, 0.8, 0), S, GII)],
+    ids=["tension", "shear", "shear across"],
+)
+def test_pure_modes_reach_the_strength_and_spend_the_energy(
+    pair: Blocks, toward: tuple[float, float, float], strength: float, energy: float
+) -> None:
+    bond, e = cohesive(pair), np.array(toward, float)
+    path = np.linspace(0, 1.05 * 2 * energy / strength, 8001)
+    force = -pull(pair, bond, path[:, None] * e) @ e
+    assert bond.area.sum() == pytest.approx(SIDE**2, rel=1e-12)
+    assert force.max() == pytest.approx(strength * SIDE**2, rel=1e-3)
+    assert bond.broken.all()
+    assert force[-1] == 0.0
+    assert bond.dissipated == pytest.approx(energy * SIDE**2, rel=1e-3)
+    work = float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path)))
+    assert work == pytest.approx(bond.dissipated, rel=1e-9)  # nothing is left in the springs
+
+
+@pytest.mark.parametrize("angle", [20.0, 45.0, 75.0])
+def test_mixed_mode_meets_both_criteria(pair: Blocks, angle: float) -> None:
+    """Onset: quadratic in the tractions. End: the sum of G_I/G_Ic and G_II/G_IIc is one."""
+    bond, a = cohesive(pair), np.deg2rad(angle)
+    e = np.array([np.sin(a), 0, np.cos(a)])
+    path = np.linspace(0, 3e-5, 12001)[:, None] * e
+    force = -pull(pair, bond, path) / SIDE**2
+    peak = force[np.argmax(force @ e)]
+    assert (peak[2] / N) ** 2 + (peak[0] / S) ** 2 == pytest.approx(1.0, rel=2e-3)
+    mean, step = 0.5 * (force[1:] + force[:-1]), np.diff(path, axis=0)
+    spent = (mean * step).sum(axis=0)
+    assert spent[2] / GI + spent[0] / GII == pytest.approx(1.0, rel=2e-3)
+    assert bond.dissipated == pytest.approx(spent.sum() * SIDE**2, rel=1e-6)
+
+
+def test_unloading_goes_to_the_origin_and_damage_does_not_heal(pair: Blocks) -> None:
+    bond = cohesive(pair)
+    up = np.array([0, 0, 1.0])
+    far = 0.5 * 2 * GI / N
+    out, back, again = np.linspace(0, far, 500), np.linspace(far, 0, 400), np.linspace(0, far, 300)
+    first = -pull(pair, bond, out[:, None] * up)[:, 2]
+    spent, damage = bond.dissipated, bond.damage.copy()
+    assert 0 < damage.min() < 1
+    returning = -pull(pair, bond, back[:, None] * up)[:, 2]
+    assert returning == pytest.approx(first[-1] * back / far, rel=1e-9, abs=1e-9 * first.max())
+    assert -pull(pair, bond, again[:, None] * up)[:, 2] == pytest.approx(first[-1] * again / far, rel=1e-9, abs=1e-6)
+    assert bond.dissipated == spent
+    assert np.array_equal(bond.damage, damage)
+    pressed = pull(pair, bond, -1e-8 * up[None])[0, 2]  # compression does not feel the damage
+    assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 1e-8, rel=1e-9)
+
+
+def test_a_path_that_changes_its_mode_never_gives_energy_back(pair: Blocks, rng: np.random.Generator) -> None:
+    bond = cohesive(pair)
+    way = np.cumsum(rng.standard_normal((600, 3)) * 2e-7, axis=0)
+    way[:, 2] = np.abs(way[:, 2])
+    last = 0.0
+    for shift in way:
+        pull(pair, bond, shift[None])
+        assert bond.dissipated >= last
+        last = bond.dissipated
+    assert 0.1 < bond.damage.max() <= 1.0
+
+
+def test_infinite_strength_holds_zero_energy_snaps_infinite_energy_flows(pair: Blocks) -> None:
+    for_ever = pair.tie()
+    first = N / for_ever.stiffness[0]  # opening at the strength
+    path = np.linspace(0, 3 * first, 1000)[:, None] * np.array([0, 0, 1.0])
+    force = -pull(pair, for_ever, path)[:, 2]
+    assert force[-1] == pytest.approx(3 * N * SIDE**2)
+    assert for_ever.dissipated == 0.0
+    brittle = pair.tie(strength=N, energy=0.0)
+    force = -pull(pair, brittle, path)[:, 2]
+    assert 0.99 * N * SIDE**2 < force.max() <= N * SIDE**2
+    assert np.count_nonzero((force[1:] < force[:-1]) & (force[1:] > 0)) <= 1  # peak, then nothing, but for rounding
+    assert brittle.broken.all()
+    flowing = pair.tie(strength=N, energy=np.inf)
+    force = -pull(pair, flowing, path)[:, 2]
+    assert force[-1] == pytest.approx(N * SIDE**2, rel=1e-9)
+
+
+def test_force_and_moment_cancel_in_any_shape_with_gaps_and_damage(pair: Blocks, rng: np.random.Generator) -> None:
+    t = pair.target
+    t.x[pair.nodes(1)] += [0, 0, 0.02 * SIDE]  # bonds across a gap
+    bond = cohesive(pair)
+    assert bond.gap == pytest.approx(0.02 * SIDE)
+    for size in (1e-6, 1e-5, 3e-5):
+        x, f = t.x + size * rng.standard_normal(t.x.shape), np.zeros_like(t.x)
+        bond.forces(x, f)
+        assert np.abs(f.sum(axis=0)).max() < 1e-12 * np.abs(f).sum()
+        assert np.abs(np.cross(x, f).sum(axis=0)).max() < 1e-12 * np.abs(f).sum() * SIDE
+    assert 0.1 < bond.damage.mean() <= 1.0
+
+
+def test_the_forces_are_the_gradient_of_the_stored_energy(pair: Blocks, rng: np.random.Generator) -> None:
+    t = pair.target
+    t.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
+    bond = pair.tie()
+    x, d = t.x + 2e-5 * rng.standard_normal(t.x.shape), rng.standard_normal(t.x.shape)
+    f = np.zeros_like(x)
+    bond.forces(x, f)
+
+    def energy(s: float) -> float:
+        bond.forces(x + s * d, np.zeros_like(x))
+        return bond.stored
+
+    slope = (energy(1e-9) - energy(-1e-9)) / 2e-9
+    assert slope == pytest.approx(-float(np.sum(f * d)), rel=1e-6)
+
+
+def test_a_rigid_motion_of_a_tied_pair_makes_no_force(pair: Blocks) -> None:
+    t = pair.target
+    t.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
+    bond = cohesive(pair)
+    for angle in np.linspace(0.3, 6.0, 7):
+        turned = Rotation.from_rotvec(angle * np.array([0.6, -0.5, 0.62])).apply(t.x)
+        f = np.zeros_like(t.x)
+        bond.forces(turned + np.array([1.0, -2.0, 3.0]), f)
+        assert np.abs(f).max() < 1e-9 * N * SIDE**2
+    assert bond.dissipated == 0.0
+
+
+@pytest.mark.usefixtures("undamped")
+def test_a_wave_crosses_a_tied_interface_as_through_one_body() -> None:
+    """A pulse four elements wide at half height: tied bars differ from one bar as another mesh of it does."""
+    W, L, h = 0.25, 1.0, 0.06
+    ends: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name, bars in {
+        "one": [((W, W, 2 * L), h, (0, 0, 0))],
+        "another mesh": [((W, W, 2 * L), 0.93 * h, (0, 0, 0))],
+        "tied": [((W, W, L), h, (0, 0, 0)), ((W, W, L), 0.93 * h, (0, 0, L))],
+        "apart": [((W, W, L), h, (0, 0, 0)), ((W, W, L), 0.93 * h, (0, 0, L))],
+    }.items():
+        b = Blocks(*bars)
+        t = b.target
+        if name == "tied":
+            assert b.tie().area.sum() == pytest.approx(W**2)
+        t.v[:, 2] = np.exp(-(((t.x[:, 2] - 0.5) / 0.25) ** 2))
+        far = np.flatnonzero(t.x[:, 2] > 2 * L - 1e-9)
+        seen: list[tuple[float, float]] = []
+        b.run(4e-4, watch=lambda t=t, far=far, seen=seen: seen.append((t.time, float(t.v[far, 2].mean()))))
+        ends[name] = (np.array(seen)[:, 0], np.array(seen)[:, 1])
+    grid = np.linspace(0, 4e-4, 400)
+    one = np.interp(grid, *ends["one"])
+    off = {name: np.linalg.norm(np.interp(grid, *end) - one) / np.linalg.norm(one) for name, end in ends.items()}
+    assert off["tied"] < 1.5 * off["another mesh"] < 0.05
+    assert off["apart"] > 0.9
+
+
+@pytest.mark.usefixtures("undamped")
+@pytest.mark.parametrize("toward", [(0, 0, 1), (1, 0, 0), (1, 0, 1)], ids=["tension", "shear", "mixed"])
+def test_blocks_torn_apart_spend_the_fracture_energy_and_the_books_close(toward: tuple[int, int, int]) -> None:
+    """Elastic cubes that fly apart. The step is short, so that the last opening, 50 um, takes more than twenty of them."""
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
+    bond, t = b.tie(strength=20e6, energy=500.0), b.target
+    b.touch(friction=0.3)
+    for body, sign in ((0, -1), (1, 1)):
+        t.v[b.nodes(body)] = sign * np.array(toward) / np.linalg.norm(toward)
+    start, momentum, moment, worst = b.energy(), t.momentum(), b.moment(), [0.0]
+
+    def books() -> None:
+        worst[0] = max(worst[0], abs(b.energy() / start - 1.0))
+
+    b.run(6e-4, watch=books, limit=1e-6)
+    assert len(bond) == 0  # all have broken and gone over to the contact
+    assert bond.dissipated == pytest.approx(500.0, rel=0.01)
+    assert worst[0] < 1e-4
+    scale = float(t.mass.sum())
+    assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
+    assert np.abs(b.moment() - moment).max() < 1e-12 * scale
+
+
+@pytest.mark.usefixtures("undamped")
+@pytest.mark.parametrize(("energy", "parts"), [(500.0, True), (1e6, False)])
+def test_cubes_that_fly_apart_part_when_they_can_pay_the_fracture_energy(energy: float, parts: bool) -> None:
+    b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
+    bond, t, kinetic = b.tie(strength=30e6, energy=energy), b.target, 7800.0
+    b.touch()
+    for body, sign in ((0, -1), (1, 1)):
+        t.v[b.nodes(body), 2] = sign * 1.0
+    bonds = len(bond)
+    b.run(2e-3)
+    assert t.mass.sum() == pytest.approx(2 * kinetic)
+    if parts:
+        assert len(bond) == 0
+        assert b.velocity(1)[2] == pytest.approx(np.sqrt(1 - energy / kinetic), rel=0.03)
+    else:
+        assert len(bond) == bonds
+        assert np.abs(bond.opening).max() < 1.2 * kinetic / 30e6  # where the bonds' plateau has eaten all the motion
+
+
+def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) -> None:
+    bond, contact = cohesive(pair), pair.touch(friction=0.4)
+    up, still = pair.nodes(1), np.zeros_like(pair.target.x)
+    contact.search(pair.target.x, 0.0, bond)
+    assert contact.touching == 0  # held nodes are the bond's
+    x = shifted(pair, np.array([1.02 * 2 * GII / S, 0, -0.001 * SIDE]))
+    f, g = np.zeros_like(x), np.zeros_like(x)
+    bond.forces(x, f)
+    pressed, books = f[up, 2].sum(), bond.stored
+    assert bond.broken.all()
+    assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 0.001 * SIDE)  # still resisted
+    contact.search(x, 1e-9, bond)
+    contact.forces(1e-12, x, still, g)
+    assert len(bond) == 0
+    assert bond.stored == pytest.approx(0.0, abs=1e-12 * books)
+    assert contact.touching >= 16
+    assert g[up, 2].sum() > 0
+    assert contact.penalty_energy + contact.lost == pytest.approx(books, rel=1e-9)
+
+
+def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_contact(pair: Blocks) -> None:
+    bond, contact = pair.tie(strength=S, energy=1e6), pair.touch()  # so tough that it lasts for ten spacings
+    up, still = pair.nodes(1), np.zeros_like(pair.target.x)
+    contact.search(pair.target.x, 0.0, bond)
+    spacing = float(np.sqrt(bond.area.max()))
+    x = shifted(pair, np.array([0.7 * spacing, 0, -0.001 * SIDE]))
+    f = np.zeros_like(x)
+    bond.forces(x, f)
+    shear, books = f[up, 0].sum(), bond.stored
+    contact.search(x, 1e-9, bond)
+    assert bond.loose.all()
+    assert len(bond.held) == 0 < len(bond)
+    f[:] = 0.0
+    bond.forces(x, f)
+    assert f[up, 0].sum() == pytest.approx(shear, rel=1e-3)
+    contact.forces(1e-12, x, still, f)
+    assert f[up, 2].sum() > 0
+    assert contact.touching > 10
+    assert bond.stored + contact.penalty_energy + contact.lost == pytest.approx(books, rel=1e-9)
+
+
+def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped(pair: Blocks) -> None:
+    bond = cohesive(pair)
+    path = np.linspace(0, 3e-5, 60)[:, None] * np.array([0.6, 0, 0.8])
+    pull(pair, bond, path[:30])
+    kept = bond.state()
+    later = pull(pair, bond, path[30:])
+    again = Bond.from_state(kept)
+    assert np.array_equal(pull(pair, again, path[30:]), later)
+    assert again.dissipated == bond.dissipated
+    bond.restore(kept)
+    assert np.array_equal(pull(pair, bond, path[30:]), later)
+
+
+def test_numbers_of_nodes_may_change_and_sets_be_joined(pair: Blocks, rng: np.random.Generator) -> None:
+    t = pair.target
+    order = rng.permutation(len(t.x))
+    new = np.argsort(order)  # new number of each old node
+    one, two, whole = cohesive(pair), cohesive(pair), cohesive(pair)
+    x = shifted(pair, np.array([1e-6, 0, 2e-6]))
+    f = np.zeros_like(x)
+    whole.forces(x, f)
+    one.renumber(new)
+    g = np.zeros_like(x)
+    one.forces(x[order], g)
+    assert np.array_equal(g[new], f)
+    both = Bond.joined([two, Bond.from_state(two.state())])
+    h = np.zeros_like(x)
+    both.forces(x, h)
+    assert h == pytest.approx(2 * f, rel=1e-12, abs=1e-12 * np.abs(f).max())
+
+
+@pytest.mark.parametrize(
+    ("law", "says"),
+    [
+        ({"strength": N, "energy": 0.1}, "less than the"),
+        ({"strength": -1.0}, "positive strength"),
+        ({"strength": N, "energy": -1.0}, "energy of zero or more"),
+        ({"exponent": 0.0}, "exponent"),
+    ],
+)
+def test_a_law_that_cannot_be_followed_is_refused(pair: Blocks, law: dict[str, float], says: str) -> None:
+    with pytest.raises(SolverError, match=says):
+        pair.tie(**law)
+
+
+def test_no_bonds_cost_nothing(pair: Blocks) -> None:
+    s = pair.surfaces
+    lifted = pair.target.x + np.where(pair.body_of_node[:, None] == 1, SIDE, 0.0)
+    none = Bond(interface(s, lifted, 1, 0.1 * SIDE), s, lifted, 1e15)
+    f = np.zeros_like(lifted)
+    none.forces(lifted, f)
+    assert len(none) == 0
+    assert not f.any()
+    assert none.stable_dt(pair.target.mass, 1e-9) == 1e-9
+    assert none.stored == none.dissipated == 0.0
+
+
+def test_the_stable_step_is_below_the_exact_one_of_the_springs(pair: Blocks) -> None:
+    """Springs alone, with the lumped masses: largest eigenvalue by a dense solver."""
+    bond, t = pair.tie(), pair.target
+    used = np.unique(np.concatenate([bond.nodes, bond.triangles.ravel()]))
+    stiffness = np.zeros((len(used), len(used)))
+    place = {int(node): i for i, node in enumerate(used)}
+    for node, corners, w, k in zip(bond.nodes, bond.triangles, bond.weights, bond.stiffness * bond.area, strict=True):
+        g = np.zeros(len(used))
+        g[place[int(node)]] += 1
+        for corner, weight in zip(corners, w, strict=True):
+            g[place[int(corner)]] -= weight
+        stiffness += k * np.outer(g, g)
+    root = 1 / np.sqrt(t.mass[used])
+    exact = 2 / np.sqrt(np.linalg.eigvalsh(stiffness * np.outer(root, root)).max())
+    assert 0.5 * exact < bond.stable_dt(t.mass) < exact
+    assert bond.stable_dt(t.mass, 1e-3 * exact) == pytest.approx(1e-3 * exact, rel=1e-3)

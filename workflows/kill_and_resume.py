@@ -1,0 +1,105 @@
+"""Kill a run at random moments and go on: python workflows/kill_and_resume.py [--kills 20] [--out docs/tables/kills.csv]
+
+Each run is killed by SIGKILL at a random share of the wall time an undisturbed one takes (some while they start, some while they
+write a checkpoint, which happens every 0.1 s here), then resumed, and its summary compared with the undisturbed one's.
+"""
+
+import argparse
+import csv
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+SCENE = """
+[particle]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+[resolution]
+spacing = "2.6 um"
+"""
+OF_THE_MACHINE = {"wall_s", "wall_loop_s", "placement", "ranks", "idle_share", "memory_peak_bytes"}
+
+
+def numbers(tree: dict[str, Any], prefix: str = "") -> dict[str, float]:
+    """All numbers of a summary that are physics, by their path."""
+    found: dict[str, float] = {}
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            found |= numbers(value, f"{prefix}{name}.")
+        elif isinstance(value, (int, float)) and not isinstance(value, bool) and name not in OF_THE_MACHINE:
+            found[prefix + name] = float(value)
+    return found
+
+
+def command(*arguments: str) -> list[str]:
+    """The command line of this environment."""
+    return [sys.executable, "-m", "coupler", *arguments, "--quiet"]
+
+
+def main() -> None:
+    """Kill, go on, compare, record."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("docs/tables/kills.csv"))
+    a = parser.parse_args()
+    dice = random.Random(a.seed)
+    rows: list[list[str]] = []
+    with tempfile.TemporaryDirectory() as place:
+        scene = Path(place) / "scene.toml"
+        scene.write_text(SCENE)
+        start = time.perf_counter()
+        subprocess.run(command("run", str(scene), "--out", f"{place}/whole"), check=True)
+        wall = time.perf_counter() - start
+        whole = numbers(json.loads((Path(place) / "whole" / "summary.json").read_text()))
+        for kill in range(a.kills):
+            out = Path(place) / f"run{kill}"
+            run = subprocess.Popen(command("run", str(scene), "--out", str(out), "--checkpoint", "0.1"))
+            while not (out / "scene.toml").exists():  # before, there is nothing to go on with
+                time.sleep(0.005)
+            moment = dice.random() * 0.9 * wall
+            time.sleep(0.0 if kill == 0 else moment)
+            os.kill(run.pid, signal.SIGKILL)
+            run.wait()
+            history = out / "history.csv"
+            last = history.read_text().splitlines()[-1].split(",")[0] if history.exists() else "time"
+            reached = float(last) * 1e9 if last and last != "time" else 0.0
+            checkpoints = len(list(out.glob("checkpoint-*.ckpt")))
+            parts = len(list(out.glob("*.part")))
+            done = subprocess.run(command("resume", str(out)), capture_output=True, text=True)
+            worst = float("nan")
+            if done.returncode == 0:
+                got = numbers(json.loads((out / "summary.json").read_text()))
+                scale = {k: max(abs(v), 1e-12) for k, v in whole.items()}
+                worst = max(abs(got[k] - whole[k]) / scale[k] for k in whole)
+            rows.append(
+                [str(kill), f"{reached:.1f}", str(checkpoints), str(parts), str(done.returncode), f"{worst:.1e}"]
+            )
+            print(*rows[-1], done.stderr.strip(), flush=True)
+    ended = sum(row[4] == "0" and float(row[5]) < 1e-6 for row in rows)
+    print(f"{ended} of {len(rows)} ended with the undisturbed summary to 1e-6")
+    with a.out.open("w", newline="") as file:
+        file.write("# remake: python workflows/kill_and_resume.py\n")
+        names = [
+            "kill",
+            "reached ns",
+            "checkpoints",
+            "half-written",
+            "exit code of resume",
+            "largest relative difference",
+        ]
+        csv.writer(file).writerows([names, *rows])
+
+
+if __name__ == "__main__":
+    main()
