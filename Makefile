@@ -13,6 +13,8 @@ STAMP := $(VENV)/.setup-done
 # Debian packages: gmsh's wheel needs the first line, vtk's and open3d's the second.
 LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1 \
              libgl1 libegl1 libusb-1.0-0 libx11-6
+# The test of the report opens it in a browser.
+LIBRARIES += chromium
 
 .PHONY: setup run check test bench studies clean
 

@@ -26,16 +26,18 @@ class Ledger:
     contact, not just arithmetic.
     """
 
-    def __init__(self, particle: Any, target: Any, contact: Any):
+    def __init__(self, particle: Any, bodies: Any, contact: Any):
+        target = bodies.target
         self.kinetic_0 = particle.kinetic()
         self.momentum_0 = particle.momentum() + target.momentum() - target.external_impulse()
         self.scale = float(np.linalg.norm(particle.momentum()))
         self.before: dict[str, float] = {}
         self.rows: dict[str, float] = {}
-        self.before = self._take_stock(particle, target, contact)
+        self.before = self._take_stock(particle, bodies, contact)
 
-    def _take_stock(self, particle: Any, target: Any, contact: Any) -> dict[str, float]:
+    def _take_stock(self, particle: Any, bodies: Any, contact: Any) -> dict[str, float]:
         r: dict[str, float] = {}
+        target = bodies.target
         r["kinetic_particle"], r["kinetic_target"] = particle.kinetic(), target.kinetic()
         r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]
         r["elastic_particle"], r["elastic_target"] = particle.elastic(), target.elastic()
@@ -43,12 +45,12 @@ class Ledger:
         r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
         r["numerical_target"] = float(target.sums[1])
         r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat
-        r["boundary"] = target.absorbed
+        r["boundary"], r["bodies"] = target.absorbed, bodies.energy
         return r
 
-    def close(self, particle: Any, target: Any, contact: Any) -> dict[str, float]:
+    def close(self, particle: Any, bodies: Any, contact: Any) -> dict[str, float]:
         """Take stock. Returns the energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum)."""
-        r = self._take_stock(particle, target, contact)
+        r, target = self._take_stock(particle, bodies, contact), bodies.target
         total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
         for name in r:
             if "kinetic" not in name:
@@ -72,23 +74,27 @@ class Ledger:
 
 _STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
-    "numerical_target", "contact", "friction", "boundary",
+    "numerical_target", "contact", "friction", "boundary", "bodies",
 )  # fmt: skip
 
 
 class Impact:
-    """One particle meeting one target. They touch where the particle's carried surface meets the target's facets."""
+    """One particle meeting one target, of one body or several (`bodies.Bodies`).
 
-    def __init__(self, particle: Any, target: Any, surface: Any, contact: Any, threads: int = 1):
+    They touch where the particle's carried surface meets the target's facets.
+    """
+
+    def __init__(self, particle: Any, bodies: Any, surface: Any, contact: Any, threads: int = 1):
         """particle: a `team.Team`. threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the
         numbers are the same.
         """
-        self.particle, self.target, self.surface, self.contact = particle, target, surface, contact
+        self.particle, self.bodies, self.surface, self.contact = particle, bodies, surface, contact
+        self.target = bodies.target
         self._softness = surface.softness(particle.mass)
         # positions, velocities and forces of all that may touch
         self._x, self._v, self._forces = (np.zeros((surface.touching.shape[0], 3)) for _ in range(3))
         self.surface_nodes = np.unique(contact.facets)
-        self.ledger = Ledger(particle, target, contact)
+        self.ledger = Ledger(particle, bodies, contact)
         self._pool = ThreadPoolExecutor(1) if threads > 1 else None
         self._ahead: Future[None] | None = None
         self._left = 0  # steps of this chunk still to come
@@ -100,9 +106,13 @@ class Impact:
     def _begin(self) -> None:
         """The target's own step, which needs nothing of the particle."""
         if self._ahead is None:
-            self.target.advance(self.particle.dt)
+            self._advance_bodies(self.particle.dt)
         else:
             self._ahead.result()
+
+    def _advance_bodies(self, dt: float) -> None:
+        self.target.advance(dt)
+        self.bodies.forces(dt)
 
     def _meet(self) -> None:
         """Contact at n+1, once for both, and the forces to each."""
@@ -116,7 +126,7 @@ class Impact:
         t.finish()
         self._left -= 1
         # until LAMMPS calls again it works in C, without Python's lock: room for the target's next step
-        self._ahead = self._pool.submit(t.advance, dt) if self._pool and self._left else None
+        self._ahead = self._pool.submit(self._advance_bodies, dt) if self._pool and self._left else None
 
     def agree_on_dt(self) -> float:
         """The time step (s) both domains and the contact can take, and a note of which asked for it."""
@@ -124,7 +134,7 @@ class Impact:
             "particle": self.particle.stable_dt(),
             "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
         }
-        bounds["target"] = self.target.stable_dt(min(bounds.values()))[0]
+        bounds["target"] = self.bodies.stable_dt(min(bounds.values()))
         who = min(bounds, key=lambda name: bounds[name])
         self.limits[who] += CHUNK
         return bounds[who]
@@ -134,12 +144,13 @@ class Impact:
 
         Raises SolverError where either domain breaks down.
         """
+        fastest = self.particle.fastest
+        fastest += float(np.sqrt(np.max(np.einsum("ij,ij->i", (v := self.target.v[self.surface_nodes]), v))))
+        self.bodies.search(3.0 * fastest * CHUNK * self.particle.stable_dt())  # first: its springs have a say in dt
         dt, steps = self.agree_on_dt(), CHUNK
         if until is not None and self.time + steps * dt > until:
             steps = max(1, int(np.ceil((until - self.time) / dt - 1e-9)))
             dt = (until - self.time) / steps
-        fastest = self.particle.fastest
-        fastest += float(np.sqrt(np.max(np.einsum("ij,ij->i", (v := self.target.v[self.surface_nodes]), v))))
         self.contact.search(self.surface.contacts(self.particle.x), self.target.x, 1.5 * fastest * steps * dt)
         self._forces[:] = 0.0
         self._left, self._ahead = steps, None
@@ -153,14 +164,14 @@ class Impact:
     def state(self) -> dict[str, Any]:
         """What goes on in the next chunk as if nothing had happened: numbers and arrays, nested."""
         return {
-            "particle": self.particle.state(), "target": self.target.state(), "contact": self.contact.state(),
+            "particle": self.particle.state(), "bodies": self.bodies.state(), "contact": self.contact.state(),
             "ledger": self.ledger.state(), "time": self.time, "force": self.force, "deepest": self.deepest,
             "limits": self.limits,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put a `state` into an impact of the same plan that was just built."""
-        for name in ("particle", "target", "contact", "ledger"):
+        for name in ("particle", "bodies", "contact", "ledger"):
             getattr(self, name).restore(state[name])
         for name in ("time", "force", "deepest", "limits"):
             setattr(self, name, state[name])
@@ -184,8 +195,9 @@ class Watch:
     force has stayed below 2 % of its peak for `quiet` seconds (the particle has left, or rests), or time is up.
     """
 
-    def __init__(self, end_time: float, at_rest: bool, quiet: float):
-        self.end_time, self.at_rest, self.quiet = end_time, at_rest, quiet
+    def __init__(self, end_time: float, at: str, quiet: float):
+        """at: "rest", "greatest" (deformation) or "time"; end_time (s) is the latest in any case."""
+        self.end_time, self.at, self.quiet = end_time, at, quiet
         self.peak = 0.0
         self.turned: float | None = None
         self._loud = 0.0
@@ -205,7 +217,8 @@ class Watch:
         if abs(force) > 0.02 * self.peak:
             self._loud = time
         settled = self.turned is not None and self.peak > 0 and time - self._loud > self.quiet
-        return time >= self.end_time * (1 - 1e-12) or (self.at_rest and settled)
+        over = {"rest": settled, "greatest": self.turned is not None, "time": False}[self.at]
+        return over or time >= self.end_time * (1 - 1e-12)
 
 
 def check_books(ledger: Ledger, drift_bound: float, momentum_bound: float) -> None:

@@ -6,7 +6,7 @@ import sys
 import time as clock
 import traceback
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +93,12 @@ class _How:
 def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> Result:
     what = plan(scene)
     ranks = parallel.arrange(parallel.world(), how.placement, what.home_load)
+    log = folder / "log.lammps"
     if not ranks.at_home:
-        parallel.follow(ranks, lambda: build_particle(what, ranks, how.numerics, folder / "log.lammps"))
+        parallel.follow(ranks, lambda i, place: build_particle(what, i, place, ranks, how.numerics, log))
         return Result(folder)
     try:
-        _lead(what, folder, how, ranks, anew, force)
+        _Lead(what, folder, how, ranks).go(anew, force)
         result = Result(folder)
         from .report import section_picture
 
@@ -114,46 +115,107 @@ def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> 
     return result
 
 
-def _lead(what: Plan, folder: Path, how: _How, ranks: parallel.Ranks, anew: bool, force: bool) -> None:
-    """Run the impacts on the rank that has the target."""
-    from . import __version__, checkpoint
-    from .running import Running
-    from .store import Store
+class _Lead:
+    """The rank that has the target: impacts one after another, each a function from target to target with one splat more."""
 
-    started, before = clock.perf_counter(), 0.0
-    text = what.scene.to_toml()
-    about = {"version": __version__, "scene": hashlib.sha256(text.encode()).hexdigest()}
-    about["numerics"] = repr(sorted(how.numerics.items()))
-    log = how.progress.log if how.progress is not None else _to_stderr
-    state: dict[str, Any] | None = None
-    with Store.create(folder, text, force) if anew else Store.reopen(folder) as store:
-        if not anew:
-            kept = checkpoint.latest(folder, about, log)
-            if kept is None:
-                log(f"{folder} has no checkpoint: the run starts from its beginning")
+    def __init__(self, what: Plan, folder: Path, how: _How, ranks: parallel.Ranks):
+        from . import __version__
+
+        self.what, self.folder, self.how, self.ranks = what, folder, how, ranks
+        self.text = what.scene.to_toml()
+        self.about = {"version": __version__, "scene": hashlib.sha256(self.text.encode()).hexdigest()}
+        self.about["numerics"] = repr(sorted(how.numerics.items()))
+        self.log = how.progress.log if how.progress is not None else _to_stderr
+        self.started, self.before = clock.perf_counter(), 0.0
+        self.threads = (how.threads or cores()) if ranks.size == 1 else 1
+        self.records: list[dict[str, Any]] = []  # summaries of the finished impacts
+        self.joins: list[dict[str, Any]] = []  # what it took to make bodies of their splats
+        self.skin = np.zeros((0, 3))  # surface of the last splat, m
+
+    @property
+    def wall(self) -> float:
+        """Wall time so far, s, that before a resumption included."""
+        return self.before + clock.perf_counter() - self.started
+
+    def go(self, anew: bool, force: bool) -> None:
+        from . import checkpoint
+        from .store import Store
+
+        with Store.create(self.folder, self.text, force) if anew else Store.reopen(self.folder) as store:
+            state = None if anew else self._found(store)
+            if state is not None:
+                bodies = bodies_from(self.what, state["bodies"])
+                self.records, self.joins, self.before = state["records"], state["joins"], state["wall"]
             else:
-                state, before = kept[0], kept[0]["wall"]
-            store.go_on(state["store"] if state else None, log)
-        mesh = state["mesh"] if state else None
-        setting = build(what, folder / "log.lammps", how.numerics, ranks, mesh)
+                bodies = build_bodies(self.what)
+            first = len(self.records)
+            for i in range(first, len(self.what.impacts)):
+                inside = state["running"] if state is not None and i == first else None
+                bodies = self._impact(i, bodies, store, inside)
+            store.finish(self._summary(bodies))
+            checkpoint.clear(self.folder)
+
+    def _found(self, store: Any) -> dict[str, Any] | None:
+        """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
+        from . import checkpoint
+
+        kept = checkpoint.latest(self.folder, self.about, self.log)
+        if kept is None:
+            self.log(f"{self.folder} has no checkpoint: the run starts from its beginning")
+        store.go_on(kept[0]["store"] if kept else None, self.log)
+        return kept[0] if kept else None
+
+    def _save(self, bodies: Any, store: Any, running: dict[str, Any] | None) -> None:
+        from . import checkpoint
+
+        whole = {
+            "running": running, "bodies": bodies.whole(), "store": store.state(), "records": self.records,
+            "joins": self.joins, "wall": self.wall,
+        }  # fmt: skip
+        checkpoint.write(self.folder, whole, self.about)
+
+    def _impact(self, i: int, bodies: Any, store: Any, inside: dict[str, Any] | None) -> Any:
+        """Impact i on the bodies; the bodies that the next one meets."""
+        from .joining import join
+        from .running import Running
+
+        how, before = self.how, sum(record["sim_time_s"] for record in self.records)
+        level = None if inside is None else inside["level"]
+        setting = build(self.what, i, bodies, self.folder / "log.lammps", how.numerics, self.ranks, level)
+        started = self.wall if inside is None else inside["started"]
         try:
-            running = Running(what, setting, store, how.progress, (how.threads or cores()) if ranks.size == 1 else 1)
-            if state:
-                running.restore(state["running"])
-                log(f"going on from {running.impact.time * 1e9:.1f} ns")
-
-            def save(now: dict[str, Any]) -> None:
-                wall = before + clock.perf_counter() - started
-                whole = {"running": now, "mesh": asdict(setting.target.mesh), "store": store.state(), "wall": wall}
-                checkpoint.write(folder, whole, about)
-
-            running.go(save, how.checkpoint_every, how.probe)
-            store.finish(running.summary(before + clock.perf_counter() - started))
-            checkpoint.clear(folder)
+            running = Running(self.what, i, setting, store, how.progress, self.threads, before)
+            if inside is not None:
+                running.restore(inside["impact"])
+                self.log(f"going on from {(before + running.impact.time) * 1e9:.1f} ns")
+            known = {"started": started, "level": setting.level}
+            running.go(lambda now: self._save(bodies, store, {"impact": now, **known}), how.checkpoint_every, how.probe)
+            self.records.append(running.summary(self.wall - started))
+            self.skin = setting.surface.positions(setting.particle.x)
+            if i + 1 == len(self.what.impacts):
+                return bodies
+            bodies, report = join(self.what, i, setting, bodies, self.log)
+            self.joins.append(report)
         finally:
             setting.particle.close()
             if how.progress is not None:
                 how.progress.stop()
+        self._save(bodies, store, None)
+        return bodies
+
+    def _summary(self, bodies: Any) -> dict[str, Any]:
+        """The last impact's measures, what all of them took, and each of them in the list `impacts`."""
+        from .joining import splats_at_end
+
+        splats_at_end(self.what, self.records, self.joins, bodies, self.skin)
+        last = self.records[-1]
+        whole = {
+            "wall_s": self.wall,
+            "wall_loop_s": sum(record["wall_loop_s"] for record in self.records),
+            "sim_time_s": sum(record["sim_time_s"] for record in self.records),
+            "steps": sum(record["steps"] for record in self.records),
+        }
+        return {**last, **whole, "impacts": self.records, "joins": self.joins}
 
 
 def _to_stderr(text: str) -> None:
@@ -167,93 +229,129 @@ def cores() -> int:
 
 @dataclass
 class Setting:
-    """The domains of one impact, ready to run. particle: a `team.Team`."""
+    """The domains of one impact, ready to run. particle: a `team.Team`; bodies: `bodies.Bodies`; level: height (m) of the
+    surface where the particle first touches it."""
 
     particle: Any
-    target: Any
+    bodies: Any
     contact: Any
     surface: Any
+    body: Any
+    place: np.ndarray
+    level: float
+
+    @property
+    def target(self) -> Any:
+        return self.bodies.target
+
+
+def build_bodies(what: Plan) -> Any:
+    """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
+    from .bodies import Bodies
+    from .constitutive import law_record
+    from .fe import mesh as meshes
+    from .fe.explicit import Target
+
+    t, on = what.target, {row.name: row.on for row in what.effects.rows}
+    points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre)
+    law = law_record(t.material, on, what.impacts[0].rate_filter)
+    fixed, absorbing = held_faces(what)
+    mesh = meshes.prepare(points, tets, (*what.impacts[0].offset, 0.0))
+    target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"])
+    return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, friction_of(what))
+
+
+def bodies_from(what: Plan, state: Mapping[str, Any]) -> Any:
+    """The bodies of a checkpoint (`Bodies.whole`)."""
+    from .bodies import Bodies
+
+    on = {row.name: row.on for row in what.effects.rows}
+    return Bodies.from_whole(state, *held_faces(what), friction_of(what), on["conduction"])
+
+
+def friction_of(what: Plan) -> float:
+    """Coulomb's coefficient, 0 where the effect is off."""
+    return what.friction if what.effects.on("friction") else 0.0
+
+
+def held_faces(what: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the substrate's faces that are fixed, and of those that absorb."""
+    kinds = {"sides": what.target.sides, "bottom": what.target.bottom}
+    fixed = tuple(name for name, kind in kinds.items() if kind == "fixed")
+    absorbs = what.effects.on("absorbing_boundaries")
+    return fixed, tuple(name for name, kind in kinds.items() if kind == "absorbing" and absorbs)
 
 
 def build(
     what: Plan,
+    i: int = 0,
+    bodies: Any = None,
     log: Path | None = None,
     numerics: Mapping[str, float] | None = None,
     ranks: parallel.Ranks | None = None,
-    mesh: Mapping[str, Any] | None = None,
+    level: float | None = None,
 ) -> Setting:
-    """Mesh the target, pack the particle, and put contact between them. Starts LAMMPS and gmsh.
+    """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
 
-    ranks: who runs where (default: this process alone); mesh: fields of the target's `fe.mesh.TetMesh`, where it is known.
+    ranks: who runs where (default: this process alone). level: height (m) of the surface where the particle first touches it;
+    None: as the bodies lie now.
     """
-    from .constitutive import law_record
+    from .bodies import level_under
     from .contact.penalty import STIFFNESS, PointContact
-    from .fe import mesh as meshes
-    from .fe.explicit import Target
     from .splat.carry import CarriedSurface
     from .team import Team
 
-    ranks = ranks or parallel.Ranks()
-    i, t = what.impact, what.target
-    on = {row.name: row.on for row in what.effects.rows}
-    if mesh is None:
-        centre = (i.offset[0], i.offset[1])
-        points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, centre)
-        tetmesh = meshes.prepare(points, tets, (*centre, 0.0))
-    else:
-        tetmesh = meshes.TetMesh(**mesh)
-    sides = {"sides": t.sides, "bottom": t.bottom}
-    absorbing = tuple(name for name, kind in sides.items() if kind == "absorbing" and on["absorbing_boundaries"])
-    target = Target(
-        tetmesh,
-        law_record(t.material, on, what.rate_filter),
-        t.temperature,
-        fixed=tuple(name for name, kind in sides.items() if kind == "fixed"),
-        absorbing=absorbing,
-        conduction=on["conduction"],
-    )
-
-    body, place = place_of(what)
-    parallel.begin_impact(ranks)
-    piece = build_particle(what, ranks, numerics, log) if ranks.has_points else None
+    ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_bodies(what)
+    p, t = what.impacts[i], what.target
+    body = body_of(what, i)
+    mesh, x = bodies.target.mesh, bodies.target.x
+    facets = bodies.reachable()
+    offset = np.array([*p.offset, 0.0])
+    if level is None:
+        level = (
+            level_under(body.vertices + offset, x, mesh.facets[facets], 0.0) - body.half_height
+            if bodies.count > 1
+            else 0.0
+        )
+    place = offset + np.array([0.0, 0.0, body.half_height + level + p.gap])
+    parallel.begin_impact(ranks, i, place)
+    piece = build_particle(what, i, place, ranks, numerics, log) if ranks.has_points else None
     particle = Team(ranks, piece, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
-
-    top = tetmesh.sets["top"]
     contact = PointContact(
         surface.touching.shape[0],
-        tetmesh.facets[top],
+        mesh.facets[facets],
         body.spacing,
         body.area / len(body.vertices),
-        min(i.material.K, t.material.K),
-        what.friction if on["friction"] else 0.0,
-        share=_heat_share(i.material, i.temperature, t.material, t.temperature),
+        min(p.material.K, float(bodies.target.laws["K"].min())),
+        friction_of(what),
+        share=_heat_share(p.material, p.temperature, t.material, t.temperature),
         factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
-        facet_ids=top,
+        facet_ids=facets,
     )
-    return Setting(particle, target, contact, surface)
+    return Setting(particle, bodies, contact, surface, body, place, level)
 
 
-def place_of(what: Plan) -> tuple[Any, np.ndarray]:
-    """The particle's body, and where its centre is at the start (3,) m."""
+def body_of(what: Plan, i: int) -> Any:
+    """Points and surface of the particle of impact i, about its centre (`sph.shapes.Body`)."""
     from .sph import shapes
 
-    i = what.impact
-    body = shapes.shape(i.shape, i.diameter, i.points, i.tilt, SURFACE_EDGE)
-    return body, np.array([i.offset[0], i.offset[1], body.half_height + i.gap])
+    p = what.impacts[i]
+    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE)
 
 
-def build_particle(what: Plan, ranks: parallel.Ranks, numerics: Mapping[str, float] | None, log: Path | None) -> Any:
-    """This rank's part of the particle. Starts LAMMPS, on all ranks that share the particle at once."""
+def build_particle(
+    what: Plan, i: int, place: np.ndarray, ranks: parallel.Ranks, numerics: Mapping[str, float] | None, log: Path | None
+) -> Any:
+    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
     from .constitutive import law_record
     from .sph.machdyn import Numerics, Particle
 
-    i = what.impact
-    body, place = place_of(what)
-    law = law_record(i.material, {row.name: row.on for row in what.effects.rows}, what.rate_filter)
+    p, body = what.impacts[i], body_of(what, i)
+    law = law_record(p.material, {row.name: row.on for row in what.effects.rows}, p.rate_filter)
     knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
     return Particle(
-        body.points + place, body.volume, law, i.velocity, i.temperature, Numerics(**knobs),
+        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
         comm=ranks.sph_comm, log=log, shares=ranks.shares,
     )  # fmt: skip
 

@@ -35,7 +35,10 @@ _WHY = {  # (why on, why off)
 
 @dataclass(frozen=True)
 class Situation:
-    """What the numbers are made of. SI units; materials and temperatures: of particle and target."""
+    """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
+
+    end_time: the longest that waves and heat may travel until the run is over, this and later impacts together.
+    """
 
     materials: tuple[Material, Material]
     temperatures: tuple[float, float]
@@ -94,17 +97,19 @@ def check_request(request: str | Sequence[str]) -> list[str]:
     return problems
 
 
-def decide(request: str | Sequence[str], situation: Situation) -> Effects:
-    """Decide every effect.
+def decide(request: str | Sequence[str], *situations: Situation) -> Effects:
+    """Decide every effect, once for all impacts of a run: of each number the largest counts.
 
+    situations: one for each impact, at least one.
     request: "auto" (the numbers decide), "all", "none", or a list: names alone mean these and no other;
     a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
     one of signed names only changes "auto".
     """
     base, said = _read(request)
     rows = []
-    for name, value in numbers(situation).items():
-        number, threshold = THRESHOLDS[name]
+    found = [numbers(situation) for situation in situations]
+    for name, (number, threshold) in THRESHOLDS.items():
+        value = max(each[name] for each in found)
         wanted = value > threshold
         forced = name in said or base != "auto"
         on = said.get(name, wanted if base == "auto" else base == "all")

@@ -15,11 +15,15 @@ COARSEST = 1 / 6  # largest element over the target's smaller dimension
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
 CFL = 0.21  # dt = CFL spacing / wave speed: a mean over a run in which the spacing shrinks
-SHARE_OF_CAP = 0.33  # a run to rest takes about this share of the time allowed to it
+CAP = 3.0  # heights over velocity that an impact may take
+# an impact takes about this share of the time allowed to it: rest and greatest deformation come after 1.0 and 0.75 D / v
+SHARE_OF_CAP = {"rest": 0.33, "greatest": 0.25}
+SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
 SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
 SECONDS_PER_ELEMENT = 0.12e-6
 SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4
+SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000
 SPLIT_FROM = 0.45  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
@@ -50,6 +54,17 @@ def elements(diameter: float, height: float, element_size: float, refined_radius
         h = min(element_size + growth * max(0.0, r - refined_radius), COARSEST * min(diameter, height))
         total += TETS_PER_H3 * 2 * math.pi * r**2 * (outer / shells) / h**3
     return round(total)
+
+
+def splat_elements(volume: float, element_size: float) -> int:
+    """Tetrahedra of a splat of `volume` m^3 with edges of element_size m."""
+    return round(SPLAT_TETS_PER_H3 * volume / element_size**3)
+
+
+def expected_time(cap: float, height: float, velocity: float, end_at: str) -> float:
+    """Simulated time, s, that an impact may be expected to take of its `cap` s. height m, velocity m/s; end_at: "rest",
+    "greatest" or "time"."""
+    return cap if end_at == "time" else min(cap, SHARE_OF_CAP[end_at] * CAP * height / velocity)
 
 
 def memory(points: float, n_elements: float) -> float:

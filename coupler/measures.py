@@ -31,15 +31,15 @@ def crater_depth(surface: np.ndarray) -> float:
 
 
 def measure(
-    particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float
+    particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float, level: float = 0.0
 ) -> dict[str, float]:
-    """Measures of this instant, SI. Heights from the undeformed surface z = 0; means over mass, percentiles over
-    points.
+    """Measures of this instant, SI. Heights from the surface as the particle found it, z = level; the crater's depth
+    from z = 0; means over mass, percentiles over points.
 
     particle, target: the two domains; surface: the particle's carried surface; surface_nodes: nodes of the target
     that can be touched; diameter: the particle's, m.
     """
-    m = shape_measures(surface.positions(particle.x), diameter)
+    m = shape_measures(surface.positions(particle.x) - [0.0, 0.0, level], diameter)
     m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))

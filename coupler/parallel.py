@@ -90,10 +90,10 @@ class Elsewhere(SolverError):
     """A step was given up because another rank failed."""
 
 
-def begin_impact(ranks: Ranks) -> None:
-    """At home: have the others build their parts of the next particle, too."""
+def begin_impact(ranks: Ranks, i: int, place: np.ndarray) -> None:
+    """At home: have the others build their parts of the particle of impact i, its centre at place (3,) m, too."""
     if ranks.size > 1:
-        ranks.comm.bcast(("impact", (), None), root=ranks.home)
+        ranks.comm.bcast(("impact", (i, place), None), root=ranks.home)
 
 
 def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
@@ -102,8 +102,10 @@ def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
         ranks.comm.bcast(("end", (error,), None), root=ranks.home)
 
 
-def follow(ranks: Ranks, build: Callable[[], Any]) -> None:
+def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
     """What a rank without the target does: build its part of each particle and do as the home asks until it is dismissed.
+
+    build(i, place): this rank's part of the particle of impact i.
 
     Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
     """
@@ -123,7 +125,7 @@ def follow(ranks: Ranks, build: Callable[[], Any]) -> None:
             if order == "impact":
                 if worker.piece is not None:
                     worker.piece.close()
-                worker = _Worker(ranks, build())
+                worker = _Worker(ranks, build(*arguments))
             elif order == "waited":
                 comm.gather(worker.waited, root=home)
             elif order == "everywhere":

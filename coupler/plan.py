@@ -3,10 +3,12 @@
 import math
 from dataclasses import dataclass
 
-from . import effects, estimates, units
+from . import effects, estimates
+from .adhesion import Adhesion
 from .effects import Effects, Situation
 from .materials import Material
 from .scene import Scene
+from .scene_tables import Particle
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
@@ -15,9 +17,10 @@ NEAR_MELTING = 0.9  # of the melting point
 
 @dataclass(frozen=True)
 class ImpactPlan:
-    """The particle. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
-    (x, y) m, of its centre at the start; gap m, of its lowest point above the surface; spacing m; points: about
-    that many."""
+    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
+    (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
+    that many. Times in s: end_time, the longest it may take; expected; rate_filter, the strain rate's smoothing; dwell,
+    the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at end_time at the latest."""
 
     material: Material
     shape: str
@@ -29,11 +32,17 @@ class ImpactPlan:
     gap: float
     spacing: float
     points: int
+    end_time: float
+    expected: float
+    rate_filter: float
+    output_every: float
+    dwell: float
+    end_at: str
 
 
 @dataclass(frozen=True)
 class TargetPlan:
-    """The target, a cylinder. Lengths m, temperature K; element_size inside refined_radius of the impact, then
+    """The target, a cylinder. Lengths m, temperature K; element_size inside refined_radius of centre (x, y), then
     growing by `growth` per unit of distance. sides, bottom: what is done: "absorbing" only if that effect is on."""
 
     material: Material
@@ -43,6 +52,7 @@ class TargetPlan:
     sides: str
     bottom: str
     element_size: float
+    centre: tuple[float, float]
     refined_radius: float
     growth: float
     elements_estimate: int
@@ -50,18 +60,18 @@ class TargetPlan:
 
 @dataclass(frozen=True)
 class Plan:
-    """What will be computed and at what cost. Times in s; end_time is the longest a run may take; home_load: cost of the target and
-    the contact over that of the particle."""
+    """What will be computed and at what cost. Times in s, lengths in m. impacts: one after another. dt_estimate: the
+    smallest of all impacts; steps, wall time and memory are those of all; home_load: cost of the target and the contact
+    over that of the particles."""
 
     scene: Scene
-    impact: ImpactPlan
+    impacts: tuple[ImpactPlan, ...]
     target: TargetPlan
+    adhesion: Adhesion
+    splat_method: str
+    splat_element_size: float
     friction: float
     effects: Effects
-    end_time: float
-    end_at_rest: bool
-    output_every: float
-    rate_filter: float
     dt_estimate: float
     steps_estimate: int
     memory_bytes: float
@@ -70,37 +80,93 @@ class Plan:
     preset: str
     warnings: tuple[str, ...]
 
+    @property
+    def impact(self) -> ImpactPlan:
+        """The first impact."""
+        return self.impacts[0]
+
+    @property
+    def end_time(self) -> float:
+        """The longest all impacts together may take, s, without the pauses."""
+        return sum(impact.end_time for impact in self.impacts)
+
+    @property
+    def end_at_rest(self) -> bool:
+        """Whether impacts end at rest."""
+        return self.impact.end_at == "rest"
+
+    @property
+    def output_every(self) -> float:
+        """Simulated time between two written steps, s, the shortest of all impacts."""
+        return min(impact.output_every for impact in self.impacts)
+
+    @property
+    def rate_filter(self) -> float:
+        """Time constant of the strain rate's smoothing, s, the shortest of all impacts."""
+        return min(impact.rate_filter for impact in self.impacts)
+
 
 def plan(scene: Scene) -> Plan:
     """Decide everything about a checked scene. Raises SceneError if it names a material that is not there."""
-    particle, substrate = scene.particle, scene.substrate
-    metal, base = scene.material(particle.material), scene.material(substrate.material)
-    D, v = particle.diameter, particle.velocity
-    situation = Situation(
-        materials=(metal, base),
-        temperatures=(particle.temperature, substrate.temperature),
-        velocity=v,
-        diameter=D,
-        friction=scene.contact.friction,
-        side_distance=_absorbing_distance(scene),
-        end_time=scene.end_time,
-        element_size=scene.element_size,
+    impacts = tuple(_impact(scene, particle) for particle in scene.particles)
+    base = scene.material(scene.substrate.material)
+    decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
+    target = _target(scene, base, decided)
+    dt = [estimates.CFL * i.spacing / i.material.wave_speed for i in impacts]
+    steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
+    # every impact but the first finds the splats of those before it among the target's elements
+    elements = [target.elements_estimate]
+    for particle in scene.particles[:-1]:
+        elements.append(elements[-1] + scene.splat_elements_of(particle))
+    costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
+    weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
+    loads = [estimates.home_load(points, n) for _, points, n in costs]
+    conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
+    return Plan(
+        scene=scene,
+        impacts=impacts,
+        target=target,
+        adhesion=scene.adhesion_law,
+        splat_method=scene.splat.method,
+        splat_element_size=scene.splat_element_size,
+        friction=scene.contact.friction if decided.on("friction") else 0.0,
+        effects=decided,
+        dt_estimate=min(dt),
+        steps_estimate=sum(steps),
+        memory_bytes=estimates.memory(scene.points, elements[-1]),
+        wall_estimate=sum(estimates.wall_time(*cost) for cost in costs) + conversions,
+        home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
+        preset=scene.preset,
+        warnings=tuple(_warnings(scene, impacts, base, decided)),
     )
-    decided = effects.decide(scene.effects, situation)
-    absorbing = decided.on("absorbing_boundaries")
-    impact = ImpactPlan(
-        material=metal,
+
+
+def _impact(scene: Scene, particle: Particle) -> ImpactPlan:
+    D, v, cap = particle.diameter, particle.velocity, scene.end_time_of(particle)
+    end_at = scene.end.at or "time"
+    return ImpactPlan(
+        material=scene.material(particle.material),
         shape=particle.shape,
         tilt=particle.tilt,
         diameter=D,
         velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
         temperature=particle.temperature,
         offset=particle.offset,
-        gap=scene.gap,
+        gap=scene.gap_of(particle),
         spacing=scene.spacing,
-        points=scene.points,
+        points=scene.points_of(particle),
+        end_time=cap,
+        expected=estimates.expected_time(cap, particle.height, v, end_at),
+        rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
+        output_every=scene.output_every_of(particle),
+        dwell=particle.dwell,
+        end_at=end_at,
     )
-    target = TargetPlan(
+
+
+def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
+    substrate, absorbing = scene.substrate, decided.on("absorbing_boundaries")
+    return TargetPlan(
         material=base,
         diameter=substrate.diameter,
         height=substrate.height,
@@ -109,46 +175,45 @@ def plan(scene: Scene) -> Plan:
         sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
         bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
         element_size=scene.element_size,
+        centre=scene.centre,
         refined_radius=scene.refined_radius,
         growth=scene.resolution.growth,
         elements_estimate=scene.elements,
     )
-    at_rest = scene.end.at == "rest"
-    dt = estimates.CFL * scene.spacing / metal.wave_speed
-    expected = min(scene.end_time, estimates.SHARE_OF_CAP * 3 * D / v) if at_rest else scene.end_time
-    steps = math.ceil(expected / dt)
-    return Plan(
-        scene=scene,
-        impact=impact,
-        target=target,
-        friction=scene.contact.friction if decided.on("friction") else 0.0,
-        effects=decided,
-        end_time=scene.end_time,
-        end_at_rest=at_rest,
-        output_every=scene.output_every,
-        rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
-        dt_estimate=dt,
-        steps_estimate=steps,
-        memory_bytes=estimates.memory(scene.points, scene.elements),
-        wall_estimate=estimates.wall_time(steps, scene.points, scene.elements),
-        home_load=estimates.home_load(scene.points, scene.elements),
-        preset=scene.preset,
-        warnings=tuple(_warnings(scene, metal, base, decided)),
-    )
 
 
-def _absorbing_distance(scene: Scene) -> float:
+def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> list[Situation]:
+    """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
+    found, left = [], sum(i.end_time for i in impacts)
+    for impact in impacts:
+        found.append(
+            Situation(
+                materials=(impact.material, base),
+                temperatures=(impact.temperature, scene.substrate.temperature),
+                velocity=math.hypot(*impact.velocity),
+                diameter=impact.diameter,
+                friction=scene.contact.friction,
+                side_distance=_absorbing_distance(scene, impact.offset),
+                end_time=left,
+                element_size=scene.element_size,
+            )
+        )
+        left -= impact.end_time
+    return found
+
+
+def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
     distances = [math.inf]
     if scene.substrate.sides == "absorbing":
-        distances.append(scene.substrate.diameter / 2 - math.hypot(*scene.particle.offset))
+        distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
     if scene.substrate.bottom == "absorbing":
         distances.append(scene.substrate.height)
     return min(distances)
 
 
-def _warnings(scene: Scene, metal: Material, base: Material, decided: Effects) -> list[str]:
-    particle, substrate, found = scene.particle, scene.substrate, []
-    rate = particle.velocity / particle.diameter
+def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, decided: Effects) -> list[str]:
+    found = []
+    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     if rate > FITTED_RATE:
         found.append(
             f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
@@ -156,90 +221,41 @@ def _warnings(scene: Scene, metal: Material, base: Material, decided: Effects) -
         )
     if scene.element_size < scene.spacing:
         found.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
-    for body, material, T in (
-        ("particle", metal, particle.temperature),
-        ("target", base, substrate.temperature),
-    ):
-        hot = T + effects.heating(material, T, particle.velocity) if body == "particle" else T
-        if hot > NEAR_MELTING * material.T_m:
-            found.append(f"the {body} may reach {hot:.0f} K; {material.name} melts at {material.T_m:.0f} K")
-    if scene.element_size < scene.spacing:
-        found.append("elements smaller than the points' spacing: single points will indent the target")
+    hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
+           for i in impacts]  # fmt: skip
+    for text, labels in _together(hot, scene.labels).items():
+        found.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
+    if text := _hot(base, scene.substrate.temperature):
+        found.append(f"the target {text}")
     absorbing = next(row for row in decided.rows if row.name == "absorbing_boundaries")
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
-    if absorbing.on and named and math.isinf(_absorbing_distance(scene)):
+    if absorbing.on and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
         found.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
     return found
 
 
+def _hot(material: Material, T: float) -> str:
+    """What to say of a body that may reach T, K; nothing if it is far from melting."""
+    return (
+        f"may reach {T:.0f} K; {material.name} melts at {material.T_m:.0f} K" if T > NEAR_MELTING * material.T_m else ""
+    )
+
+
+def _together(texts: list[str], labels: list[str]) -> dict[str, list[str]]:
+    """The labels that have the same text, by text; an empty text says nothing."""
+    found: dict[str, list[str]] = {}
+    for text, label in zip(texts, labels, strict=True):
+        if text:
+            found.setdefault(text, []).append(label)
+    return found
+
+
+def _listed(labels: list[str]) -> str:
+    return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
+
+
 def describe(plan: Plan) -> str:
     """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal."""
-    impact, target, show = plan.impact, plan.target, units.rounded
-    speed = math.hypot(*impact.velocity)
-    angle = show(plan.scene.particle.angle, "deg")
-    end = f"at most {show(plan.end_time, 'ns')}" if plan.end_at_rest else show(plan.end_time, "ns")
-    lines = [
-        f"{plan.scene.name} ({plan.preset})",
-        f"  particle   {impact.material.name} {impact.shape.replace('_', ' ')} {show(impact.diameter, 'um')},"
-        f" {show(speed, 'm/s', 4)} at {angle} from the normal, {show(impact.temperature, 'K', 4)}",
-        *_shape(plan),
-        *_gas(plan.scene),
-        f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
-        f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
-        f" sides {target.sides}, bottom {target.bottom}",
-        f"  friction   {plan.friction:g}",
-        f"  ends       {'at rest, ' if plan.end_at_rest else ''}{end};"
-        f" a step written every {show(plan.output_every, 'ns')}",
-        "",
-        f"  points     about {impact.points}, spacing {show(impact.spacing, 'um')}",
-        f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
-        f" within {show(target.refined_radius, 'um')}",
-        f"  dt         about {show(plan.dt_estimate, 'ps')}",
-        f"  steps      about {_round(plan.steps_estimate)}",
-        f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
-        f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
-        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
-        f" the target and the contact cost {plan.home_load:.2g} of the particle",
-        "",
-        "  effect                    on   decided by",
-    ]
-    for row in plan.effects.rows:
-        sign = ">" if row.value > row.threshold else "<="
-        lines.append(
-            f"  {row.name:25} {'yes' if row.on else 'no':4} "
-            f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
-        )
-    lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
-    return "\n".join(lines)
+    from .plan_text import describe as text  # there, because it needs the plan above
 
-
-def _gas(scene: Scene) -> list[str]:
-    """What the gas of a scene gives its particle, as some lines; none without a gas."""
-    if scene.gas is None:
-        return []
-    from .scene_gas import describe as gas
-
-    return gas(scene)
-
-
-def _shape(plan: Plan) -> list[str]:
-    """What there is to say of a shape that is no sphere, as one line or none."""
-    impact = plan.impact
-    if impact.shape == "sphere":
-        return []
-    lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in plan.scene.form.lengths)
-    tilt = f" tilted {units.rounded(impact.tilt, 'deg')}" if impact.tilt else ""
-    return [f"             {lengths} um{tilt}; {units.rounded(impact.diameter, 'um')} is the sphere of equal volume"]
-
-
-def duration(seconds: float) -> str:
-    """A wall time for people: "8 s", "3 min", "2.5 h"."""
-    if seconds < 90:
-        return f"{max(seconds, 1):.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"
-
-
-def _round(number: int) -> int:
-    """Two significant digits: an estimate deserves no more."""
-    step = 10 ** max(len(str(number)) - 2, 0)
-    return round(number / step) * step
+    return text(plan)

@@ -54,19 +54,24 @@ class StopSignals:
 
 
 class Running:
-    """One impact and what is written of it. setting: the domains (`deposition.Setting`); store: where it goes."""
+    """One impact and what is written of it. setting: the domains (`deposition.Setting`); store: where it goes.
 
-    def __init__(self, what: Plan, setting: Any, store: Any, progress: Any, threads: int):
-        self.what, self.setting, self.store, self.progress = what, setting, store, progress
-        self.impact = Impact(setting.particle, setting.target, setting.surface, setting.contact, threads)
-        crossing = what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
-        self.watch = Watch(what.end_time, what.end_at_rest, 0.1 * crossing)
-        self.expected = min(what.end_time, 1.1 * crossing) if what.end_at_rest else what.end_time
+    i: which of the plan's impacts; before: simulated time (s) of those before it.
+    """
+
+    def __init__(self, what: Plan, i: int, setting: Any, store: Any, progress: Any, threads: int, before: float = 0.0):
+        self.what, self.i, self.setting, self.store, self.progress = what, i, setting, store, progress
+        self.mine, self.before = what.impacts[i], before
+        self.impact = Impact(setting.particle, setting.bodies, setting.surface, setting.contact, threads)
+        crossing = self.mine.diameter / float(np.linalg.norm(self.mine.velocity))
+        self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing)
         self.greatest: dict[str, float] | None = None
         self.next_output = 0.0
         self.row_every = crossing / 400.0
         self.next_row = 0.0
         self.looped = 0.0  # s of wall time in the loop
+        mesh = setting.target.mesh
+        self.crater_nodes = np.unique(mesh.facets[mesh.sets["top"]])
 
     def state(self) -> dict[str, Any]:
         """All that goes on in the next chunk as if nothing had happened."""
@@ -90,11 +95,11 @@ class Running:
         probe(impact) is called after every chunk of steps. Raises SolverError, StoreError, or Stopped.
         """
         if self.progress is not None:
-            self.progress.start(self.expected)
+            self.progress.start(self.mine.expected)
         impact, particle = self.impact, self.setting.particle
         if impact.time == 0.0:
             self._write()
-        until = None if self.what.end_at_rest else self.what.end_time
+        until = self.mine.end_time if self.mine.end_at == "time" else None
         saved = clock.perf_counter()
         started = saved - self.looped
         with StopSignals() as asked:
@@ -136,12 +141,18 @@ class Running:
         from .measures import crater_depth
 
         impact, particle, target = self.impact, self.setting.particle, self.setting.target
-        books = impact.ledger.close(particle, target, self.setting.contact)
+        books = impact.ledger.close(particle, self.setting.bodies, self.setting.contact)
         skin = self.setting.surface.positions(particle.x)
-        row = {"time": impact.time, "dt": dt, "step": float(particle.steps), **books}
+        row = {
+            "time": self.before + impact.time,
+            "impact": float(self.i + 1),
+            "dt": dt,
+            "step": float(particle.steps),
+            **books,
+        }
         row["height"] = float(skin[:, 2].max())
         row["thickness"] = float(np.ptp(skin[:, 2]))
-        row["crater_depth"] = crater_depth(target.x[impact.surface_nodes])
+        row["crater_depth"] = crater_depth(target.x[self.crater_nodes])
         row["velocity_z"] = float(particle.momentum()[2] / particle.mass.sum())
         row["contact_force"] = float(impact.force[2])
         row["T_max"] = float(particle.T.max())
@@ -157,7 +168,9 @@ class Running:
     def _write(self) -> None:
         from .measures import von_mises_of
 
-        t, p, s = self.impact.time, self.setting.particle, self.setting.surface
+        # a moment later than the last step of the impact before: viewers want each time once
+        t = self.before + max(self.impact.time, 1e-15 if self.i else 0.0)
+        p, s = self.setting.particle, self.setting.surface
         stress = p.stress()
         fields = {
             "velocity": p.v, "stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": p.eps_p,
@@ -170,14 +183,14 @@ class Running:
         stress = e.stress()
         cells = {"stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": e.eps_p, "T": e.T}
         self.store.write("target", t, e.x, e.mesh.conn, {"velocity": e.velocity()}, cells)
-        self.next_output = t + self.what.output_every
+        self.next_output = self.impact.time + self.mine.output_every
 
     def _measure(self) -> dict[str, float]:
         from .measures import measure
 
         setting = self.setting
         m = measure(
-            setting.particle, setting.target, setting.surface, self.impact.surface_nodes, self.what.impact.diameter
+            setting.particle, setting.target, setting.surface, self.crater_nodes, self.mine.diameter, setting.level
         )
         return {"time_s": self.impact.time, **m}
 
@@ -191,6 +204,10 @@ class Running:
         energies = {name: value / kinetic_0 for name, value in books.items() if name not in ("drift", "momentum_error")}
         return {
             **{name: value for name, value in end.items() if name != "time_s"},
+            "material": self.mine.material.name,
+            "diameter_m": self.mine.diameter,
+            "speed_m_s": float(np.linalg.norm(self.mine.velocity)),
+            "surface_level_m": self.setting.level,
             "rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0),
             "energy_drift": books["drift"],
             "momentum_error": books["momentum_error"],

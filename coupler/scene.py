@@ -7,149 +7,35 @@ import math
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    GetCoreSchemaHandler,
-    StrictBool,
-    StrictFloat,
-    field_validator,
-    model_validator,
-)
-from pydantic_core import CoreSchema, core_schema
+from pydantic import Field, field_validator
 
-from . import effects, estimates, materials, morphology, units
+from . import effects, estimates, materials
+from .adhesion import Adhesion
 from .errors import SceneError
 from .materials import Material
+from .scene_tables import SHAPES as SHAPES
+from .scene_tables import (
+    AdhesionTable,
+    Contact,
+    End,
+    GasConditions,
+    Output,
+    Particle,
+    Resolution,
+    Section,
+    SplatTable,
+    Substrate,
+)
+from .scene_tables import Shape as Shape
 
-SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
+MOST_IMPACTS = 500
 _LARGEST_FILE = 1_000_000  # bytes; a scene is a page of text
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A field with a unit: text in the scene, an SI float inside. `unit` is the one it is written out in.
-
-    low, high: limits, as text with units. below: a message of its own for a value under `low`.
-    """
-
-    unit: str
-    low: str
-    high: str
-    below: str = ""
-
-    def read(self, value: object) -> float:
-        """SI value of a scene's text. Raises units.UnitError or ValueError with what is wrong."""
-        if value is None:
-            raise units.UnitError("needs a value")
-        dimension = units.dimension_of(self.unit)
-        number = units.parse(value, dimension)
-        low, high = units.parse(self.low, dimension), units.parse(self.high, dimension)
-        if self.below and number < low:
-            raise ValueError(self.below)
-        if not low <= number <= high:
-            raise ValueError(f"is outside {self.low} to {self.high}")
-        return number
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.read)
-
-
-class Section(BaseModel):
-    """A table of the scene: no other keys than its own, and unchangeable once read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
-Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
-Face = Literal["absorbing", "free", "fixed"]
-Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # those of coupler.morphology
-SHAPES: tuple[str, ...] = get_args(Shape)
-
-
-class Particle(Section):
-    """The impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
-
-    shape: a name of `coupler.morphology`; diameter: of the sphere of equal volume; tilt (rad): of the shape about y.
-    """
-
-    material: str
-    shape: Shape = "sphere"
-    diameter: Annotated[float, Quantity("um", "1 um", "200 um")]
-    velocity: Annotated[float, Quantity("m/s", "10 m/s", "2000 m/s")]
-    angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
-    tilt: Annotated[float, Quantity("deg", "-90 deg", "90 deg")] = 0.0
-    temperature: Temperature = 300.0
-    offset: tuple[Offset, Offset] = (0.0, 0.0)
-    gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
-
-
-class GasConditions(Section):
-    """The gas that brings the particle: it gives the velocity and temperature that the scene leaves out. SI units.
-
-    pressure, temperature: total, before the nozzle. nozzle: of the library or of [nozzles.NAME]. standoff: from there to
-    the target. ambient: pressure outside. powder_temperature: when fed. drag: a law of `coupler.flight`.
-    """
-
-    kind: Literal["N2", "He", "air"] = "N2"
-    pressure: Annotated[float, Quantity("bar", "1 bar", "100 bar")]
-    temperature: Annotated[float, Quantity("degC", "200 K", "1800 K")]
-    nozzle: str
-    standoff: Annotated[float, Quantity("mm", "1 mm", "500 mm")] = 30e-3
-    ambient: Annotated[float, Quantity("bar", "0.001 bar", "10 bar")] = 101325.0
-    powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
-    bow_shock: StrictBool = False
-    drag: Literal["henderson", "carlson-hoglund"] = "henderson"
-
-
-class Substrate(Section):
-    """The target, a cylinder whose top is the surface. SI units."""
-
-    material: str
-    diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
-    height: Annotated[float, Quantity("um", "2 um", "5000 um")] = 100e-6
-    temperature: Temperature = 300.0
-    sides: Face = "absorbing"
-    bottom: Face = "fixed"
-
-
-class Contact(Section):
-    """friction: the Coulomb coefficient."""
-
-    friction: StrictFloat = Field(0.5, ge=0.0, le=2.0)
-
-
-class Resolution(Section):
-    """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
-    of distance away from the impact."""
-
-    spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
-    element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
-    growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = estimates.GROWTH
-
-
-class End(Section):
-    """When a run ends: at rest, at a time (s), or at whichever comes first. Rest if neither is said."""
-
-    at: Literal["rest"] | None = None
-    time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _rest_unless_told(cls, data: Any) -> Any:
-        return {"at": "rest"} if data == {} else data
-
-
-class Output(Section):
-    """every: simulated time (s) between two written steps."""
-
-    every: Annotated[float | None, Quantity("ns", "0.001 ns", "1000000 ns")] = None
+_OUTPUTS_PER_CROSSING = 25.0  # written steps in D / v, of one impact ...
+_OUTPUTS_IN_ALL = 1250.0  # ... and in the crossings of a long sequence together
 
 
 class Scene(Section):
@@ -162,18 +48,24 @@ class Scene(Section):
     gas: GasConditions | None = None
     substrate: Substrate
     contact: Contact = Contact(friction=0.5)
+    adhesion: AdhesionTable = AdhesionTable()
+    splat: SplatTable = SplatTable()
     resolution: Resolution = Resolution()
     end: End = End(at="rest")
     output: Output = Output()
-    materials: dict[str, dict[str, Any]] = {}
-    nozzles: dict[str, dict[str, Any]] = {}
+    materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    nozzles: dict[str, dict[str, Any]] = Field(default_factory=dict)
 
     @field_validator("particles", mode="before")
     @classmethod
-    def _one_particle(cls, value: Any) -> Any:
-        if isinstance(value, list) and len(value) != 1:
-            raise ValueError("one particle is needed: sequences of impacts are not yet supported")
-        return value if isinstance(value, list) else [value]
+    def _in_order(cls, value: Any) -> Any:
+        if not isinstance(value, list):
+            return [value]
+        if not value:
+            raise ValueError("needs a table [particle], or a [[particle]] for each of several impacts")
+        if len(value) > MOST_IMPACTS:
+            raise ValueError(f"has {len(value)} impacts; at most {MOST_IMPACTS} are possible")
+        return value
 
     @field_validator("effects", mode="before")
     @classmethod
@@ -228,37 +120,54 @@ class Scene(Section):
 
     @property
     def particle(self) -> Particle:
-        """The one particle."""
+        """The first particle."""
         return self.particles[0]
 
     @property
+    def labels(self) -> list[str]:
+        """What messages call the particles: "particle" where there is one, else "particle[1]" and on."""
+        n = len(self.particles)
+        return ["particle"] if n == 1 else [f"particle[{i}]" for i in range(1, n + 1)]
+
+    @cached_property
     def spacing(self) -> float:
-        """Distance of the particle's points, m: the scene's own, or the preset's."""
+        """Distance of the points, m, of all particles: the scene's own, or the preset's for the largest particle."""
         if self.resolution.spacing is not None:
             return self.resolution.spacing
-        volume = estimates.sphere_volume(self.particle.diameter)
-        return estimates.spacing(volume, estimates.PRESETS[self.preset])
+        return estimates.spacing(max(p.volume for p in self.particles), estimates.PRESETS[self.preset])
+
+    def points_of(self, particle: Particle) -> int:
+        """Points of a particle, about: its volume over the cube of the spacing."""
+        return round(particle.volume / self.spacing**3)
 
     @property
     def points(self) -> int:
-        """Points of the particle, about: its volume over the cube of the spacing."""
-        return round(estimates.sphere_volume(self.particle.diameter) / self.spacing**3)
-
-    @property
-    def form(self) -> morphology.Form:
-        """The particle's shape in its size."""
-        return morphology.form(self.particle.shape, self.particle.diameter)
+        """Points of the largest particle, about."""
+        return max(map(self.points_of, self.particles))
 
     @property
     def width(self) -> float:
-        """The particle's extent along the target, the larger of two, m; a sphere's diameter."""
-        return self.form.width(self.particle.tilt)
+        """Extent along the target of the widest particle, m."""
+        return max(p.width for p in self.particles)
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle (x, y) of the box that holds all offsets, m."""
+        xs, ys = zip(*(p.offset for p in self.particles), strict=True)
+        return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
     @property
     def refined_radius(self) -> float:
-        """Radius of the part of the target with the smallest elements, m: it grows with the particle's width."""
-        D = self.particle.diameter
-        return estimates.REFINED_RADIUS_OVER_DIAMETER * D + 0.5 * max(self.width - D, 0.0)
+        """Radius about `centre` of the part of the target with the smallest elements, m.
+
+        It holds the widest particle at the farthest offset.
+        """
+        least = estimates.REFINED_RADIUS_OVER_DIAMETER
+        middle, own = (
+            self.centre,
+            max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.particles),
+        )
+        return own + max(math.dist(p.offset, middle) for p in self.particles)
 
     @property
     def element_size(self) -> float:
@@ -267,7 +176,7 @@ class Scene(Section):
 
     @property
     def elements(self) -> int:
-        """Elements of the target, an estimate."""
+        """Elements of the target before the first impact, an estimate."""
         return estimates.elements(
             self.substrate.diameter,
             self.substrate.height,
@@ -277,26 +186,44 @@ class Scene(Section):
         )
 
     @property
-    def gap(self) -> float:
-        """Distance of the lowest point from the surface at the start, m; half a spacing by default."""
-        return self.spacing / 2 if self.particle.gap is None else self.particle.gap
+    def splat_element_size(self) -> float:
+        """Edge of the elements of splats, m: the scene's own, or the target's smallest."""
+        return self.splat.element_size or self.element_size
+
+    def splat_elements_of(self, particle: Particle) -> int:
+        """Elements of a particle's splat, an estimate."""
+        return estimates.splat_elements(particle.volume, self.splat_element_size)
 
     @property
-    def output_every(self) -> float:
-        """Simulated time between two written steps, s; D / v / 25 by default."""
-        return self.output.every or self.particle.diameter / self.particle.velocity / 25
+    def adhesion_law(self) -> Adhesion:
+        """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
+        said = self.adhesion.model_dump()
+        said["kind"] = said["kind"] or ("tied" if len(self.particles) > 1 else "none")
+        return Adhesion(**said)
 
-    @property
-    def end_time(self) -> float:
-        """The longest a run may take, s: the scene's time, else the flight over the gap and 3 D / v.
+    def gap_of(self, particle: Particle) -> float:
+        """Distance of a particle's lowest point from what lies under it at the start, m; half a spacing by default."""
+        return self.spacing / 2 if particle.gap is None else particle.gap
+
+    def output_every_of(self, particle: Particle) -> float:
+        """Simulated time between two written steps of an impact, s; D / v / 25 by default, more in a long sequence."""
+        outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.particles))
+        return self.output.every or particle.diameter / particle.velocity / outputs
+
+    def end_time_of(self, particle: Particle) -> float:
+        """The longest an impact may take, s: the scene's time, else the flight over the gap and 3 D / v.
 
         For D the particle's height, where that is larger.
         """
         if self.end.time is not None:
             return self.end.time
-        flight = self.gap / (self.particle.velocity * math.cos(self.particle.angle))
-        height = max(self.particle.diameter, self.form.height(self.particle.tilt))
-        return flight + 3 * height / self.particle.velocity
+        flight = self.gap_of(particle) / (particle.velocity * math.cos(particle.angle))
+        return flight + estimates.CAP * particle.height / particle.velocity
+
+    @property
+    def end_time(self) -> float:
+        """The longest all impacts together may take, s, without the pauses between them."""
+        return sum(map(self.end_time_of, self.particles))
 
     def material(self, name: str) -> Material:
         """A material of the library, or the scene's own. Raises SceneError for a name that is neither."""

@@ -12,11 +12,13 @@ from .errors import ColdsprayError
 from .gas import GASES, Flow
 from .materials import Material
 from .nozzles import Nozzle
-from .scene import GasConditions, Particle, Scene
+from .scene import MOST_IMPACTS, Scene
+from .scene_tables import GasConditions, Particle
 
 _STAND_IN = {"velocity": "500 m/s", "temperature": "300 K"}  # while another problem keeps the gas from being computed
 _DIGITS = 4  # the model is good to a few per cent
 _SLOWEST, _FASTEST = 10.0, 2000.0  # m/s: what a scene may say
+_MOST_LINES = 6  # of what the gas gives
 
 
 def read(table: Any) -> tuple[GasConditions | None, list[tuple[str, str]]]:
@@ -71,7 +73,10 @@ def fill(given: dict[str, Any], catalogue: Mapping[str, Material]) -> list[str]:
             problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
         conditions = None
     particles = given.get("particle")
-    for particle in particles if isinstance(particles, list) else [particles]:
+    particles = particles if isinstance(particles, list) else [particles]
+    if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
+        conditions = None
+    for particle in particles:
         if not isinstance(particle, dict):
             continue
         found = _STAND_IN
@@ -86,24 +91,35 @@ def fill(given: dict[str, Any], catalogue: Mapping[str, Material]) -> list[str]:
 
 
 def describe(scene: Scene) -> list[str]:
-    """What `check` says of the gas: a line or two, none without [gas]."""
+    """What `check` says of the gas: some lines, none without [gas]."""
     if scene.gas is None:
         return []
-    c, particle = scene.gas, scene.particle
+    c = scene.gas
     nozzle = nozzles.from_tables(scene.nozzles)[0][c.nozzle]
-    found = arrival(c, nozzle, scene.material(particle.material), particle.diameter)
-    said = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
-    away = [field for field in found if units.rounded(getattr(particle, field), *_UNITS[field]) != found[field]]
-    gives = f"{found['velocity']}, {found['temperature']}"
-    used = f"the scene's own {' and '.join(said[field] for field in away)} used instead" if away else "used here"
     where = f"{c.kind} {units.rounded(c.pressure, 'bar')}, {units.rounded(c.temperature, 'degC')}, nozzle {nozzle.name}"
-    lines = [f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away: gives {gives}, {used}"]
-    shape = particle.shape.replace("_", " ")
+    head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away:"
+    gives = list(dict.fromkeys(_gives(scene, c, nozzle, particle) for particle in scene.particles))
+    if len(scene.particles) == 1:
+        lines = [f"{head} {gives[0]}"]
+    else:
+        more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
+        lines = [head, *(f"{_INDENT['initial_indent']}{text}" for text in [*gives[:_MOST_LINES], *more])]
+    shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
     sphere = (
-        [] if shape == "sphere" else [f"drag and heat are those of the sphere of equal volume, not of this {shape}"]
+        [f"drag and heat are those of the sphere of equal volume, not of this {', '.join(shapes)}"] if shapes else []
     )
     notes = [*sphere, *flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
     return lines + [line for note in notes for line in textwrap.wrap(note, 110, **_INDENT)]
+
+
+def _gives(scene: Scene, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
+    """What the gas gives one particle, and whether it is used."""
+    found = arrival(conditions, nozzle, scene.material(particle.material), particle.diameter)
+    said = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
+    away = [field for field in found if units.rounded(getattr(particle, field), *_UNITS[field]) != found[field]]
+    used = f"the scene's own {' and '.join(said[field] for field in away)} used instead" if away else "used here"
+    which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
+    return f"{which}gives {found['velocity']}, {found['temperature']}, {used}"
 
 
 _INDENT: Any = {"initial_indent": " " * 13, "subsequent_indent": " " * 13}

@@ -34,6 +34,7 @@ class Team:
             self.x, self.v = self.whole("x"), self.whole("v")
         self.mass = self.whole("mass")
         self.numerics = self.ask("numerics_now")[0]
+        self.law: np.ndarray = self.ask("law_now")[0]
         self.totals = self._report()
 
     # ---- between chunks ------------------------------------------------------------------------------------------
@@ -127,14 +128,15 @@ class Team:
         parts = self.ask("state")
         points = {name: self._joined([part["points"][name] for part in parts]) for name in parts[0]["points"]}
         add = {name: sum(part["add"][name] for part in parts) for name in parts[0]["add"]}
-        return {"points": points, "add": add, "same": parts[0]["same"]}
+        return {"points": points, "add": add, "same": parts[0]["same"], "totals": self.totals}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put a `state` into fresh pieces, on any number of ranks."""
         self.ask("restore", state, each=[i == 0 for i in range(len(self._owner))])
         same = state["same"]
         self.time, self.steps, self.dt = float(same["time"]), int(same["steps"]), float(same["dt"])
-        self.totals = self._report()
+        self.totals = dict(state["totals"])  # LAMMPS knows its strains again only after the next step
+        self._fields = {}
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")
 

@@ -30,6 +30,7 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "conductivity": ("91 W/(m K)", {"W/(m K)": "1", "W/mK": "1", "W/m/K": "1"}),
     "expansion": ("13e-6 1/K", {"1/K": "1"}),
     "rate": ("1 1/s", {"1/s": "1"}),
+    "surface energy": ("20 J/m2", {"J/m2": "1", "J/m^2": "1", "mJ/m2": "1e-3", "kJ/m2": "1e3"}),
 }
 _OFFSETS = {"degC": Fraction("273.15")}
 _DIMENSION_OF = {unit: dimension for dimension, (_, units) in _DIMENSIONS.items() for unit in units}

@@ -50,6 +50,10 @@ def test_forces_spread_with_their_resultant_moment_and_power(body, rng: np.rando
     assert np.sum(g * v) == pytest.approx(np.sum(f * surface.contacts(v)))
     heat = rng.uniform(0, 1, len(f))
     assert surface.spread_heat(heat).sum() == pytest.approx(heat.sum())
+    local = np.zeros(len(f))
+    local[[3, len(f) - 2]] = 2.0, 5.0  # a vertex and a point
+    around = surface.spread_heat(local)
+    assert around == pytest.approx(surface.average[[3]].toarray()[0] * 2.0 + np.eye(len(points))[-2] * 5.0)
     T = rng.uniform(300, 500, len(points))
     assert 300 <= surface.values(T).min() <= surface.values(T).max() <= 500
 

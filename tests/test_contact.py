@@ -151,30 +151,41 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
 
 
 def test_only_the_rows_of_a_search_are_read_and_none_is_missed(rng: np.random.Generator) -> None:
-    """Points that fly `travel` from where they were searched: the forces are those of a search at every place."""
+    """Points and a sheet that jump about within `travel` of where they were searched: at each place the forces of a search there."""
     x, facets = sheet(rng, bumps=0.03)
     xp = rng.uniform(-0.8, 0.8, (400, 3)) * [1, 1, 0.3]
     xp[xp[:, 2] < -0.03, 2] *= -1.0
-    travel = 0.08
+    travel, touched = 0.08, set()
     c = make(len(xp), facets, friction=0.0)
     c.search(xp, x, travel)
     assert 0 < len(c.rows) < 300
-    touched = 0
-    for _ in range(5):
-        way = rng.standard_normal(xp.shape)
-        now = xp + travel * rng.uniform(0, 1, (400, 1)) * way / np.linalg.norm(way, axis=1)[:, None]
+    for _ in range(12):
+        ways = [rng.standard_normal(a.shape) for a in (xp, x)]
+        steps = [w / np.linalg.norm(w, axis=1)[:, None] * rng.uniform(0, 1, (len(w), 1)) for w in ways]
+        now, sheet_now = xp + 0.7 * travel * steps[0], x + 0.3 * travel * steps[1]
         fresh = make(len(xp), facets, friction=0.0)
-        fresh.search(now, x, travel)
+        fresh.search(now, sheet_now, travel)
         right, fn = np.zeros_like(xp), np.zeros_like(x)
-        fresh.forces(1e-3, now, np.zeros_like(xp), x, np.zeros_like(x), right, fn)
+        fresh.forces(1e-3, now, np.zeros_like(xp), sheet_now, np.zeros_like(x), right, fn)
         blind = np.full_like(now, np.nan)
         blind[c.rows] = now[c.rows]
         fp = np.zeros_like(xp)
-        c.forces(1e-3, blind, np.zeros_like(xp), x, np.zeros_like(x), fp, np.zeros_like(x))
-        deep = fresh.depth > 0.0
-        touched += int(deep.sum())
+        c.forces(1e-3, blind, np.zeros_like(xp), sheet_now, np.zeros_like(x), fp, np.zeros_like(x))
+        touched |= set(np.flatnonzero(fresh.depth).tolist())
         assert fp == pytest.approx(right, rel=1e-9, abs=1e-9 * np.abs(right).max())
-    assert touched > 100
+        assert np.array_equal(c.depth > 0.0, fresh.depth > 0.0)
+    assert 40 < len(touched) < len(c.rows)
+
+
+def test_what_is_far_from_a_surface_is_not_looked_at_until_it_may_be_near() -> None:
+    x, facets = sheet(np.random.default_rng(1))
+    xp = np.array([[0.0, 0.01, 0.02], [0.3, 0.01, 0.06], [-0.3, 0.01, -0.01]])
+    seen, room, rows = xp.copy(), np.array([0.02, 0.06, -0.01]), np.arange(3)
+    assert kernels.due(rows, xp, seen, room, 0.0).tolist() == [2]
+    assert kernels.due(rows, xp, seen, room, 0.03).tolist() == [0, 2]  # the surface has moved
+    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.0).tolist() == [0, 2]  # the points have
+    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.02).tolist() == [0, 1, 2]
+    assert kernels.moved(x[facets], x[facets] + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
 
 
 def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) -> None:

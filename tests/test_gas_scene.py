@@ -103,6 +103,21 @@ def test_check_says_that_a_flake_is_not_a_sphere():
     assert "equal volume, not" not in describe(plan(scene()))
 
 
+def test_gas_gives_each_of_several_particles_its_own():
+    sizes = [{"material": "Ni", "diameter": f"{d} um"} for d in (25, 18)]
+    data = {"gas": SPRAY, "substrate": {"material": "SS304"}}
+    found = Scene.from_dict(data | {"particle": [*sizes, sizes[0] | {"velocity": "500 m/s"}]})
+    large, small, own = found.particles
+    assert small.velocity > large.velocity == scene().particle.velocity
+    assert (own.velocity, own.temperature) == (500.0, large.temperature)
+    assert Scene.from_text(found.to_toml(), "elsewhere.toml") == found
+    said = describe(plan(found))
+    assert f"Ni 18 um: gives {small.velocity:.4g} m/s" in said
+    assert said.count("Ni 25 um: gives") == 2
+    with pytest.raises(SceneError, match=r"particle\[2\]\.diameter: missing"):
+        Scene.from_dict(data | {"particle": [sizes[0], {"material": "Ni"}]})
+
+
 def test_a_nozzle_in_a_scene():
     table = {"inlet": "8 mm", "throat": "2.5 mm", "exit": "6 mm", "converging": "30 mm", "diverging": "100 mm"}
     found = scene(gas_={"nozzle": "Mine", "standoff": "20 mm", "bow_shock": True}, nozzles={"Mine": table})

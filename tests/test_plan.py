@@ -3,7 +3,7 @@ import subprocess
 import sys
 
 import pytest
-from test_scene import scene_with
+from test_scene import scene_with, several
 
 from coupler import effects, estimates
 from coupler.plan import describe, plan
@@ -25,6 +25,59 @@ def test_nickel_on_steel():
     assert 700 < made.steps_estimate < 4000
     assert made.effects.active == [name for name in effects.NAMES if name != "conduction"]
     assert any("strain rates" in warning for warning in made.warnings)
+
+
+def test_each_impact_is_planned():
+    slow = {"velocity": "250 m/s", "dwell": "10 us", "angle": "30 deg", "offset": ["4 um", "0 um"]}
+    made = plan(several({"diameter": "18 um"}, slow, {"material": "Ti"}, end__at="greatest"))
+    first, second, third = made.impacts
+    assert made.impact is first
+    assert [i.end_at for i in made.impacts] == ["greatest"] * 3
+    assert not made.end_at_rest
+    assert (first.points, second.points) == (round(5000 * 0.72**3), 5000)
+    assert (first.spacing, third.spacing) == (second.spacing, second.spacing)
+    assert [i.dwell for i in made.impacts] == [0.0, 10e-6, 0.0]
+    assert second.velocity == pytest.approx((125.0, 0.0, -250 * math.cos(math.pi / 6)))
+    assert second.rate_filter == pytest.approx(2 * third.rate_filter)
+    assert second.output_every == pytest.approx(2 * third.output_every)
+    assert second.expected == pytest.approx(2 * third.expected)
+    assert third.expected < plan(several({}, {})).impacts[1].expected < third.end_time
+    assert made.end_time == pytest.approx(sum(i.end_time for i in made.impacts))
+    assert made.rate_filter == first.rate_filter
+    assert made.target.centre == (2e-6, 0.0)
+    assert made.adhesion.kind == "tied"
+    assert (made.splat_method, made.splat_element_size) == ("auto", made.target.element_size)
+
+
+def test_an_impact_that_ends_at_a_time():
+    (impact,) = plan(scene_with(end__time="60 ns")).impacts
+    assert (impact.end_at, impact.end_time, impact.expected) == ("time", 60e-9, 60e-9)
+    both = plan(scene_with(end__time="20 ns", end__at="rest")).impact
+    assert (both.end_at, both.expected) == ("rest", 20e-9)
+
+
+def test_cost_grows_with_the_splats_that_join():
+    one, two, three = (plan(several(*[{}] * n)) for n in (1, 2, 3))
+    splat = one.scene.splat_elements_of(one.scene.particle)
+    assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
+    assert (two.steps_estimate, three.steps_estimate) == (2 * one.steps_estimate, 3 * one.steps_estimate)
+    added = [two.wall_estimate - one.wall_estimate, three.wall_estimate - two.wall_estimate]
+    assert one.wall_estimate < added[0] < added[1]
+    assert one.home_load < two.home_load < three.home_load
+
+
+def test_effects_are_on_if_any_impact_calls_for_them():
+    slow = {"velocity": "50 m/s"}
+    assert not plan(several(slow, slow)).effects.on("mie_gruneisen")
+    made = plan(several(slow, {}))
+    assert made.effects.on("mie_gruneisen")
+    assert row(made, "mie_gruneisen").value == row(plan(scene_with()), "mie_gruneisen").value
+
+
+def test_waves_and_heat_travel_through_later_impacts_too():
+    one, four = plan(scene_with()), plan(several(*[{}] * 4))
+    assert row(four, "absorbing_boundaries").value == pytest.approx(4 * row(one, "absorbing_boundaries").value)
+    assert row(four, "conduction").value == pytest.approx(2 * row(one, "conduction").value)
 
 
 def test_oblique():
@@ -101,7 +154,10 @@ def test_requests_that_make_no_sense(request_):
 
 def test_warns_near_melting():
     made = plan(scene_with(particle__velocity="1500 m/s"))
-    assert any("melts at" in warning for warning in made.warnings)
+    assert any("the particle may reach" in warning and "melts at" in warning for warning in made.warnings)
+    fast = {"velocity": "1500 m/s"}
+    (warning,) = (w for w in plan(several(fast, {}, fast)).warnings if "melts at" in w)
+    assert warning.startswith("particle[1], particle[3] may reach")
 
 
 def test_elements_against_a_mesh():
@@ -124,6 +180,28 @@ def test_described_for_a_terminal():
     for part in ("points     about 5000", "elements", "dt", "steps", "memory", "wall time", *effects.NAMES):
         assert part in text
     assert max(map(len, text.splitlines())) <= 125
+
+
+def test_a_line_for_each_impact():
+    cohesive = {"kind": "cohesive", "strength": "300 MPa", "energy": "20 J/m2", "criterion": "velocity"}
+    changes = {"dwell": "10 us", "offset": ["-3 um", "4.5 um"], "shape": "flake", "angle": "30 deg"}
+    text = describe(plan(several({}, {"material": "Ti"}, changes, adhesion=cohesive, end__at="greatest")))
+    for part in (
+        "impact 1   Ni sphere 25 um, 500 m/s at 0 deg from the normal, 300 K",
+        "impact 2   Ti sphere",
+        "impact 3   Ni flake 25 um, 500 m/s at 30 deg from the normal, 300 K, at (-3, 4.5) um, then a pause of 10 us",
+        "adhesion   cohesive, 300 MPa and 20 J/m2, where the velocity has reached 1 of the critical one",
+        "each ends  at greatest deformation, at most",
+    ):
+        assert part in text
+    assert max(map(len, text.splitlines())) <= 125
+    assert "adhesion" not in describe(plan(scene_with()))
+
+
+def test_a_long_sequence_is_not_listed_to_its_end():
+    text = describe(plan(several(*[{"diameter": "10 um"}] * 40, preset="draft")))
+    assert text.count("impact ") == 12
+    assert "... and 28 more" in text
 
 
 def test_planning_imports_no_solver():

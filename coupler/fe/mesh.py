@@ -83,6 +83,13 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
 
     Raises SolverError for an inverted or empty tetrahedron.
     """
+    return prepare_ordered(points, tets, origin)[0]
+
+
+def prepare_ordered(
+    points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> tuple[TetMesh, np.ndarray, np.ndarray]:
+    """`prepare`, and which of the points (n,) and tetrahedra (m,) given each node and element is."""
     from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
@@ -119,7 +126,7 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
     flip = np.einsum("ij,ij->i", normal, a - inside) < 0
     corners[flip] = corners[flip][:, [0, 2, 1]]
     sets = _name_sides(points, corners)
-    return TetMesh(
+    prepared = TetMesh(
         points,
         np.ascontiguousarray(tets, np.int32),
         np.ascontiguousarray(gradients),
@@ -131,6 +138,7 @@ def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, fl
         reach_node,
         reach,
     )
+    return prepared, order, by_reach
 
 
 def join(bodies: dict[str, TetMesh]) -> tuple[TetMesh, np.ndarray]:

@@ -172,9 +172,9 @@ def comparison_page(results: Sequence[Result]) -> str:
     curves = [page.chart(column, charts.compared(histories, column, said, factor)) for column, said, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
     warned = [
-        f"<h3>{escape(name)}</h3>{parts.warnings(result.summary)}"
+        f"<h3>{escape(name)}</h3>{parts.warnings(result.summary['warnings'])}"
         for name, result in zip(names, results, strict=True)
-        if parts.warnings(result.summary)
+        if result.summary.get("warnings")
     ]
     page.section("warned", "Warnings", "".join(warned))
     unfinished = [name for name, result in zip(names, results, strict=True) if not result.finished]

@@ -37,10 +37,11 @@ FIELDS = {
 }
 
 
-def from_points(points: NDArray, places: NDArray) -> tuple[NDArray[np.int64], NDArray]:
+def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple[NDArray[np.int64], NDArray]:
     """Which points, and with which weights, make the value at each place inside a cloud.
 
-    points: (n, 3) m. places: (k, 3) m. Returns indices and weights, (k, j) each; weights of a place sum to one.
+    points: (n, 3) m. places: (k, 3) m. void: m, a place without a point so near lies in none of the metal. Returns
+    indices and weights, (k, j) each; weights of a place sum to one, and are not numbers in a void.
     """
     from scipy.spatial import cKDTree
 
@@ -50,7 +51,9 @@ def from_points(points: NDArray, places: NDArray) -> tuple[NDArray[np.int64], ND
     # Weights fall over the distance of the points from each other, wherever that has been stretched.
     reach = np.maximum(distance[:, min(3, near - 1)], 1e-12)[:, None]
     weight = np.exp(-((distance / reach) ** 2))
-    return index, weight / weight.sum(1, keepdims=True)
+    weight /= weight.sum(1, keepdims=True)
+    weight[distance[:, 0] > void] = np.nan
+    return index, weight
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:

@@ -126,8 +126,8 @@ def report(result: Result) -> str:
         page.chart("force", charts.force(history)),
     ]
     page.section("motion", "Motion", f'<div class="three">{"".join(motion)}</div>' if any(motion) else "")
-    spent = [f"<div>{parts.timing(summary)}</div>", page.chart("step", charts.time_step(history))]
-    page.section("time", "Time spent", f'<div class="two">{"".join(spent)}</div>' if history or summary else "")
+    spent, step = parts.timing(summary), page.chart("step", charts.time_step(history))
+    page.section("time", "Time spent", f'<div class="two"><div>{spent}</div>{step}</div>' if spent else step)
     page.section("scene", "Scene", _scene(result))
     return page.html(title(result), _under(result, scene, history), _top(result, history), _footer(summary))
 
@@ -200,7 +200,8 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
             f'<p class="warn" id="unfinished"><b>This run is not finished</b>: it is still running or was stopped.{reached}'
             " What follows is what was written so far.</p>"
         )
-    return state + parts.tiles(result.summary) + parts.warnings(result.summary)
+    warned = result.summary.get("warnings") if result.finished else parts.planned_warnings(result)
+    return state + parts.tiles(result.summary) + parts.warnings(warned)
 
 
 def _footer(summary: Mapping[str, Any]) -> str:
@@ -254,10 +255,8 @@ def _cuts(cuts: Sequence[Cut], ranges: Mapping[str, tuple[float, float]], named:
 
 
 def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
-    level, reach = at.level / MICRO, 1.5 * at.diameter / MICRO
-    lines = [
-        one for step in steps for one in profiles(result, step, ("T", "eps_p", "von_mises", "stress"), level, reach)
-    ]
+    reach = 1.5 * at.diameter / MICRO
+    lines = [one for step in steps for one in profiles(result, step, ("T", "eps_p", "von_mises", "stress"), at, reach)]
     last = [one for one in lines if one.time == max(line.time for line in lines)]
     span = (min(float(one.depth[0]) for one in lines) * MICRO, reach * MICRO)
     found = [

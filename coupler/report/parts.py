@@ -186,13 +186,23 @@ def material_data(result: Result) -> str:
     return f"<details><summary>Material data and their sources</summary>{whole}{sources}</details>"
 
 
-def warnings(summary: Mapping[str, Any]) -> str:
-    """What the run warned of; nothing if it did not."""
-    given = summary.get("warnings")
+def warnings(given: Any) -> str:
+    """What the run warned of, a list of texts; nothing if it did not."""
     if not isinstance(given, list) or not given:
         return ""
     items = "".join(f"<li>{escape(str(text))}</li>" for text in given)
-    return f'<div class="warn" id="warnings"><b>Warnings</b><ul>{items}</ul></div>'
+    return f'<div class="warn"><b>Warnings</b><ul>{items}</ul></div>'
+
+
+def planned_warnings(result: Result) -> list[str]:
+    """What `coldspray check` warns of in the scene of a run that has no summary yet."""
+    from ..plan import plan
+    from ..scene import Scene
+
+    try:
+        return list(plan(Scene.from_text(result.scene_text)).warnings)
+    except ColdsprayError:
+        return []
 
 
 def timing(summary: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MICRO = 1e6
+VOID = 1.6  # spacings: twice what lies between the points of a lattice
 PIXELS = 500  # along the longer side of the particle
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # of a tetrahedron
 
@@ -30,11 +31,12 @@ Window = tuple[float, float, float, float]  # left, right, bottom, top, um
 @dataclass(frozen=True)
 class Stage:
     """Where all cuts of a run are made, from its first step: plane y (m); level of the undeformed surface and the
-    particle's diameter (um)."""
+    particle's diameter (um); void (m): a place in the particle that has no point so near is hollow."""
 
     plane: float
     level: float
     diameter: float
+    void: float
 
 
 @dataclass(frozen=True)
@@ -73,10 +75,13 @@ def stage(result: Result) -> Stage:
     """The plane through the middle of the particle at the start. Raises StoreError without a stored step."""
     if not stored_steps(result):
         raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
-    start = result.fields(0, "surface").points
+    surface, count = result.fields(0, "surface"), len(result.fields(0, "particle").points)
+    start = surface.points
+    a, b, c = (start[surface.cells[:, k]] for k in range(3))
+    volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
     plane = float(start[:, 1].min() + start[:, 1].max()) / 2
     level = float(result.fields(0, "target").points[:, 2].max()) * MICRO
-    return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO)
+    return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO, VOID * (volume / max(count, 1)) ** (1 / 3))
 
 
 def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
@@ -111,7 +116,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window
     skin = boundary_faces(target.cells)
     rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
     loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
-    images, extent = _images(particle, names, loops, at.plane, pixels)
+    images, extent = _images(particle, names, loops, at, pixels)
     return Cut(particle.time, at.level, seen, loops, corners, rim, extent, values, images)
 
 
@@ -141,9 +146,10 @@ def boundary_faces(tets: NDArray) -> NDArray[np.int64]:
 
 
 def _images(
-    particle: Fields, names: Sequence[str], loops: list[NDArray], plane: float, pixels: int
+    particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
 ) -> tuple[dict[str, NDArray], Window]:
-    """The particle's fields on pixels over its section, averaged from the nearest points; the extent in um."""
+    """The particle's fields on pixels over its section, averaged from the nearest points, no numbers where it is
+    hollow; the extent in um."""
     if not loops:
         return {name: np.zeros((0, 0)) for name in names}, (0.0, 1.0, 0.0, 1.0)
     corners = np.concatenate(loops)
@@ -152,8 +158,8 @@ def _images(
     columns, rows = (max(int(np.ceil(length / step)), 2) for length in (right - left, top - bottom))
     x = left + (np.arange(columns) + 0.5) * (right - left) / columns
     z = bottom + (np.arange(rows) + 0.5) * (top - bottom) / rows
-    grid = np.stack(np.broadcast_arrays(x, plane * MICRO, z[:, None]), axis=-1).reshape(-1, 3) / MICRO
-    index, weight = from_points(particle.points, grid)
+    grid = np.stack(np.broadcast_arrays(x, at.plane * MICRO, z[:, None]), axis=-1).reshape(-1, 3) / MICRO
+    index, weight = from_points(particle.points, grid, at.void)
     images = {}
     for name in names:
         values = (weight * at_nodes(particle, name)[index]).sum(1) * FIELDS[name].factor
@@ -164,7 +170,7 @@ def _images(
 def colour_range(cuts: Sequence[Cut], name: str) -> tuple[float, float]:
     """Ends of the colours of a field, one range for all cuts, so that colours mean the same in each of them."""
     field = FIELDS[name]
-    parts = [part for one in cuts for part in (one.values[name], one.images[name]) if part.size]
+    parts = _numbers(cuts, name)
     low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
     # A few points at an edge must not take the whole range of colours, nor one body that of the other.
     tops = [float(np.percentile(part, 99.5)) for part in parts]
@@ -206,6 +212,10 @@ def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
         outline = Outline.make_compound_path(*closed)
         picture = axis.imshow(what.images[name], extent=what.extent, origin="lower", cmap=colours, norm=scale, zorder=3)
         picture.set_clip_path(outline, axis.transData)
+        hollow = np.isnan(what.images[name])
+        if hollow.any():
+            edge = axis.contour(hollow, [0.5], extent=what.extent, colors="black", linewidths=1.0, zorder=4)
+            edge.set_clip_path(outline, axis.transData)
         axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))
     axis.plot([left, right], [what.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
@@ -229,8 +239,13 @@ def colour_bar(box: Axes, name: str, ends: tuple[float, float], beyond: bool, ac
 
 def beyond(cuts: Sequence[Cut], name: str, ends: tuple[float, float]) -> bool:
     """Whether values lie clearly above the colours."""
-    parts = [part for one in cuts for part in (one.values[name], one.images[name]) if part.size]
-    return any(part.max() > ends[1] * 1.02 for part in parts)
+    return any(part.max() > ends[1] * 1.02 for part in _numbers(cuts, name))
+
+
+def _numbers(cuts: Sequence[Cut], name: str) -> list[NDArray]:
+    """All values of a field that are drawn, of each body in each cut; without hollows."""
+    parts = [part[np.isfinite(part)] for one in cuts for part in (one.values[name], one.images[name])]
+    return [part for part in parts if part.size]
 
 
 def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:

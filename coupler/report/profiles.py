@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..result import Result
 from .fields import at_nodes, from_points, in_tets
+from .picture import MICRO, Stage
 
 SAMPLES = 60  # in each body
 
@@ -27,19 +28,22 @@ class Profile:
     values: dict[str, NDArray]
 
 
-def profiles(result: Result, step: int, names: Sequence[str], level: float, reach: float) -> list[Profile]:
-    """Profiles through splat and substrate at a stored step, a hollow one in pieces.
+def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: float) -> list[Profile]:
+    """Profiles through splat and substrate at a stored step, no numbers where the splat is hollow.
 
-    names: fields that are stored; those a body lacks are left out. level (m): the undeformed surface. reach (m):
-    depth at which to end. Raises StoreError if a file is missing or damaged.
+    names: fields that are stored; those a body lacks are left out. at: plane, undeformed surface, size of a void.
+    reach (m): depth at which to end. Raises StoreError if a file is missing or damaged.
     """
+    level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))
     found = []
     crossings = on_vertical(surface.points, surface.cells, x, y)
     for low, high in zip(crossings[0::2], crossings[1::2], strict=False):
         z = np.linspace(high, low, SAMPLES)
-        index, weight = from_points(particle.points, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]))
+        index, weight = from_points(
+            particle.points, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]), at.void
+        )
         values = {
             name: np.einsum("kj,kj...->k...", weight, at_nodes(particle, name)[index])
             for name in names

@@ -155,7 +155,7 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
 
 
 def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
-    """The section of the particle in triangles: between its outline and a grid of points inside."""
+    """The section of the particle in triangles: between its outline and a grid of points inside, without hollows."""
     from matplotlib.path import Path as Outline
     from scipy.spatial import Delaunay, cKDTree
 
@@ -175,7 +175,9 @@ def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDA
     triangles = Delaunay(places).simplices
     triangles = triangles[inside(places[triangles].mean(1))]
     upright = _upright(places, at)
-    index, weight = from_points(points, upright / MICRO)
+    index, weight = from_points(points, upright / MICRO, at.void)
+    metal = np.isfinite(weight[:, 0])
+    triangles, weight = triangles[metal[triangles].all(1)], np.where(metal[:, None], weight, 1 / weight.shape[1])
     return upright, triangles, {name: (weight * field[index]).sum(1) for name, field in cloud.items()}
 
 

@@ -283,6 +283,9 @@ class Particle:
     def numerics_now(self) -> Numerics:
         return self.numerics
 
+    def law_now(self) -> np.ndarray:
+        return self.law
+
     def get(self, name: str) -> np.ndarray:
         """A field of these points by name: an attribute, or "stress"."""
         return self.stress() if name == "stress" else np.array(getattr(self, name))

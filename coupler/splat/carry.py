@@ -43,9 +43,11 @@ class CarriedSurface:
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
         # Points themselves may touch too: a single one can slip through the average that the surface is.
         self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
+        self._touching = _compressed(self.touching)
         self._rows = np.arange(self.touching.shape[0])
         shepard = w / np.bincount(rows, w)[rows]
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
+        self._average = _compressed(self.average)
 
     def positions(self, x: np.ndarray) -> np.ndarray:
         """Vertices (k,3) now, from the positions x (n,3) of the points."""
@@ -56,10 +58,9 @@ class CarriedSurface:
 
         With rows only these are computed (the rest of `out` stays as it is, or zero), from `support(rows)` alone.
         """
-        W = self.touching
         if out is None:
-            out = np.zeros((W.shape[0], 3))
-        k.combine(self._rows if rows is None else rows, W.indptr, W.indices, W.data, x, out)
+            out = np.zeros((self.touching.shape[0], 3))
+        k.combine(self._rows if rows is None else rows, *self._touching, x, out)
         return out
 
     def spread(self, forces: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
@@ -67,10 +68,9 @@ class CarriedSurface:
 
         With rows only these forces are taken. With `out` they are added to it, at `support(rows)` and nowhere else.
         """
-        W = self.touching
         if out is None:
-            out = np.zeros((W.shape[1], 3))
-        k.spread(self._rows if rows is None else rows, W.indptr, W.indices, W.data, forces, out)
+            out = np.zeros((self.touching.shape[1], 3))
+        k.spread(self._rows if rows is None else rows, *self._touching, forces, out)
         return out
 
     def support(self, rows: np.ndarray) -> np.ndarray:
@@ -85,7 +85,9 @@ class CarriedSurface:
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
         """Heat (k+n,) that arises at `contacts`, shared among the points (n,)."""
         vertices = self.average.shape[0]
-        return self.average.T @ heat[:vertices] + heat[vertices:]
+        out = heat[vertices:].copy()
+        k.share(np.flatnonzero(heat[:vertices]), *self._average, heat, out)
+        return out
 
     def softness(self, mass: np.ndarray) -> float:
         """Largest inverse mass (1/kg) that a force on one of `contacts` feels, sum of weight^2 / mass."""
@@ -94,6 +96,11 @@ class CarriedSurface:
     def values(self, field: np.ndarray) -> np.ndarray:
         """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
         return self.average @ field
+
+
+def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start of each row, columns and weights, for the kernels; unsigned, which spares them a look for negative indices."""
+    return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
 
 
 def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:

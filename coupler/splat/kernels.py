@@ -1,4 +1,4 @@
-"""Kernels of the splat's room: which cells of a grid lie inside a closed surface (numba)."""
+"""Kernels of a splat's conversion: which cells of a grid lie inside a closed surface; moving least squares."""
 
 import numpy as np
 from numba import njit
@@ -51,3 +51,42 @@ def winding(vertices, triangles, corner, h, count):
         for j in range(ny):
             for k in range(1, nz):
                 count[i, j, k] += count[i, j, k - 1]
+
+
+@njit(cache=True, nogil=True)
+def least_squares_weights(y, x, near, ridge, phi):
+    """Weights phi (m,k) that a linear moving least-squares fit at places y (m,3) gives to the points near[a] (m,k) of x (n,3).
+
+    Points count by (1 - r^2 / R^2)^2, R a little beyond the farthest. The fit is centred on their weighted mean, so that
+    a vanishing spread in one direction, damped by `ridge` (m2), leaves the mean and not infinity.
+    """
+    m, k = near.shape
+    w, d = np.empty(k), np.empty((k, 3))
+    M, offset = np.empty((3, 3)), np.empty(3)
+    for a in range(m):
+        farthest = 0.0
+        for j in range(k):
+            for i in range(3):
+                d[j, i] = x[near[a, j], i] - y[a, i]
+            farthest = max(farthest, d[j, 0] ** 2 + d[j, 1] ** 2 + d[j, 2] ** 2)
+        total = 0.0
+        offset[:] = 0.0
+        for j in range(k):
+            w[j] = (1.0 - (d[j, 0] ** 2 + d[j, 1] ** 2 + d[j, 2] ** 2) / (1.1 * farthest)) ** 2
+            total += w[j]
+            for i in range(3):
+                offset[i] += w[j] * d[j, i]
+        offset /= total
+        w /= total
+        M[:] = 0.0
+        for j in range(k):
+            for p in range(3):
+                d[j, p] -= offset[p]
+            for p in range(3):
+                for q in range(3):
+                    M[p, q] += w[j] * d[j, p] * d[j, q]
+        for p in range(3):
+            M[p, p] += ridge
+        slope = np.linalg.solve(M, -offset)
+        for j in range(k):
+            phi[a, j] = w[j] * (1.0 + slope[0] * d[j, 0] + slope[1] * d[j, 1] + slope[2] * d[j, 2])

@@ -53,10 +53,26 @@ def boundary(tets: np.ndarray) -> np.ndarray:
     return faces[first[count == 1]]
 
 
-def pieces(tets: np.ndarray) -> int:
-    """Number of parts of a mesh that share no node."""
+def _parts(tets: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """Number of parts that share no node, the part of each tetrahedron, and the nodes in use."""
     used, numbered = np.unique(tets, return_inverse=True)
     conn = numbered.reshape(-1, 4)
     pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
     graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(used), len(used)))
-    return int(connected_components(graph, directed=False)[0])
+    count, part = connected_components(graph, directed=False)
+    return int(count), part[conn[:, 0]], used
+
+
+def pieces(tets: np.ndarray) -> int:
+    """Number of parts of a mesh that share no node."""
+    return _parts(tets)[0]
+
+
+def largest(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The part of a mesh with the most tetrahedra, its nodes numbered anew."""
+    if len(tets) == 0:
+        return points[:0], tets
+    _, part, _ = _parts(tets)
+    kept = tets[part == np.argmax(np.bincount(part))]
+    used, numbered = np.unique(kept, return_inverse=True)
+    return points[used], numbered.reshape(-1, 4)

@@ -1,0 +1,146 @@
+"""A body joins the target: its mesh in the place where it lies, its state, and one numbering for all.
+
+The body is meshed in its deformed place. Its reference volumes are V / J, so that the volume ratio, and with it the pressure, that it
+came with is there from the first step; the reference shape of each tetrahedron is its present one, shrunk by J^(1/3). What the volume
+of the mesh lacks or has too much (under a percent) its density makes up for, so that the mass is exact and no pressure arises.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ..constitutive import hugoniot_pressure, yield_stress
+from .mesh import TetMesh, prepare_ordered
+
+NODE_STATE = ("x", "v", "f", "f_old", "total", "J", "p", "energy")
+ELEMENT_STATE = ("s", "eps_p", "rate", "heat", "volume", "T", "sigma_y", "fe")
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """A body that is to join: points (n,3) m and tets (m,4); stress (m,6) Pa Voigt xx yy zz yz xz xy, eps_p, T, J (m,);
+    velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
+
+    points: np.ndarray
+    tets: np.ndarray
+    stress: np.ndarray
+    eps_p: np.ndarray
+    T: np.ndarray
+    J: np.ndarray
+    velocity: np.ndarray
+    energy: np.ndarray
+    mass: float
+    law: np.ndarray
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Several bodies as one: mesh, state arrays by name, body (m,) and law_of (m,) of each element, laws (bodies,)."""
+
+    mesh: TetMesh
+    state: dict[str, np.ndarray]
+    body: np.ndarray
+    laws: np.ndarray
+
+
+def domain_of(body: BodyState, name: str) -> Domain:
+    """A joining body as a domain of its own. Raises SolverError for an empty tetrahedron."""
+    mesh, node, element = prepare_ordered(body.points, body.tets)
+    J = body.J[element]
+    V = mesh.V0
+    V0 = V / J
+    law = body.law.copy()
+    law["rho"] = body.mass / float(V0.sum())
+    share = np.bincount(mesh.conn.ravel(), np.repeat(0.25 * V0, 4), len(mesh.points))
+    mesh = replace(
+        mesh, V0=V0, B=mesh.B * ((V / V0) ** (1.0 / 3.0))[:, None, None], node_volume=share,
+        sets={name: np.arange(len(mesh.facets))},
+    )  # fmt: skip
+    now = np.bincount(mesh.conn.ravel(), np.repeat(0.25 * V, 4), len(mesh.points))
+    n, m = len(mesh.points), len(mesh.conn)
+    stress = body.stress[element]
+    deviator = stress.copy()
+    deviator[:, :3] -= stress[:, :3].mean(axis=1)[:, None]
+    state: dict[str, np.ndarray] = {name: np.zeros((n, 3)) for name in ("f", "f_old", "total")}
+    state |= {"x": mesh.points.copy(), "v": body.velocity[node], "J": now / share, "energy": body.energy[node]}
+    state["p"] = _pressures(law, state["J"], state["energy"])
+    state |= {"s": deviator, "eps_p": body.eps_p[element], "T": body.T[element], "volume": V.copy()}
+    state |= {"rate": np.zeros(m), "heat": np.zeros(m), "fe": np.zeros((m, 4, 3))}
+    state["sigma_y"] = _yields(law, state["eps_p"], state["T"])
+    return Domain(mesh, state, np.zeros(m, np.int32), law)
+
+
+def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]:
+    """One domain of several, numbered outwards from `origin` (m) as the bodies lie now; bodies and laws follow one another.
+
+    Returns it and the new number of each node (n,), in the order of the domains given.
+    """
+    nodes = np.cumsum([0, *(len(d.mesh.points) for d in domains)])
+    elements = np.cumsum([0, *(len(d.mesh.conn) for d in domains)])
+    facets = np.cumsum([0, *(len(d.mesh.facets) for d in domains)])
+    bodies = np.cumsum([0, *(len(d.laws) for d in domains)])
+
+    def put(arrays: list[np.ndarray], order: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.concatenate(arrays)[order])
+
+    x = np.concatenate([d.state["x"] for d in domains])
+    distance = np.linalg.norm(x - np.asarray(origin), axis=1)
+    by_node = np.argsort(distance, kind="stable")
+    rank = np.empty(len(by_node), np.int64)
+    rank[by_node] = np.arange(len(by_node))
+    conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
+    reach = distance[by_node][conn].min(axis=1)
+    by_element = np.argsort(reach, kind="stable")
+    element_rank = np.empty(len(by_element), np.int64)
+    element_rank[by_element] = np.arange(len(by_element))
+
+    mesh = TetMesh(
+        points=put([d.mesh.points for d in domains], by_node),
+        conn=np.ascontiguousarray(conn[by_element], np.int32),
+        B=put([d.mesh.B for d in domains], by_element),
+        V0=put([d.mesh.V0 for d in domains], by_element),
+        node_volume=put([d.mesh.node_volume for d in domains], by_node),
+        facets=np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)]).astype(
+            np.int32
+        ),
+        facet_element=np.concatenate(
+            [element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)]
+        ).astype(np.int32),
+        sets={name: ids + at for d, at in zip(domains, facets, strict=False) for name, ids in d.mesh.sets.items()},
+        reach_node=distance[by_node],
+        reach_element=reach[by_element],
+    )
+    state = {name: put([d.state[name] for d in domains], by_node) for name in NODE_STATE}
+    state |= {name: put([d.state[name] for d in domains], by_element) for name in ELEMENT_STATE}
+    body = put([d.body + at for d, at in zip(domains, bodies, strict=False)], by_element).astype(np.int32)
+    return Domain(mesh, state, body, np.concatenate([d.laws for d in domains])), rank
+
+
+def domain_now(target: Any, body: np.ndarray) -> Domain:
+    """A running `explicit.Target` as a domain; body (m,) of each element."""
+    state = {name: getattr(target, name).copy() for name in (*NODE_STATE, *ELEMENT_STATE)}
+    return Domain(target.mesh, state, body, target.laws)
+
+
+@njit(cache=True)
+def _pressures(laws, J, energy):
+    """Mie-Grueneisen pressure (n,) Pa of a state at rest."""
+    law = laws[0]
+    p = np.empty(len(J))
+    for i in range(len(J)):
+        p[i] = hugoniot_pressure(law, J[i]) * (1.0 - 0.5 * law.Gamma0 * (1.0 - J[i])) + law.Gamma0 * energy[i]
+    return p
+
+
+@njit(cache=True)
+def _yields(laws, eps_p, T):
+    """Yield stress (m,) Pa at rest."""
+    law = laws[0]
+    sigma = np.empty(len(T))
+    for e in range(len(T)):
+        sigma[e] = yield_stress(law, eps_p[e], 0.0, T[e])
+    return sigma

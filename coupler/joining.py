@@ -1,0 +1,122 @@
+"""Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
+
+import time as clock
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from . import adhesion
+from .bodies import Bodies
+from .constitutive import sound_speed
+from .errors import ColdsprayError, SolverError
+from .fe.assemble import BodyState
+from .plan import Plan
+from .splat.carry import shape_measures
+
+REBOUND = 1.0  # m/s upwards: a splat that nothing holds leaves with more
+_CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
+JOLT = 0.005  # of an impact's kinetic energy: more must not be set free after a splat has joined
+
+
+def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], None]) -> tuple[Bodies, dict[str, Any]]:
+    """The bodies that impact i + 1 meets, and what it took to make them.
+
+    setting: of the finished impact i (`deposition.Setting`). A splat that is not bonded and moves away has rebounded and does
+    not join. Raises SplatError when it cannot be meshed, SolverError when it does not come to rest.
+    """
+    from .splat.convert import convert
+
+    started = clock.perf_counter()
+    p, following = what.impacts[i], what.impacts[i + 1]
+    origin = (*following.offset, 0.0)
+    team = setting.particle
+    kinetic_0 = 0.5 * float(team.mass.sum()) * float(np.dot(p.velocity, p.velocity))
+    upwards = float(team.momentum()[2] / team.mass.sum())
+    report: dict[str, Any] = {"impact": i + 1, "adhesion": what.adhesion.kind, "velocity_z_m_s": upwards}
+    if what.adhesion.kind == "none" and upwards > REBOUND:
+        log(f"splat {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+        new = bodies.renumbered(origin)
+        return new, report | {"rebounded": True, "bodies": 0, **new.settle(kinetic_0)}
+    cloud = cloud_of(setting)
+    splat = convert(cloud, what.splat_element_size, what.splat_method)
+    report |= {
+        "rebounded": False,
+        "bodies": len(splat.bodies),
+        "lost_mass_kg": splat.lost_mass,
+        "conversion": splat.report,
+    }
+    law = team.law
+    states = [
+        BodyState(
+            points=b.points, tets=b.tets, mass=float(cloud.mass[b.cloud_index].sum()), law=law,
+            **{name: np.asarray(getattr(b, name)) for name in _CARRIED},
+        )
+        for b in splat.bodies
+    ]  # fmt: skip
+    report["meshing_s"] = clock.perf_counter() - started
+    try:
+        ratio = float(np.linalg.norm(p.velocity)) / adhesion.critical_velocity(p.material, p.temperature)
+    except ColdsprayError:
+        if what.adhesion.criterion == "velocity" and what.adhesion.kind != "none":
+            raise
+        ratio = float("nan")
+    new = bodies.joined(states, what.adhesion, what.splat_element_size, origin, ratio)
+    report |= {
+        "velocity_ratio": ratio, "bonds": len(new.bond) if new.bond is not None else 0,
+        "elements": len(new.target.mesh.conn), "before": _held(new),
+    }  # fmt: skip
+    report |= new.settle(kinetic_0)
+    report["after"] = _held(new)
+    report["joining_s"] = clock.perf_counter() - started
+    if report["jolt"] > JOLT:
+        raise SolverError(
+            f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
+            " try a finer preset, or another [splat] method"
+        )
+    return new, report
+
+
+def cloud_of(setting: Any) -> Any:
+    """The points of a finished impact with all they carry (`splat.convert.Cloud`)."""
+    from .splat.convert import Cloud
+
+    team, surface = setting.particle, setting.surface
+    law = team.law[0]
+    return Cloud(
+        x=np.array(team.x), volume=team.whole("volume"), spacing=team.spacing, rho=float(law["rho"]), velocity=np.array(team.v),
+        stress=team.stress(), eps_p=np.array(team.eps_p), T=np.array(team.T), J=np.array(team.J), energy=np.array(team.energy),
+        surface=(surface.positions(team.x), surface.triangles), X=setting.body.points + setting.place,
+        wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
+    )  # fmt: skip
+
+
+def _held(bodies: Bodies) -> dict[str, float]:
+    """What the last body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
+    t = bodies.target
+    own = bodies.body == bodies.count - 1
+    weight, s = t.volume[own], t.s[own]
+    von_mises = np.sqrt(1.5 * (np.sum(s[:, :3] ** 2, axis=1) + 2.0 * np.sum(s[:, 3:] ** 2, axis=1)))
+    pressure = t.p[t.mesh.conn[own]].mean(axis=1)
+    values = {"von_mises_Pa": von_mises, "pressure_Pa": pressure, "eps_p": t.eps_p[own], "T_K": t.T[own]}
+    return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
+
+
+def splats_at_end(
+    what: Plan, records: list[dict[str, Any]], joins: list[dict[str, Any]], bodies: Bodies, surface: np.ndarray
+) -> None:
+    """Add to each impact's record how its splat stands at the end of the run, as `at_end`. surface (k,3): of the last one, m."""
+    first = 1
+    for i, record in enumerate(records):
+        if i + 1 == len(records):
+            vertices = surface
+        else:
+            count = joins[i]["bodies"]
+            if count == 0:
+                record["at_end"] = None  # it has left
+                continue
+            sets, mesh = [f"splat{first + k}" for k in range(count)], bodies.target.mesh
+            nodes = np.unique(np.concatenate([mesh.facets[mesh.sets[name]].ravel() for name in sets]))
+            vertices, first = bodies.target.x[nodes], first + count
+        level = np.array([0.0, 0.0, record["surface_level_m"]])
+        record["at_end"] = shape_measures(vertices - level, what.impacts[i].diameter)

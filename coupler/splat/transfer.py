@@ -1,0 +1,133 @@
+"""State from the points of a cloud to the nodes and elements of its mesh.
+
+Linear moving least squares; then what must be conserved is made exact: velocities get the rigid motion a + omega x r that
+restores linear and angular momentum, temperature, plastic strain and energy a uniform shift that restores their sum over
+the mass. No value leaves the range of the points it comes from by more than REACH of that range.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from . import quality
+from .kernels import least_squares_weights
+
+if TYPE_CHECKING:
+    from .convert import Cloud
+
+NEIGHBOURS = 16  # the twelve nearest of a face-centred cubic lattice and a few more
+REACH = 0.3  # what a fit may extrapolate, over the range of its points
+RIDGE = 0.02  # of a spacing: points that lie flatter than that are taken for flat
+
+
+class Fit:
+    """The linear fit at places y (m,3) m from points x (n,3) m with the given spacing."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, spacing: float):
+        near = cKDTree(x).query(y, k=min(NEIGHBOURS, len(x)))[1]
+        self.near = np.ascontiguousarray(near, np.int64)
+        self.phi = np.empty(self.near.shape)
+        least_squares_weights(
+            np.ascontiguousarray(y), np.ascontiguousarray(x), self.near, (RIDGE * spacing) ** 2, self.phi
+        )
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Values of the points (n,) or (n,k), at the places: (m,) or (m,k)."""
+        if values.ndim == 2:
+            return np.stack([self(column) for column in values.T], axis=1)
+        around = values[self.near]
+        low, high = around.min(axis=1), around.max(axis=1)
+        slack = REACH * (high - low)
+        return np.clip(np.einsum("ij,ij->i", self.phi, around), low - slack, high + slack)
+
+
+def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """Velocities v + a + omega x r (n,3) with linear momentum P (3,) kg m/s and angular momentum L (3,) kg m2/s about the origin."""
+    centre = mass @ x / mass.sum()
+    r = x - centre
+    a = (P - mass @ v) / mass.sum()
+    v = v + a
+    inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)
+    spin = L - np.cross(centre, P) - mass @ np.cross(r, v)
+    return v + np.cross(np.linalg.solve(inertia, spin), r)
+
+
+def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
+    """Values (n,) shifted alike so that weights @ values is `total`, none below `floor`.
+
+    Where the floor is hit the rest is shifted further; a total below what the floor allows leaves all on the floor.
+    """
+    whole = weights.sum()
+    if floor is None:
+        return values + (total - weights @ values) / whole
+    if total <= floor * whole:
+        return np.full_like(values, floor)
+    shift = (total - weights @ values) / whole
+    made = np.maximum(values + shift, floor)
+    for _ in range(100):
+        off = total - weights @ made
+        free = made > floor
+        if abs(off) <= 1e-14 * abs(total) or not free.any():
+            break
+        made = np.where(free, np.maximum(made + off / weights[free].sum(), floor), made)
+    return made
+
+
+def transfer(cloud: "Cloud", points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, np.ndarray | None], dict[str, Any]]:
+    """Fields of a mesh, and what the transfer changed.
+
+    points (n,3) m, tets (m,4). Fields as in `convert.Body`, None where the cloud has none; the report holds the share by
+    which each conserved sum and a few others came out different before they were put right (`_raw`) and after.
+    """
+    volumes = quality.volumes(points, tets)
+    at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
+    at_nodes = Fit(cloud.x, points, cloud.spacing)
+    weights = cloud.mass / cloud.mass.sum()
+    fields: dict[str, np.ndarray | None] = dict.fromkeys(("velocity", "stress", "eps_p", "T", "J", "energy"))
+    J = None if cloud.J is None else at_elements(cloud.J)
+    reference = volumes if J is None else volumes / J
+    scale = float(cloud.volume.sum() / reference.sum())
+    share = reference / reference.sum()
+    node_share = np.bincount(tets.ravel(), np.repeat(0.25 * share, 4), len(points))
+    report: dict[str, Any] = {"mass_scale": scale}
+    fields["J"] = J
+
+    def put(name: str, raw: np.ndarray, over: np.ndarray, floor: float | None = None) -> None:
+        source = getattr(cloud, name)
+        mean, span = float(weights @ source), float(np.abs(source).max())
+        made = with_sum(raw, over, mean, floor)
+        report[f"{name}_raw"] = float(over @ raw - mean) / span if span else 0.0
+        report[name] = float(over @ made - mean) / span if span else 0.0
+        fields[name] = made
+
+    if cloud.T is not None:
+        put("T", at_elements(cloud.T), share)
+    if cloud.eps_p is not None:
+        put("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
+    if cloud.energy is not None:
+        put("energy", at_nodes(cloud.energy), node_share)
+    if cloud.stress is not None:
+        fields["stress"] = stress = at_elements(cloud.stress)
+        before = float(cloud.current_volume @ _square(cloud.stress))
+        report["stress_square"] = float(volumes @ _square(stress)) / before - 1.0 if before else 0.0
+    if cloud.velocity is not None:
+        mass, node_mass = cloud.mass, node_share * cloud.mass.sum()
+        P, L = mass @ cloud.velocity, mass @ np.cross(cloud.x, cloud.velocity)
+        raw = at_nodes(cloud.velocity)
+        v = with_momentum(raw, points, node_mass, P, L)
+        fields["velocity"] = v
+        speed = np.linalg.norm(cloud.velocity, axis=1)
+        P_size, L_size = float(mass @ speed), float(mass @ (speed * np.linalg.norm(cloud.x, axis=1)))
+        kinetic = 0.5 * float(mass @ speed**2)
+        report["momentum_raw"] = float(np.linalg.norm(node_mass @ raw - P)) / (P_size or 1.0)
+        report["momentum"] = float(np.linalg.norm(node_mass @ v - P)) / (P_size or 1.0)
+        report["angular_momentum"] = float(np.linalg.norm(node_mass @ np.cross(points, v) - L)) / (L_size or 1.0)
+        own = 0.5 * float(node_mass @ np.einsum("ij,ij->i", v, v))
+        report["kinetic_energy"] = own / kinetic - 1.0 if kinetic else 0.0
+    return fields, report
+
+
+def _square(stress: np.ndarray) -> np.ndarray:
+    """sigma : sigma (n,) of Voigt tensors (n,6)."""
+    return np.einsum("ij,ij->i", stress[:, :3], stress[:, :3]) + 2.0 * np.einsum("ij,ij->i", stress[:, 3:], stress[:, 3:])

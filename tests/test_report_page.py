@@ -1,0 +1,334 @@
+"""The page about a run: what it says, that it keeps to itself, and that a browser shows it."""
+
+import base64
+import html
+import re
+import shutil
+from pathlib import Path
+
+import made_up_run
+import numpy as np
+import pytest
+from browser import CHROMIUM, Browser
+
+from coupler import cli
+from coupler.errors import StoreError
+from coupler.report import charts
+from coupler.report.page import picks, report, write_report
+from coupler.report.picture import stage
+from coupler.report.solid import TOP, frames, solid, thinned
+from coupler.result import Result
+from coupler.store import Store
+
+NI = """
+[particle]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+diameter = "120 um"
+height = "60 um"
+[resolution]
+spacing = "3 um"
+element_size = "4.5 um"
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """Five steps and a summary, with texts that would be markup if nobody took care."""
+    summary = made_up_run.summary(
+        warnings=["strain rates beyond the fit", "<img src=x onerror=alert(1)>"],
+        bands={"flattening_ratio": 0.0118, "crater_depth_m": {"half_width": 1.3e-7, "why": "spacing of the points"}},
+    )
+    scene = made_up_run.SCENE + '# </script><script>window.broken = 1</script> "quoted"\n'
+    folder = tmp_path_factory.mktemp("runs") / "finished"
+    return made_up_run.write(folder, steps=5, points=2500, edge=6.0, scene=scene, summary=summary)
+
+
+@pytest.fixture(scope="module")
+def page(finished):
+    return report(Result(finished))
+
+
+def light(finished: Path, folder: Path) -> Path:
+    """A copy without fields: its page is made at once."""
+    return shutil.copytree(finished, folder, ignore=shutil.ignore_patterns("*.vtkhdf"))
+
+
+def rows(page: str) -> dict[str, list[str]]:
+    """First cell of each row of all tables -> the other cells, as read."""
+    found = {}
+    for row in re.findall(r"<tr.*?</tr>", page, re.S):
+        cells = [html.unescape(re.sub(r"<.*?>", "", cell)) for cell in re.findall(r"<td.*?>(.*?)</td>", row, re.S)]
+        if cells:
+            found[cells[0]] = cells[1:]
+    return found
+
+
+def test_the_page_says_what_was_computed(page):
+    read = rows(page)
+    assert read["flattening, above surface"] == ["0.551 ± 0.012", "0.556 ± 0.012", ""]
+    assert read["crater depth"] == ["5.30 ± 0.13", "5.02 ± 0.13", "µm"]
+    assert "spacing of the points" in page
+    assert read["energy drift"] == ["-0.1", "%"]
+    assert read["conduction"][0] == "off"
+    assert read["thermal softening"][0] == "on"
+    assert "warm enough" in read["thermal softening"][2]
+    assert read["Johnson-Cook A"][0] == "163"
+    assert read["whole run"] == ["25.0 s"]
+    assert read["a step"] == ["20.00 ms"]
+    assert read["a step, over the points"] == [f"{20 / 1000 / 4012 * 1e6:.2f} µs"]
+    assert read["who set the time step"] == ["particle 90%, target 10%"]
+    assert "25 µm Ni on SS304 at 500 m/s" in page
+    assert "not finished" not in page
+    assert page.count("<b>t = ") == 4
+    assert "greatest deformation</figcaption>" in page
+
+
+def test_the_page_keeps_to_itself_and_takes_text_for_text(page):
+    own = re.sub(r"<script>.*?</script>", "", page, flags=re.S)  # plotly's own text names many addresses
+    assert not re.findall(r"""(?:src|href|action|url)\s*[=(]\s*["']?\s*(?:https?:)?//""", own)
+    assert "default-src 'none'" in own
+    assert "<img src=x" not in page
+    assert "&lt;img src=x onerror" in page
+    assert "</script><script>window" not in page
+    assert "&lt;/script&gt;&lt;script&gt;window.broken" in page
+    assert len(page) < 12e6
+
+
+def test_a_run_of_several_impacts(finished, tmp_path):
+    copy = light(finished, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    each = [{"flattening_ratio": 0.5, "time_s": 1e-9}, {"end": {"flattening_ratio": 0.4}, "velocity_z_m_s": 3.0}]
+    Store(copy).finish(made_up_run.summary(impacts=each))
+    page = report(Result(copy))
+    table = page[page.index('<section id="impacts">') :]
+    table = table[: table.index("</section>")]
+    assert "impact 1" in table
+    assert "impact 2" in table
+    assert rows(table)["flattening, above surface"] == ["0.5", "0.4", ""]
+    assert rows(table)["velocity z"] == ["", "3", "m/s"]
+
+
+def test_an_unfinished_run_says_so(finished, tmp_path):
+    copy = shutil.copytree(finished, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    page = report(Result(copy))
+    assert "not finished" in page
+    assert "reached 40.0 ns" in page
+    assert rows(page)["crater depth"] == ["5", "µm"]
+    assert "thermal softening" in rows(page)
+    assert "1e+04 1/s that Johnson-Cook is fitted at" in page  # what `check` warns of
+    assert page.count("<b>t = ") == 4
+    # the earliest moment: a scene and nothing else
+    for path in copy.iterdir():
+        if path.name != "scene.toml":
+            path.unlink()
+    page = report(Result(copy))
+    assert "not finished" in page
+    assert "No step" in page
+    assert "velocity = &quot;500 m/s&quot;" in page
+    # and a scene that this version cannot read
+    (copy / "scene.toml").write_text('[particle]\nmaterial = "Unobtainium"\n')
+    assert "reasons cannot be shown" in report(Result(copy))
+
+
+def test_effects_are_those_that_took_part(finished, tmp_path):
+    copy = light(finished, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    Store(copy).finish(made_up_run.summary(effects=["friction", {"name": "conduction", "on": True}, "levitation"]))
+    page = report(Result(copy))
+    assert rows(page)["conduction"][0] == "on"
+    assert rows(page)["thermal softening"][0] == "off"
+    assert "would decide otherwise on: thermal softening" in page
+    assert "Also on: levitation" in page
+
+
+def history(**further: float) -> dict[str, np.ndarray]:
+    lines = [made_up_run.row(amount, **further) for amount in np.linspace(0, 1, 11)]
+    return {name: np.array([line[name] for line in lines]) for name in lines[0]}
+
+
+def test_the_ledger_is_whole():
+    for further in ({}, {"bonds": 1e-6}):
+        figure = charts.energy(history(**further))
+        stack = np.sum([trace["y"] for trace in figure["traces"]], axis=0)
+        np.testing.assert_allclose(stack, 100 * (1 + history()["drift"]), rtol=1e-4)
+        named = {trace["name"]: trace["y"] for trace in figure["traces"]}
+        assert named["plastic work, target"][-1] == pytest.approx(50)
+        assert named["elastic, both"][-1] == pytest.approx(0.5)
+        assert ("other" in named) == bool(further)
+        if further:  # energy in an entry that is not known here
+            assert named["other"][-1] == pytest.approx(10)
+    # given, the initial energy is not guessed
+    figure = charts.energy(history(), 20e-6)
+    assert np.sum([trace["y"] for trace in figure["traces"]], axis=0)[0] == pytest.approx(100)
+    assert charts.energy({}) is None
+    assert charts.energy({"time": np.zeros(0)}) is None
+
+
+def test_curves_have_gaps_where_there_is_no_number():
+    figure = charts.velocity({"time": np.array([0.0, 1e-9]), "velocity_z": np.array([np.nan, -3.0])})
+    assert figure["traces"][0]["y"] == [None, -3.0]
+    assert charts.velocity({"time": np.zeros(2)}) is None
+
+
+def test_the_3d_view_is_the_run(finished):
+    result = Result(finished)
+    at = stage(result)
+    view = solid(result, [0, 4], {"T": (300.0, 500.0), "von_mises": (0.0, 900.0)}, at)
+    assert view["times"] == [0.0, 40.0]
+    frame, surface = view["frames"][1]["particle"], result.fields(-1, "surface")
+    low, high = (np.array([side[end] for side in view["box"]]) for end in (0, 1))
+    span = high - low
+    points = low - span + read(frame["points"]).reshape(-1, 3) / TOP * 3 * span
+    assert np.abs(points - surface.points * 1e6).max() < 0.005  # um
+    triangles = read(view["triangles"][frame["triangles"]]).reshape(-1, 3).astype(int)
+    np.testing.assert_array_equal(triangles, surface.cells)
+    # the undeformed particle and the deformed one have their triangles in common
+    assert view["frames"][0]["particle"]["triangles"] == frame["triangles"]
+
+    field = view["fields"][0]
+    cut = view["frames"][1]["target cut"]
+    T = field["least"] + read(cut["values"]["T"]) / TOP * field["span"]
+    inside = result.fields(-1, "target").data["T"]
+    assert T.max() > 350
+    assert inside.min() - 0.1 <= T.min() <= T.max() <= inside.max() + 0.1
+    y = low[1] - span[1] + read(cut["points"]).reshape(-1, 3)[:, 1] / TOP * 3 * span[1]
+    np.testing.assert_allclose(y, at.plane * 1e6, atol=0.005)
+    # the particle's section is filled to its outline
+    part = view["frames"][1]["particle cut"]
+    places = low - span + read(part["points"]).reshape(-1, 3) / TOP * 3 * span
+    corners = places[read(view["triangles"][part["triangles"]]).astype(int).reshape(-1, 3)][..., [0, 2]]
+    (a, b), (c, d) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    filled = 0.5 * np.abs(a * d - b * c).sum()
+    outline = np.array(max(view["frames"][1]["lines"], key=len)).reshape(-1, 2)
+    x, z = outline.T
+    assert filled == pytest.approx(abs(0.5 * (x[:-1] * z[1:] - x[1:] * z[:-1]).sum()), rel=1e-3)
+
+
+def read(text: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), "<u2").astype(float)
+
+
+def test_large_surfaces_are_thinned():
+    points, triangles = made_up_run.ball(6000)
+    kept, fewer = thinned(points, triangles, 1000)
+    assert 600 < len(kept) <= 1000
+    assert fewer.max() < len(kept)
+    corners = points[kept][fewer]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert 0.5 * np.linalg.norm(normal, axis=1).sum() == pytest.approx(4 * np.pi, rel=0.02)
+    # turned outwards, but for slivers
+    assert (normal * corners[:, 0]).sum() / 6 == pytest.approx(4 / 3 * np.pi, rel=0.02)
+    same, all_of_it = thinned(points, triangles, 6000)
+    assert len(same) == 6000
+    assert all_of_it is triangles
+    assert frames(100)[0] == 0
+    assert frames(100)[-1] == 99
+    assert len(frames(100)) == 26
+    assert frames(3) == [0, 1, 2]
+
+
+def test_pictures_are_taken_on_the_way_and_at_the_end(finished):
+    assert picks(Result(finished)) == [1, 2, 3, 4]  # at 10, 20, 30 (greatest deformation) and 40 ns
+
+
+def test_where_the_page_goes(finished, tmp_path, capsys):
+    copy = light(finished, tmp_path / "run")
+    assert cli.main(["report", str(copy)]) == 0
+    assert (copy / "report.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert str(copy / "report.html") in capsys.readouterr().out
+    for arguments, says in (
+        ([str(tmp_path / "absent")], "is not a folder of results"),
+        ([str(tmp_path)], "holds no results"),
+        ([str(copy), "--out", str(tmp_path / "no" / "x.html")], "cannot write"),
+        ([str(copy), "--out", str(tmp_path)], "cannot write"),
+    ):
+        assert cli.main(["report", *arguments]) == 2
+        error = capsys.readouterr().err
+        assert says in error
+        assert error.count("\n") == 1
+    assert not list(tmp_path.glob("**/.*.part"))
+    (copy / "target.vtkhdf").write_text("not HDF5")
+    with pytest.raises(StoreError, match=r"target\.vtkhdf is damaged"):
+        write_report(Result(copy))
+
+
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+
+
+def shown(page: Path, profile: Path) -> Browser:
+    browser = Browser(profile)
+    browser.open(page)
+    browser.until("document.body.dataset.ready === 'yes'")
+    return browser
+
+
+@needs_chromium
+def test_a_browser_shows_the_page(finished, page, tmp_path):
+    path = tmp_path / "page.html"
+    path.write_text(page, encoding="utf-8")
+    with shown(path, tmp_path / "profile") as browser:
+        assert browser.requests == [path.as_uri()]
+        assert browser.complaints == []
+        assert browser.ask("window.broken") is None
+        assert browser.ask("document.querySelectorAll('#measures td').length") > 30
+        assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 9
+        assert (
+            browser.ask("[...document.querySelectorAll('#cuts img')].map((image) => image.naturalWidth > 600)")
+            == [True] * 5
+        )
+        # 3D: what WebGL drew changes with time, field and cut
+        assert browser.ask("document.querySelector('#solid canvas').width") > 300
+        assert browser.ask("document.getElementById('now').textContent") == "40.0 ns"
+        pictures = [drawn(browser)]
+        browser.ask("{const s = document.getElementById('time'); s.value = 1; s.dispatchEvent(new Event('input'))}")
+        browser.until("!window.solid.busy")
+        assert browser.ask("document.getElementById('now').textContent") == "10.0 ns"
+        pictures.append(drawn(browser))
+        browser.ask(
+            "{const f = document.getElementById('field'); f.value = 'eps_p'; f.dispatchEvent(new Event('change'))}"
+        )
+        browser.until("!window.solid.busy")
+        pictures.append(drawn(browser))
+        browser.ask("document.getElementById('whole').click()")
+        browser.until("document.getElementById('solid').data[2].visible === false")
+        pictures.append(drawn(browser))
+        assert len(set(pictures)) == 4
+        browser.ask("document.getElementById('play').click()")
+        browser.until("document.getElementById('now').textContent === '40.0 ns' && !window.solid.timer")
+        browser.ask("navigator.clipboard.writeText = async (text) => { window.copied = text; }; 0")
+        browser.ask("document.querySelector('.copy').click()")
+        browser.until("document.querySelector('.copy').textContent === 'Copied'")
+        assert browser.ask("window.copied") == Result(finished).scene_text
+        browser.until("document.getElementById('solid-picture').naturalWidth > 300")  # what stands for WebGL on paper
+        paper = browser.pdf(tmp_path / "page.pdf").read_bytes()
+        assert paper.startswith(b"%PDF")
+        assert 3 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 9
+        assert browser.requests == [path.as_uri()]
+        assert browser.complaints == []
+
+
+def drawn(browser: Browser) -> str:
+    return browser.ask("Plotly.toImage('solid', {format: 'png', width: 400, height: 300})")
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_a_browser_shows_a_real_run(tmp_path):
+    from coupler import Scene, run
+
+    result = run(Scene.from_text(NI, "coarse"), tmp_path / "run")
+    page = write_report(result)
+    read_ = rows(page.read_text(encoding="utf-8"))
+    assert float(read_["flattening, above surface"][-2]) == pytest.approx(result.flattening_ratio, rel=1e-3)
+    with shown(page, tmp_path / "profile") as browser:
+        assert (browser.requests, browser.complaints) == ([page.as_uri()], [])
+        assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 10
+        assert browser.ask("window.solid.solid.fields.map((field) => field.name)") == ["T", "eps_p", "von_mises"]
+        # the stack of energies reaches 100 % less the drift at every time
+        stack = browser.ask("document.getElementById('ledger').data.map((trace) => trace.y)")
+        np.testing.assert_allclose(np.sum(stack, axis=0), 100 * (1 + result.history("drift")), atol=0.02)

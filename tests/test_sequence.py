@@ -1,0 +1,223 @@
+"""Several impacts: a finished splat becomes part of the target, and the next particle hits it."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler import Result, Scene, run
+from coupler.adhesion import Adhesion
+from coupler.bodies import Bodies, level_under
+from coupler.constitutive import law_record
+from coupler.deposition import resume
+from coupler.fe import mesh as meshes
+from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
+from coupler.fe.explicit import Target
+from coupler.materials import material
+from tests.test_parallel import MPIEXEC, numbers
+from tests.test_resume import Enough
+
+DOUBLE = """
+[[particle]]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[[particle]]
+material = "Ti"
+diameter = "22 um"
+velocity = "450 m/s"
+[substrate]
+material = "SS304"
+diameter = "120 um"
+height = "60 um"
+[resolution]
+spacing = "3 um"
+element_size = "4.5 um"
+"""
+MIXED = DOUBLE.replace('velocity = "500 m/s"', 'velocity = "500 m/s"\nshape = "oblate"')
+
+
+def block(corner: tuple[float, float, float], stress: float, J: float, law: np.ndarray) -> BodyState:
+    """A cube of 20 um, its lowest corner there, under a uniform state."""
+    points, tets = meshes.box((20e-6, 20e-6, 20e-6), 5e-6)
+    edge = points[tets[:, 1:]] - points[tets[:, :1]]
+    turned = np.linalg.det(edge) < 0
+    tets[turned, 2:] = tets[turned, 2:][:, ::-1]
+    n, m = len(points), len(tets)
+    deviator = np.tile([stress, -stress, 0.0, 0.0, 0.0, 0.0], (m, 1))
+    mass = float(law["rho"][0]) * 8e-15 / J
+    return BodyState(
+        points + np.array(corner), tets, deviator, np.full(m, 0.3), np.full(m, 400.0), np.full(m, J), np.zeros((n, 3)),
+        np.zeros(n), mass, law,
+    )  # fmt: skip
+
+
+def substrate() -> Bodies:
+    points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=("bottom",), sleeping=False)
+    return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
+
+
+def test_a_body_keeps_its_state_as_it_joins() -> None:
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    body = block((-10e-6, -10e-6, 0.0), 50e6, 0.98, law)
+    domain = domain_of(body, "splat1")
+    mesh, state = domain.mesh, domain.state
+    assert float(domain.laws["rho"][0] * mesh.V0.sum()) == pytest.approx(body.mass, rel=1e-12)
+    np.testing.assert_allclose(state["J"], 0.98, rtol=1e-12)
+    eta = 0.02
+    hugoniot = law["K"][0] * eta / (1 - law["s"][0] * eta) ** 2 * (1 - 0.5 * law["Gamma0"][0] * eta)
+    np.testing.assert_allclose(state["p"], hugoniot, rtol=1e-12)
+    F = np.einsum("eni,enj->eij", mesh.points[mesh.conn[:, 1:]] - mesh.points[mesh.conn[:, :1]], mesh.B)
+    np.testing.assert_allclose(np.linalg.det(F), 0.98, rtol=1e-12)  # the reference shape is the present one, larger
+    np.testing.assert_allclose(state["s"][:, 0], 50e6)
+    # and the solver finds the same pressure after a step of no motion
+    target = Target(mesh, law, state["T"], fixed=(), sleeping=False)
+    target.take(state, target)
+    target.advance(1e-15)
+    np.testing.assert_allclose(target.p, hugoniot, rtol=1e-9)
+    heavier = domain_of(replace(body, mass=1.01 * body.mass), "splat1")
+    np.testing.assert_allclose(heavier.state["p"], state["p"], rtol=1e-12)
+    assert heavier.laws["rho"][0] == pytest.approx(1.01 * domain.laws["rho"][0])
+
+
+def test_numbering_anew_changes_nothing() -> None:
+    bodies = substrate()
+    rng = np.random.default_rng(3)
+    bodies.target.x += 1e-7 * rng.standard_normal(bodies.target.x.shape)
+    bodies.target.s[:] = 1e7 * rng.standard_normal(bodies.target.s.shape)
+    before = domain_now(bodies.target, bodies.body)
+    after, rank = merge([before], (20e-6, -10e-6, 0.0))
+    np.testing.assert_array_equal(after.state["x"][rank], before.state["x"])
+    volume = np.linalg.det(after.state["x"][after.mesh.conn[:, 1:]] - after.state["x"][after.mesh.conn[:, :1]]) / 6
+    assert volume.min() > 0
+    assert np.all(np.diff(after.mesh.reach_node) >= 0)
+    assert np.all(np.diff(after.mesh.reach_element) >= 0)
+    assert {k: len(v) for k, v in after.mesh.sets.items()} == {k: len(v) for k, v in before.mesh.sets.items()}
+    np.testing.assert_allclose(sorted(after.state["s"][:, 0]), sorted(before.state["s"][:, 0]))
+
+
+@pytest.mark.parametrize("kind", ["tied", "none"])
+def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    # 0.5 um off its place: the nodes are put on the facets
+    body = block((-10e-6, -10e-6, 0.5e-6), 0.0, 1.0, law)
+    new = substrate().joined([body], Adhesion(kind=kind), 5e-6, (0.0, 0.0, 0.0), 1.0)
+    own = new.body == 1
+    nodes = np.unique(new.target.mesh.conn[own])
+    assert new.target.x[nodes, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert (new.bond is not None) == (kind == "tied")
+    report = new.settle(1e-5)
+    assert report["jolt"] < 1e-6
+    np.testing.assert_allclose(new.target.eps_p[own], 0.3, rtol=1e-6)
+    np.testing.assert_allclose(new.target.T[own], 400.0, rtol=1e-4)
+    assert new.target.mass[nodes].sum() == pytest.approx(body.mass, rel=1e-12)
+    # the facets between them can no longer be hit
+    reachable = new.target.mesh.facets[new.reachable()]
+    low = new.target.x[reachable].mean(axis=1)
+    under = (np.abs(low[:, :2]) < 7e-6).all(axis=1) & (low[:, 2] < 1e-6)
+    assert not under.any()
+
+
+def test_a_residual_stress_stays() -> None:
+    """Equal and opposite layers of stress in a free block stay what they are, up to the rim."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    body = block((-10e-6, -10e-6, 0.0), 0.0, 0.999, law)
+    new = substrate().joined([body], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0)
+    own = new.body == 1
+    before = new.target.p[new.target.mesh.conn[own]].mean()
+    report = new.settle(1e-9)
+    after = new.target.p[new.target.mesh.conn[own]].mean()
+    assert before == pytest.approx(0.001 * law["K"][0], rel=0.01)
+    assert abs(after) < 0.5 * before  # free faces let pressure go: it is not frozen in
+    assert report["taken_J"] > 0
+    assert report["jolt_J"] < 0.05 * report["taken_J"]
+
+
+def test_the_next_one_starts_above_the_surface() -> None:
+    x = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 5], [4, 0, 5], [0, 4, 5.0]])
+    facets = np.array([[0, 1, 2], [3, 4, 5]])
+    ball = np.array([[1, 1, -2.0], [6, 1, -2.0]])
+    assert level_under(ball, x, facets, 0.5) == pytest.approx(5 + 2 + 0.5)
+    assert level_under(ball[1:], x, facets, 0.5) == pytest.approx(2.5)
+    assert level_under(ball + 100.0, x, facets, 0.5) == -np.inf
+
+
+@pytest.fixture(scope="module")
+def double(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return run(Scene.from_text(DOUBLE, "double"), tmp_path_factory.mktemp("double") / "out")
+
+
+@pytest.mark.slow
+def test_a_double(double: Result) -> None:
+    s = double.summary
+    first, second = s["impacts"]
+    assert (first["material"], second["material"]) == ("Ni", "Ti")
+    for impact in (first, second):
+        assert abs(impact["energy_drift"]) < 5e-3
+        assert impact["momentum_error"] < 1e-10
+    assert first["at_end"]["flattening_ratio"] > first["flattening_ratio"]  # the second one has pressed it flatter
+    assert second["surface_level_m"] == pytest.approx(first["height_m"], abs=1.5e-6)
+    assert s["flattening_ratio"] == second["flattening_ratio"]
+    (join,) = s["joins"]
+    assert join["bodies"] == 1
+    assert join["bonds"] > 20
+    assert join["jolt"] < 0.005
+    assert abs(join["conversion"]["volume_error_before"]) < 0.1
+    for name in ("eps_p", "T_K"):
+        assert join["after"][name] == pytest.approx(join["before"][name], rel=0.01)
+    times = double.times("target")
+    assert np.all(np.diff(times) > 0)
+    assert len(double.fields(-1, "target").cells) > len(double.fields(0, "target").cells)
+    assert set(double.history("impact")) == {1.0, 2.0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("at", [20e-9, None, 85e-9])
+def test_a_sequence_goes_on_to_the_same_end(double: Result, tmp_path: Path, at: float | None) -> None:
+    """Broken off in the first impact, right after the join, and in the second."""
+    seen = []
+
+    def probe(impact: Any) -> None:
+        seen.append(impact.time)
+        joined = len(seen) > 1 and seen[-1] < seen[-2]
+        if (at is None and joined) or (at is not None and sum(np.diff([0.0, *seen]).clip(0)) > at):
+            raise Enough
+
+    with pytest.raises(Enough):
+        run(Scene.from_text(DOUBLE, "double"), tmp_path / "out", probe=probe, checkpoint_every=0.0)
+    result = resume(tmp_path / "out")
+    expected, got = numbers(double.summary), numbers(result.summary)
+    for index in range(2):
+        expected |= {f"{index}.{k}": v for k, v in numbers(double.summary["impacts"][index]).items()}
+        got |= {f"{index}.{k}": v for k, v in numbers(result.summary["impacts"][index]).items()}
+    assert {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=1e-9, abs=1e-20)} == {}
+
+
+@pytest.mark.slow
+def test_a_sequence_on_two_ranks(double: Result, tmp_path: Path) -> None:
+    scene = tmp_path / "double.toml"
+    scene.write_text(DOUBLE)
+    command = [
+        str(MPIEXEC),
+        "-n",
+        "2",
+        sys.executable,
+        "-m",
+        "coupler",
+        "run",
+        str(scene),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    expected, got = numbers(double.summary), numbers(summary)
+    assert {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=1e-9, abs=1e-20)} == {}
