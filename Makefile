@@ -1,7 +1,10 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make test   format, lint, types and tests
-# make bench  what a step costs, part by part, into docs/tables/bench.csv (2 minutes)
+# make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
 # make studies  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
+# make stability  hard scenes into docs/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
+# make fuzz   random scenes: each a result or a clear refusal; N=300 SEED=1 say how many and which
+# make validate  the paper's cases and trends into docs/validation.md (half an hour; runs that are in its tables are kept)
 # make setup  system libraries and .venv; run and test do it themselves when it is needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -16,7 +19,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # The test of the report opens it in a browser.
 LIBRARIES += chromium
 
-.PHONY: setup run check test bench studies clean
+.PHONY: setup run check test bench studies stability fuzz validate clean
 
 setup: $(STAMP)
 
@@ -64,11 +67,23 @@ test: check
 
 bench: setup
 	$(VENV)/bin/python workflows/bench.py
+	$(VENV)/bin/python workflows/bench_ranks.py
 
 studies: setup
 	$(VENV)/bin/python workflows/taylor_bar.py
 	$(VENV)/bin/python workflows/taylor_bar_sph.py
 	$(VENV)/bin/python workflows/convergence.py --knobs
+
+stability: setup
+	$(VENV)/bin/python workflows/stability.py
+
+N ?= 100
+SEED ?= 1
+fuzz: setup
+	$(VENV)/bin/python workflows/fuzz.py --n $(N) --seed $(SEED)
+
+validate: setup
+	$(VENV)/bin/python workflows/validate.py
 
 # Keeps runs/: results are not ours to throw away.
 clean:

@@ -1,7 +1,7 @@
 """The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -106,6 +106,14 @@ class Bodies:
         return {
             "mesh": asdict(self.target.mesh), "laws": self.target.laws, "body": self.body, "buried": self.buried,
             "placed": self.placed, "state": self.state(), "fe": self.target.fe,
+        }  # fmt: skip
+
+    def whole_with(self, state: Mapping[str, Any]) -> dict[str, Any]:
+        """As `whole`, with another `state` of the same meshes, "fe" in it: its arrays are taken as they are."""
+        mesh = {part.name: getattr(self.target.mesh, part.name) for part in fields(TetMesh)}
+        return {
+            "mesh": mesh, "laws": self.target.laws, "body": self.body, "buried": self.buried, "placed": self.placed,
+            "state": state, "fe": state["fe"],
         }  # fmt: skip
 
     @classmethod
@@ -288,7 +296,7 @@ def bodies_of(
     """Bodies from a domain, the books going on from those of `before`."""
     target = Target(
         domain.mesh, domain.laws, domain.state["T"], law_of=domain.body, fixed=fixed, absorbing=absorbing,
-        conduction=before.conduction is not None,
+        conduction=before.conduction is not None, sleeping=bool(np.isfinite(before.reach)),
     )  # fmt: skip
     target.take(domain.state, before)
     return Bodies(target, domain.body, fixed, absorbing, friction)

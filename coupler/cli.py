@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import gas_command
+from . import gas_command, mesh_command
 from .errors import ColdsprayError, speaks
 
 if TYPE_CHECKING:
@@ -114,6 +114,7 @@ def _parser() -> argparse.ArgumentParser:
             help="wall time between two checkpoints (default: 60)",
         )
     gas_command.add(commands)
+    mesh_command.add(commands)
     return parser
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: One record per material: the numbers of the law in SI units. `softening` is 1.0 or 0.0.
+#: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
 LAW = np.dtype(
     [
         (name, np.float64)
@@ -25,7 +25,7 @@ LAW = np.dtype(
             "rho", "G", "K", "s", "Gamma0",
             "A", "B", "n", "C", "m", "eps_dot_0", "T_ref", "T_m", "softening",
             "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0", "k_slope",
-            "rate_filter",
+            "rate_filter", "expansion",
         )
     ]
 )  # fmt: skip
@@ -36,7 +36,8 @@ def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter:
 
     material: anything with the attributes of `coupler.materials.Material` (SI). rate_filter: s, the time constant
     over which the plastic strain rate is averaged before Johnson-Cook sees it (0: not averaged). A linear equation
-    of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J).
+    of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
+    energy that makes pressure; what compression itself stores there stays.
     """
     effects = dict(on or {})
 
@@ -54,10 +55,11 @@ def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter:
     r["taylor_quinney"] = material.taylor_quinney if active("plastic_heating") else 0.0
     for name, table in (("cp", material.cp), ("k", material.k)):
         (T0, v0), (T1, v1) = table[0], table[-1]
-        varies = T1 > T0 and (name == "k" or active("temperature_dependent_cp"))
+        varies = T1 > T0 and active(f"temperature_dependent_{name}")
         r[f"{name}_T0"], r[f"{name}_T1"], r[f"{name}_0"] = T0, max(T1, T0), v0
         r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
     r["rate_filter"] = rate_filter
+    r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
     return law
 
 
@@ -71,6 +73,25 @@ def heat_capacity(law, T):
 def conductivity(law, T):
     """k(T) in W/mK: linear between the two points of the material data, constant beyond them."""
     return law.k_0 + law.k_slope * (min(max(T, law.k_T0), law.k_T1) - law.k_T0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def heated(law, T, q):
+    """Temperature (K) after a heat of q J/kg at T (K): exact for a c_p that is linear in T."""
+    cp = heat_capacity(law, T)
+    slope = law.cp_slope if law.cp_T0 < T < law.cp_T1 else 0.0
+    return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def softened(law, sigma_y, old, T):
+    """A yield stress (Pa) after the temperature has gone from `old` to T (K) without plastic flow: Johnson-Cook's 1 - theta^m."""
+    if law.softening == 0.0 or max(old, T) <= law.T_ref:
+        return sigma_y
+    span = law.T_m - law.T_ref
+    before = max(1.0 - (max(old - law.T_ref, 0.0) / span) ** law.m, 0.0)
+    after = max(1.0 - (max(T - law.T_ref, 0.0) / span) ** law.m, 0.0)
+    return sigma_y * after / before if before > 0.0 else sigma_y
 
 
 @njit(cache=True, nogil=True)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from .errors import SolverError
+from .heat_paths import HeatPaths
 
 CHUNK = 10  # steps between two agreements on dt; a stale dt at a Courant factor of 0.9 is known to blow up after more
 
@@ -84,10 +85,13 @@ class Impact:
     They touch where the particle's carried surface meets the target's facets.
     """
 
-    def __init__(self, particle: Any, bodies: Any, surface: Any, contact: Any, threads: int = 1):
+    def __init__(
+        self, particle: Any, bodies: Any, surface: Any, contact: Any, threads: int = 1, paths: HeatPaths | None = None
+    ):
         """particle: a `team.Team`. threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the
-        numbers are the same.
+        numbers are the same. paths: where heat goes between chunks; only that of friction, to what rubbed, by default.
         """
+        self.paths = paths or HeatPaths()
         self.particle, self.bodies, self.surface, self.contact = particle, bodies, surface, contact
         self.target = bodies.target
         self._softness = surface.softness(particle.mass)
@@ -102,6 +106,12 @@ class Impact:
         self.force = np.zeros(3)  # on the particle, N
         self.deepest = 0.0  # largest penetration so far, m
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
+        self.dt_factor = 1.0  # on the step agreed on: a rescue lowers it
+
+    def close(self) -> None:
+        """Wait for what still runs beside and let the second core go."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
 
     def _begin(self) -> None:
         """The target's own step, which needs nothing of the particle."""
@@ -137,7 +147,7 @@ class Impact:
         bounds["target"] = self.bodies.stable_dt(min(bounds.values()))
         who = min(bounds, key=lambda name: bounds[name])
         self.limits[who] += CHUNK
-        return bounds[who]
+        return self.dt_factor * bounds[who]
 
     def advance(self, until: float | None = None) -> float:
         """Make a chunk of steps (fewer and smaller where `until`, s, is near). Returns dt, s.
@@ -158,7 +168,7 @@ class Impact:
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
-        self._share_heat()
+        self._share_heat(steps * dt)
         return dt
 
     def state(self) -> dict[str, Any]:
@@ -166,19 +176,22 @@ class Impact:
         return {
             "particle": self.particle.state(), "bodies": self.bodies.state(), "contact": self.contact.state(),
             "ledger": self.ledger.state(), "time": self.time, "force": self.force, "deepest": self.deepest,
-            "limits": self.limits,
+            "limits": self.limits, "dt_factor": self.dt_factor,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put a `state` into an impact of the same plan that was just built."""
         for name in ("particle", "bodies", "contact", "ledger"):
             getattr(self, name).restore(state[name])
-        for name in ("time", "force", "deepest", "limits"):
+        for name in ("time", "force", "deepest", "limits", "dt_factor"):
             setattr(self, name, state[name])
 
-    def _share_heat(self) -> None:
-        """Friction heat becomes temperature: of the points it arose at, and of the elements behind the facets."""
+    def _share_heat(self, time: float) -> None:
+        """Friction heat becomes temperature, of points and of the elements behind facets; heat flows for `time` s."""
         c, p, t = self.contact, self.particle, self.target
+        self.paths.share(time, p, t, self.surface, c)
+        if not self.paths.friction:
+            return
         if c.heat_point.any():
             p.warm(self.surface.spread_heat(c.heat_point))
             c.heat_point[:] = 0.0

@@ -177,19 +177,34 @@ class _Lead:
     def _impact(self, i: int, bodies: Any, store: Any, inside: dict[str, Any] | None) -> Any:
         """Impact i on the bodies; the bodies that the next one meets."""
         from .joining import join
+        from .rescue import numerics_of
         from .running import Running
 
         how, before = self.how, sum(record["sim_time_s"] for record in self.records)
         level = None if inside is None else inside["level"]
-        setting = build(self.what, i, bodies, self.folder / "log.lammps", how.numerics, self.ranks, level)
+        numerics = numerics_of(None if inside is None else inside["impact"], how.numerics)
+        setting = build(self.what, i, bodies, self.folder / "log.lammps", numerics, self.ranks, level)
         started = self.wall if inside is None else inside["started"]
+
+        def rebuild(failed: Setting, state: dict[str, Any], numerics: dict[str, float]) -> Setting:
+            nonlocal setting
+            failed.particle.close()
+            again = bodies_from(self.what, failed.bodies.whole_with(state))
+            setting = build(self.what, i, again, self.folder / "log.lammps", numerics, self.ranks, failed.level)
+            return setting
+
         try:
-            running = Running(self.what, i, setting, store, how.progress, self.threads, before)
+            running = Running(
+                self.what, i, setting, store, how.progress, self.threads, rebuild, self.log, before, how.numerics
+            )
             if inside is not None:
                 running.restore(inside["impact"])
                 self.log(f"going on from {(before + running.impact.time) * 1e9:.1f} ns")
             known = {"started": started, "level": setting.level}
-            running.go(lambda now: self._save(bodies, store, {"impact": now, **known}), how.checkpoint_every, how.probe)
+            running.go(
+                lambda now: self._save(setting.bodies, store, {"impact": now, **known}), how.checkpoint_every, how.probe
+            )
+            bodies = setting.bodies
             self.records.append(running.summary(self.wall - started))
             self.skin = setting.surface.positions(setting.particle.x)
             if i + 1 == len(self.what.impacts):
@@ -214,6 +229,8 @@ class _Lead:
             "wall_loop_s": sum(record["wall_loop_s"] for record in self.records),
             "sim_time_s": sum(record["sim_time_s"] for record in self.records),
             "steps": sum(record["steps"] for record in self.records),
+            "rescues": [rescue for record in self.records for rescue in record["rescues"]],
+            "warnings": list(dict.fromkeys(text for record in self.records for text in record["warnings"])),
         }
         return {**last, **whole, "impacts": self.records, "joins": self.joins}
 
@@ -230,7 +247,7 @@ def cores() -> int:
 @dataclass
 class Setting:
     """The domains of one impact, ready to run. particle: a `team.Team`; bodies: `bodies.Bodies`; level: height (m) of the
-    surface where the particle first touches it."""
+    surface where the particle first touches it; paths: where heat goes between chunks of steps (`heat_paths.HeatPaths`)."""
 
     particle: Any
     bodies: Any
@@ -239,6 +256,7 @@ class Setting:
     body: Any
     place: np.ndarray
     level: float
+    paths: Any = None
 
     @property
     def target(self) -> Any:
@@ -257,7 +275,10 @@ def build_bodies(what: Plan) -> Any:
     law = law_record(t.material, on, what.impacts[0].rate_filter)
     fixed, absorbing = held_faces(what)
     mesh = meshes.prepare(points, tets, (*what.impacts[0].offset, 0.0))
-    target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"])
+    target = Target(
+        mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
+        sleeping=not on["ahead_of_waves"],
+    )  # fmt: skip
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, friction_of(what))
 
 
@@ -329,7 +350,18 @@ def build(
         factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
         facet_ids=facets,
     )
-    return Setting(particle, bodies, contact, surface, body, place, level)
+    return Setting(particle, bodies, contact, surface, body, place, level, _paths(what, particle, body))
+
+
+def _paths(what: Plan, particle: Any, body: Any) -> Any:
+    """The ways that the plan's effects leave open for heat."""
+    from .heat_paths import HeatPaths
+    from .sph.heat import PointConduction
+
+    on, points = what.effects.on, None
+    if on("particle_conduction"):
+        points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
+    return HeatPaths(on("friction_heat"), points, np.inf if on("interface_conduction") else 0.0)
 
 
 def body_of(what: Plan, i: int) -> Any:

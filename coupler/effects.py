@@ -13,11 +13,20 @@ THRESHOLDS: dict[str, tuple[str, float]] = {
     "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.01),
     "plastic_heating": ("Taylor-Quinney coefficient", 0.0),
     "temperature_dependent_cp": ("relative change of cp", 0.01),
+    "temperature_dependent_k": ("relative change of k x diffusion length / size", 0.05),
     "friction": ("friction coefficient", 0.0),
+    "friction_heat": ("friction x heating / (T_m - T)", 0.01),
     "mie_gruneisen": ("v / c0", 0.03),
+    "thermal_expansion": ("Gamma0 rho cp heating / K", 0.003),
+    "adhesion": ("splats that the scene bonds", 0.0),
     "absorbing_boundaries": ("time / wave's way to the side and back", 1.0),
-    "conduction": ("sqrt(alpha time) / element size", 1.0),
+    "ahead_of_waves": ("velocity ahead of the waves / largest", 1e-6),
+    "conduction": ("sqrt(alpha time) / element size", 0.2),
+    "particle_conduction": ("sqrt(alpha time) / spacing", 0.2),
+    "interface_conduction": ("sqrt(alpha time) / size, both", 0.2),
+    "cooling": ("sqrt(alpha dwell) / diameter", 0.05),
 }
+AHEAD_OF_WAVES = 1e-9  # velocities that computing elements asleep changes, of the largest: held by tests/test_fe.py
 NAMES = tuple(THRESHOLDS)
 _WHOLE = ("auto", "all", "none")
 
@@ -26,8 +35,22 @@ _WHY = {  # (why on, why off)
     "rate_hardening": ("the strain rate raises the flow stress", "the flow stress does not feel the rate"),
     "plastic_heating": ("temperature is a result", "no plastic work becomes heat"),
     "temperature_dependent_cp": ("heating changes cp", "cp stays nearly constant"),
+    "temperature_dependent_k": (
+        "heating changes k where heat is conducted",
+        "k stays nearly constant, or conducts little",
+    ),
     "friction": ("the coefficient is above zero", "the coefficient is zero"),
+    "friction_heat": ("rubbing warms the surfaces", "what rubbing could heat is too little"),
     "mie_gruneisen": ("pressures are in the shock range", "compression is small: linear is enough"),
+    "thermal_expansion": ("heat raises the pressure", "heat hardly raises the pressure"),
+    "adhesion": ("splats stick to what they lie on", "there is nothing that the scene bonds"),
+    "ahead_of_waves": ("elements no wave has reached are computed too", "elements sleep until a wave arrives"),
+    "particle_conduction": (
+        "heat goes from point to point of the particle",
+        "in the particle heat stays where it arises",
+    ),
+    "interface_conduction": ("heat crosses the contact", "there is no time to cross the contact"),
+    "cooling": ("heat leaves the splat between impacts", "no pause, or too short a one to cool"),
     "absorbing_boundaries": ("waves would come back from the sides", "no wave comes back in time"),
     "conduction": ("heat crosses elements of the target, where it acts", "in the target heat stays in its element"),
 }
@@ -37,7 +60,8 @@ _WHY = {  # (why on, why off)
 class Situation:
     """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
 
-    end_time: the longest that waves and heat may travel until the run is over, this and later impacts together.
+    end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
+    of this impact alone (default: the same); dwell: the pause after it; bonded: whether its splat is to be.
     """
 
     materials: tuple[Material, Material]
@@ -48,6 +72,10 @@ class Situation:
     side_distance: float  # from the impact to the nearest absorbing face; infinite without any
     end_time: float
     element_size: float = math.inf  # of the target, the smallest
+    spacing: float = math.inf
+    duration: float | None = None
+    dwell: float = 0.0
+    bonded: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,16 +151,28 @@ def numbers(situation: Situation) -> dict[str, float]:
     bodies = list(zip(situation.materials, situation.temperatures, strict=True))
     v, rate = situation.velocity, situation.velocity / situation.diameter
     wave = situation.materials[1].wave_speed
-    diffused = math.sqrt(diffusivity(*bodies[1]) * situation.end_time)
+    duration = situation.end_time if situation.duration is None else situation.duration
+    in_target = math.sqrt(diffusivity(*bodies[1]) * situation.end_time) / situation.element_size
+    in_particle = math.sqrt(diffusivity(*bodies[0]) * duration) / situation.spacing
+    across = math.sqrt(diffusivity(*bodies[1]) * duration) / situation.element_size
+    k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
         "thermal_softening": max(max(heating(m, T, v) / (m.T_m - T), _preheat(m, T)) for m, T in bodies),
         "rate_hardening": max(m.C * math.log(max(rate / m.eps_dot_0, 1.0)) for m, _ in bodies),
         "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
         "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
+        "temperature_dependent_k": k_change * max(in_target, in_particle),
         "friction": situation.friction,
+        "friction_heat": situation.friction * max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies),
         "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
-        "conduction": diffused / situation.element_size,
+        "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
+        "adhesion": float(situation.bonded),
+        "ahead_of_waves": AHEAD_OF_WAVES,
+        "conduction": in_target,
+        "particle_conduction": in_particle,
+        "interface_conduction": min(across, in_particle),  # what one side cannot take the other cannot give
+        "cooling": math.sqrt(max(diffusivity(*body) for body in bodies) * situation.dwell) / situation.diameter,
     }
 
 

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from . import adhesion
-from .bodies import Bodies
+from .bodies import NEAR, Bodies
 from .constitutive import sound_speed
+from .contact.surfaces import interface
 from .errors import ColdsprayError, SolverError
 from .fe.assemble import BodyState
+from .fe.cooling import Links, cool, together
 from .plan import Plan
 from .splat.carry import shape_measures
 
@@ -37,7 +39,8 @@ def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], 
     if what.adhesion.kind == "none" and upwards > REBOUND:
         log(f"splat {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         new = bodies.renumbered(origin)
-        return new, report | {"rebounded": True, "bodies": 0, **new.settle(kinetic_0)}
+        report |= {"rebounded": True, "bodies": 0, **new.settle(kinetic_0)}
+        return _paused(what, i, new, origin, kinetic_0, report), report
     cloud = cloud_of(setting)
     splat = convert(cloud, what.splat_element_size, what.splat_method)
     report |= {
@@ -74,7 +77,38 @@ def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], 
             f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
             " try a finer preset, or another [splat] method"
         )
-    return new, report
+    return _paused(what, i, new, origin, kinetic_0, report), report
+
+
+def _paused(
+    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+) -> Bodies:
+    """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
+
+    The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
+    in perfect contact. Stresses of the heat that has left are let go of at the end.
+    """
+    if what.impacts[i].dwell == 0.0 or not what.effects.on("cooling"):
+        return bodies
+    started = clock.perf_counter()
+    t = bodies.target
+    facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
+    cooling = cool(
+        t, what.impacts[i].dwell, np.unique(facets), what.target.temperature, _links(bodies, what.splat_element_size)
+    )
+    t.reach = np.inf  # heat has moved everywhere: everything has to find its rest
+    t._wake(0.0)
+    settled = bodies.settle(kinetic_0)
+    report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
+    report["cooling"]["wall_s"] = clock.perf_counter() - started
+    return bodies if what.effects.on("ahead_of_waves") else bodies.renumbered(origin)
+
+
+def _links(bodies: Bodies, size: float) -> Links:
+    """Where splats lie on each other or on the substrate. size: of their elements, m."""
+    surfaces, x = bodies.surfaces, bodies.target.x
+    found = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
+    return together([Links(f.nodes, surfaces.facets[f.facet], f.weights, f.area) for f in found])
 
 
 def cloud_of(setting: Any) -> Any:

@@ -3,8 +3,11 @@
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from .splat.carry import CarriedSurface, shape_measures
+
+YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
 
 
 def von_mises_of(stress: np.ndarray) -> np.ndarray:
@@ -30,6 +33,35 @@ def crater_depth(surface: np.ndarray) -> float:
     return float(-(deepest[2] + (terms @ fit).min()))
 
 
+def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
+    """Mean pressure (Pa) and area (m2) of a contact: the force (N) along z over the area that the touching points fill, seen along z.
+
+    touching (k,3): positions in m of the points in contact, two or more rings of them; their convex hull is taken, as a round
+    contact has no holes. Fewer than three points, or points in a line, fill no area: both are 0 then.
+    """
+    flat = touching[:, :2]
+    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat[0], tol=1e-12) < 2:
+        return 0.0, 0.0
+    area = float(ConvexHull(flat).volume)
+    return force / area, area
+
+
+def plastic_zone(target: Any) -> tuple[float, float]:
+    """Radius and depth (m) of the zone of the substrate that has yielded, by a plastic strain of YIELDED or more.
+
+    The radius is that of the circle whose area the yielded part of the surface fills, seen from above; the depth, below z = 0, that
+    of the lowest centroid of a yielded element 0 where nothing has yielded. target: `fe.explicit.Target`.
+    """
+    mesh, yielded = target.mesh, target.eps_p >= YIELDED
+    top = mesh.sets["top"]
+    top = top[yielded[mesh.facet_element[top]]]
+    corners = target.x[mesh.facets[top], :2]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
+    depth = -target.x[mesh.conn[yielded], 2].mean(axis=1).min() if yielded.any() else 0.0
+    return float(np.sqrt(area / np.pi)), max(float(depth), 0.0)
+
+
 def measure(
     particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float, level: float = 0.0
 ) -> dict[str, float]:
@@ -51,5 +83,6 @@ def measure(
     m["target_eps_p_max"] = float(target.eps_p.max())
     m["target_T_max_K"] = float(target.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises_of(target.stress()).max())
+    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
     m["velocity_z_m_s"] = float(particle.momentum()[2] / particle.mass.sum())
     return m

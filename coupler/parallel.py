@@ -81,9 +81,9 @@ def arrange(comm: Any, placement: str | None, home_load: float) -> Ranks:
 def home_share(size: int, home_load: float) -> float:
     """Share of the points that the home takes beside the target, so that all ranks are done at the same time.
 
-    MACHDYN's step has two halves with an exchange between them; the home's own work can only fill what it saves in the second.
+    The home does its own step while the others are at the first part of theirs (`Team.run`).
     """
-    return max(0.03, (1.0 - 2.0 * (size - 1) * home_load) / size)
+    return max(0.03, (1.0 - (size - 1) * home_load) / size)
 
 
 class Elsewhere(SolverError):

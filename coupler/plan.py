@@ -126,7 +126,7 @@ def plan(scene: Scene) -> Plan:
         scene=scene,
         impacts=impacts,
         target=target,
-        adhesion=scene.adhesion_law,
+        adhesion=scene.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
         splat_method=scene.splat.method,
         splat_element_size=scene.splat_element_size,
         friction=scene.contact.friction if decided.on("friction") else 0.0,
@@ -196,6 +196,10 @@ def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -
                 side_distance=_absorbing_distance(scene, impact.offset),
                 end_time=left,
                 element_size=scene.element_size,
+                spacing=impact.spacing,
+                duration=impact.end_time,
+                dwell=impact.dwell,
+                bonded=len(impacts) > 1 and scene.adhesion_law.kind != "none",
             )
         )
         left -= impact.end_time

@@ -4,7 +4,7 @@ import resource
 import signal
 import threading
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from types import FrameType
 from typing import Any
@@ -14,8 +14,11 @@ import numpy as np
 from .coupling import Impact, Watch, check_books
 from .errors import SolverError
 from .plan import Plan
+from .rescue import SOUND, Rescuer
+from .validity import Extremes
 
 DRIFT_BOUND = 0.02  # of the initial kinetic energy: beyond it a run is not called finished
+DRIFT_ALARM = 2.0 * DRIFT_BOUND  # on the way, where some of it may come back
 MOMENTUM_BOUND = 1e-6
 DISSIPATION_BOUND = -0.01  # a scheme that gives energy away is unstable
 # fields written without a change of name, and how they read in ParaView's order of tensors, xx yy zz xy yz xz
@@ -56,13 +59,20 @@ class StopSignals:
 class Running:
     """One impact and what is written of it. setting: the domains (`deposition.Setting`); store: where it goes.
 
-    i: which of the plan's impacts; before: simulated time (s) of those before it.
+    i: which of the plan's impacts; before: simulated time (s) of those before it. rebuild(setting, state, numerics): domains made
+    new from a kept `bodies` state, for a rescue; numerics: what the run was asked to change in the scheme; log(text).
     """
 
-    def __init__(self, what: Plan, i: int, setting: Any, store: Any, progress: Any, threads: int, before: float = 0.0):
+    def __init__(
+        self, what: Plan, i: int, setting: Any, store: Any, progress: Any, threads: int, rebuild: Callable[..., Any],
+        log: Callable[[str], None], before: float = 0.0, numerics: Mapping[str, float] | None = None,
+    ):  # fmt: skip
         self.what, self.i, self.setting, self.store, self.progress = what, i, setting, store, progress
         self.mine, self.before = what.impacts[i], before
-        self.impact = Impact(setting.particle, setting.bodies, setting.surface, setting.contact, threads)
+        self.threads, self.rebuild, self.log = threads, rebuild, log
+        self.impact = Impact(setting.particle, setting.bodies, setting.surface, setting.contact, threads, setting.paths)
+        self.rescuer = Rescuer(numerics or {})
+        self.extremes = Extremes()
         crossing = self.mine.diameter / float(np.linalg.norm(self.mine.velocity))
         self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing)
         self.greatest: dict[str, float] | None = None
@@ -78,12 +88,15 @@ class Running:
         return {
             "impact": self.impact.state(), "watch": self.watch.state(), "greatest": self.greatest,
             "next_output": self.next_output, "next_row": self.next_row, "looped": self.looped,
+            "rescues": self.rescuer.state(), "extremes": self.extremes.state(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put a `state` into a fresh one of the same plan."""
         self.impact.restore(state["impact"])
         self.watch.restore(state["watch"])
+        self.rescuer.restore(state["rescues"])
+        self.extremes.restore(state["extremes"])
         for name in ("greatest", "next_output", "next_row", "looped"):
             setattr(self, name, state[name])
 
@@ -92,30 +105,25 @@ class Running:
     ) -> None:
         """Run to the end. save(state) is called every `save_every` seconds of wall time, and before a signal stops the run.
 
-        probe(impact) is called after every chunk of steps. Raises SolverError, StoreError, or Stopped.
+        probe(impact) is called after every chunk of steps. A run in trouble goes back and tries again (`coupler.rescue`).
+        Raises SolverError when that does not help, StoreError, or Stopped.
         """
         if self.progress is not None:
             self.progress.start(self.mine.expected)
-        impact, particle = self.impact, self.setting.particle
-        if impact.time == 0.0:
+        if self.impact.time == 0.0:
             self._write()
-        until = self.mine.end_time if self.mine.end_at == "time" else None
+        self._keep()
         saved = clock.perf_counter()
         started = saved - self.looped
         with StopSignals() as asked:
             while True:
-                dt = impact.advance(until)
-                sinking = -float(particle.momentum()[2] / particle.mass.sum())
-                over = self.watch.look(impact.time, sinking, float(impact.force[2]))
-                if self.watch.turned is not None and self.greatest is None:
-                    self.greatest = self._measure()
-                    self._write()
-                if over or impact.time >= self.next_row:
-                    self._row(dt)
-                if over or impact.time >= self.next_output:
-                    self._write()
-                if probe is not None:
-                    probe(impact)
+                try:
+                    over = self._chunk(probe)
+                    if over:
+                        self._judge()
+                except SolverError as error:
+                    self._go_back(error)
+                    over = False
                 now = clock.perf_counter()
                 self.looped = now - started
                 if over:
@@ -125,7 +133,48 @@ class Running:
                     saved = clock.perf_counter()
                 if asked.number:
                     raise Stopped(asked.number)
-        self._judge()
+
+    def _chunk(self, probe: Callable[[Impact], None] | None) -> bool:
+        """Some steps, and what is written of them. Returns whether the impact is over."""
+        impact, particle = self.impact, self.setting.particle
+        dt = impact.advance(self.mine.end_time if self.mine.end_at == "time" else None)
+        sinking = -float(particle.momentum()[2] / particle.mass.sum())
+        over = self.watch.look(impact.time, sinking, float(impact.force[2]))
+        if self.watch.turned is not None and self.greatest is None:
+            self.greatest = self._measure()
+            self._write()
+        if over or impact.time >= self.next_row:
+            self._row(dt)
+        if over or impact.time >= self.next_output:
+            self._write()
+        if probe is not None:
+            probe(impact)
+        if not over and self.rescuer.due():
+            self._keep()
+        return over
+
+    def _keep(self) -> None:
+        """Remember this state for a rescue, if its books are sound."""
+        ledger, setting = self.impact.ledger, self.setting
+        books = ledger.close(setting.particle, setting.bodies, setting.contact)
+        given_away = books["numerical_particle"] / ledger.kinetic_0
+        if abs(books["drift"]) < SOUND * DRIFT_BOUND and given_away > SOUND * DISSIPATION_BOUND:
+            state = {"running": self.state(), "fe": setting.target.fe, "store": self.store.state()}
+            self.rescuer.keep(self.before + self.impact.time, state)
+
+    def _go_back(self, error: SolverError) -> None:
+        """Take the next measure against `error`, or let it stand."""
+        rescue, kept = self.rescuer.way_out(error, self.i + 1, self.before + self.impact.time)
+        self.log(str(rescue))
+        self.impact.close()
+        made, running = self.rescuer.state(), kept["running"]
+        # Everything is made new, as for a resumption: what failed inside LAMMPS may have left anything behind.
+        self.setting = self.rebuild(self.setting, {**running["impact"]["bodies"], "fe": kept["fe"]}, rescue.numerics)
+        s = self.setting
+        self.impact = Impact(s.particle, s.bodies, s.surface, s.contact, self.threads, s.paths)
+        self.restore(running | {"rescues": made})
+        self.impact.dt_factor = rescue.dt_factor
+        self.store.go_back(kept["store"], self.log)
 
     def _judge(self) -> None:
         """Refuse a run whose books do not close."""
@@ -159,9 +208,11 @@ class Running:
         row["eps_p_mean"] = float(particle.eps_p.mean())
         row["stretch_min"] = particle.stretch_min
         self.store.record(row)
+        self.extremes.note(particle, target)
         self.next_row = impact.time + self.row_every
         if not np.isfinite(books["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
+        check_books(impact.ledger, DRIFT_ALARM, MOMENTUM_BOUND)
         if self.progress is not None:
             self.progress.update(impact.time, books["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 
@@ -193,6 +244,29 @@ class Running:
             setting.particle, setting.target, setting.surface, self.crater_nodes, self.mine.diameter, setting.level
         )
         return {"time_s": self.impact.time, **m}
+
+    def _beyond(self) -> list[str]:
+        """Where the impact left the range that its models were fitted in."""
+        metals = {"particle": self.mine.material, "target": self.what.target.material}
+        return self.extremes.warnings(self.i + 1, metals, self.what.effects.on("mie_gruneisen"))
+
+    def _molten(self) -> list[str]:
+        """What is to be said of matter above its melting point: there is no latent heat and no liquid in the law."""
+        particle, target = self.setting.particle, self.setting.target
+        melting = target.laws["T_m"][target.law_of]
+        found = []
+        for name, T, T_m, share in (
+            ("particle", particle.T, np.full(particle.n, particle.law["T_m"][0]), particle.mass / particle.mass.sum()),
+            ("target", target.T, melting, target.mesh.V0 / (np.pi / 6.0 * self.mine.diameter**3)),
+        ):
+            beyond = T > T_m
+            if beyond.any():
+                worst = int(np.argmax(T / T_m))
+                found.append(
+                    f"impact {self.i + 1}: the {name} went beyond melting, to {T[worst]:.0f} K where it melts at {T_m[worst]:.0f} K"
+                    f" ({share[beyond].sum():.2%} of the particle's volume): the law knows no latent heat and no melt"
+                )
+        return found
 
     def summary(self, wall: float) -> dict[str, Any]:
         """What is to be said of the finished impact. wall: s it has taken in all."""
@@ -234,7 +308,8 @@ class Running:
             "greatest_deformation": self.greatest,
             "end": end,
             "effects": self.what.effects.active,
-            "warnings": list(self.what.warnings),
+            "warnings": [*self.what.warnings, *self._beyond(), *self._molten(), *map(str, self.rescuer.made)],
+            "rescues": self.rescuer.state(),
             "version": __version__,
         }
 

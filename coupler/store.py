@@ -118,6 +118,16 @@ class Store:
             else:
                 path.unlink(missing_ok=True)
 
+    def go_back(self, state: Mapping[str, Any], log: Any) -> None:
+        """As `go_on`, of a store that has gone on writing since."""
+        with _named(self.directory):
+            for writer in self._writers.values():
+                writer.close()
+            if self._history is not None:
+                self._history.close()
+        self._writers, self._history, self._rows = {}, None, 0
+        self.go_on(state, log)
+
     def _copy_steps(self, domain: str, path: Path, steps: int, log: Any) -> None:
         from .result import Result
 

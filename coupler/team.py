@@ -177,7 +177,10 @@ class Team:
         inbox = [np.zeros(1 + 6 * len(w)) for w in where]
         outbox = [np.zeros(1 + 3 * len(w)) for w in where]
 
+        done, begun = 0, False
+
         def on_step() -> None:
+            nonlocal done, begun
             own = None
             requests = []
             for i, rank in enumerate(r.sph):
@@ -185,7 +188,10 @@ class Team:
                     own = i
                 else:
                     requests.append((i, r.comm.Irecv(inbox[i], source=rank, tag=STEP)))
-            self._try(begin)
+            done += 1
+            if not begun:
+                self._try(begin)
+            begun = False
             started = clock.perf_counter()
             failed = self.failure is not None or (self.piece is not None and self.piece.failure is not None)
             for i, request in requests:
@@ -207,6 +213,9 @@ class Team:
                 outbox[i][0] = float(failed)
                 outbox[i][1:] = self.f_ext[where[i]].ravel()
                 r.comm.Send(outbox[i], dest=rank, tag=STEP)
+            if self.piece is not None and done < steps:  # while the others, who have more points, are at theirs
+                begun = True
+                self._try(begin)
 
         r.comm.bcast(("run_steps", (steps, dt), rows), root=r.home)
         answer: Any = None

@@ -9,6 +9,18 @@ import pytest
 from coupler.materials import material
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--update-golden", action="store_true", help="write tests/goldens anew from what the runs give now"
+    )
+
+
+@pytest.fixture
+def update_golden(request: pytest.FixtureRequest) -> bool:
+    """Whether goldens are to be written, not compared with."""
+    return bool(request.config.getoption("--update-golden"))
+
+
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:
     """A linear elastic material in the shape of Material: it never yields and does not heat."""
     return SimpleNamespace(

@@ -147,6 +147,36 @@ def test_summary_table(tmp_path):
     assert str(caption) == "effects: friction, [bold]mine\nwarnings: strain rates beyond the fit"
 
 
+def test_summary_table_of_several_impacts(tmp_path):
+    nickel = {"flattening_ratio": 0.62, "material": "Ni", "diameter_m": 30e-6, "wall_s": 30.0, "surface_level_m": 0.0}
+    titanium = {
+        "flattening_ratio": 0.31,
+        "material": "Ti",
+        "diameter_m": 25e-6,
+        "wall_s": 20.0,
+        "surface_level_m": 9.1e-6,
+    }
+    new = {"idle_share": [0.25, 0.031], "memory_peak_bytes": 412_345_678, "placement": "split", "ranks": 2}
+    scene = "".join(
+        f'[[particle]]\nmaterial = "{what}"\ndiameter = "{size} um"\nvelocity = "{speed} m/s"\n'
+        for what, size, speed in (("Ni", 30, 500), ("Ti", 25, 450))
+    )
+    with Store.create(tmp_path, scene + '[substrate]\nmaterial = "SS304"\n') as store:
+        store.finish({**titanium, **new, "wall_s": 55.5, "joins": [], "impacts": [nickel, titanium | new]})
+    result = Result(tmp_path)
+    assert summary_table(result).title.plain == "30 µm Ni, 25 µm Ti on SS304 at 500, 450 m/s"
+    heads = [str(column.header) for column in summary_table(result).columns]
+    assert heads == ["", "impact\xa01\n30\xa0µm\xa0Ni", "impact\xa02\n25\xa0µm\xa0Ti", ""]
+    rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1 and row[0] != "wall time"}
+    assert rows["flattening, above surface"] == ["0.62", "0.31", ""]
+    assert rows["surface met at"] == ["0", "9.1", "µm"]
+    assert rows["idle, by process"] == ["", "25, 3.1", "%"]
+    assert rows["most memory"] == ["", "412.3", "MB"]
+    assert rows["where they run"] == ["", "split", ""]
+    assert "joins" not in rows
+    assert [row[1:] for row in printed(result) if row[:1] == ["wall time"]] == [["30", "20", "s"], ["", "55.5", "s"]]
+
+
 def test_bands_stand_beside_their_values(tmp_path):
     summary = {
         "flattening_ratio": 0.55613,

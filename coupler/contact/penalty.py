@@ -109,6 +109,12 @@ class PointContact:
         self.depth[:] = 0.0
         self.depth[self.rows] = touched
 
+    def touching(self, first: int) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,)."""
+        rows = np.flatnonzero(self.depth[:first] > 0.0)
+        rows = rows[self._nearest[rows] >= 0]
+        return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
+
     def _look(self, xp: np.ndarray, rows: np.ndarray) -> None:
         """Find the closest facet of those `rows` that may be within reach; the others keep what they had, which is out of it."""
         count = len(self._ids)

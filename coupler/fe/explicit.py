@@ -43,8 +43,8 @@ class Target:
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
-    equation of state (Gamma0 = 0) does not expand. Bodies of different materials do not share nodes (`mesh.join`): a
-    nodal pressure belongs to one material.
+    equation of state (Gamma0 = 0) does not expand, nor do laws without `expansion`. Bodies of different materials do
+    not share nodes (`mesh.join`): a nodal pressure belongs to one material.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Target:
         self.fixed = _nodes_of(mesh, fixed)
         self.inv_mass[self.fixed] = 0.0
         self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
-        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put in, J
+        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.support, self.impulse = np.zeros(3), np.zeros(3)
@@ -187,7 +187,8 @@ class Target:
         self._share(n, lambda lo, hi: k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f))
         self.f_ext[:n] = 0.0
         if self.conduction is not None:
-            self.sums[2] += self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
+            supplied = self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
+            self.sums[2] += float(self.laws["expansion"][0]) * supplied
         self.dt_last = dt
         self.time += dt
 
@@ -289,8 +290,9 @@ class Target:
             self.reach = float(np.nextafter(reached, np.inf))
             self._wake(0.0)
         gain = np.bincount(elements, heat, len(self.T))
-        self.sums[2] += float(gain.sum())
-        take_heat(0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y)
+        self.sums[2] += take_heat(
+            0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y
+        )
 
     def stress(self) -> np.ndarray:
         """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""

@@ -10,13 +10,13 @@ nodes, which they cannot see, flows into them at the rate at which an element le
 Faces are adiabatic where no temperature is held.
 """
 
-from math import ceil, sqrt
+from math import ceil
 from typing import Any
 
 import numpy as np
 from numba import njit
 
-from ..constitutive import conductivity, heat_capacity
+from ..constitutive import conductivity, heat_capacity, heated, softened
 from .mesh import TetMesh
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
@@ -224,25 +224,18 @@ def gains(lo, hi, conn, share, change, own, gain):
 
 @njit(cache=True, nogil=True)
 def take_heat(lo, hi, gain, V0, laws, law_of, T, heat, sigma_y):
-    """Give elements heat, gain (m,) J: T by the enthalpy of a c_p linear in T, heat (m,) J, softening of sigma_y (m,)."""
+    """Give elements heat, gain (m,) J: T by enthalpy, softening of sigma_y (m,); heat (m,) J, what of it makes pressure.
+
+    Returns that part of all of it, J.
+    """
+    total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:
             continue
         law = laws[law_of[e]]
         old = T[e]
-        q = gain[e] / (law.rho * V0[e])
-        cp = heat_capacity(law, old)
-        slope = law.cp_slope if law.cp_T0 < old < law.cp_T1 else 0.0
-        T[e] = old + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
-        heat[e] += gain[e]
-        before = _strength(law, old)
-        if before > 0.0:
-            sigma_y[e] *= _strength(law, T[e]) / before
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _strength(law, T):
-    """Johnson-Cook's softening factor, 1 - theta^m."""
-    if law.softening == 0.0 or T <= law.T_ref:
-        return 1.0
-    return max(1.0 - ((T - law.T_ref) / (law.T_m - law.T_ref)) ** law.m, 0.0)
+        T[e] = heated(law, old, gain[e] / (law.rho * V0[e]))
+        heat[e] += law.expansion * gain[e]
+        total += law.expansion * gain[e]
+        sigma_y[e] = softened(law, sigma_y[e], old, T[e])
+    return total

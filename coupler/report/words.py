@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
@@ -30,6 +30,8 @@ SPECIAL = {
     "energy_drift": (100.0, "%"),
     "momentum_error": (1.0, ""),
     "numerical_dissipation": (100.0, "%"),
+    "memory_peak_bytes": (1e-6, "MB"),
+    "idle_share": (100.0, "%"),
 }
 LABELS = {
     "time_s": "time",
@@ -46,6 +48,20 @@ LABELS = {
     "target_T_max_K": "highest temperature",
     "target_von_mises_max_Pa": "highest von Mises stress",
     "penetration_max_m": "greatest penetration",
+    "plastic_radius_m": "radius of the yielded zone",
+    "plastic_depth_m": "depth of the yielded zone",
+    "surface_level_m": "surface met at",
+    "speed_m_s": "impact speed",
+    "material": "material of the particle",
+    "diameter_m": "diameter before impact",
+    "velocity_z_m_s": "mean velocity upwards",
+    "rebound_velocity_m_s": "rebound velocity",
+    "element_size_m": "smallest elements",
+    "spacing_m": "spacing of the points",
+    "ranks": "processes",
+    "placement": "where they run",
+    "idle_share": "idle, by process",
+    "memory_peak_bytes": "most memory",
     "kinetic_energy_0_J": "kinetic energy at the start",
     "sim_time_s": "simulated time",
     "wall_s": "wall time",
@@ -53,6 +69,8 @@ LABELS = {
     "dt_mean_s": "mean time step",
     "version": "coldspray",
 }
+TOGETHER = ("steps", "sim_time_s", "wall_s", "wall_loop_s")  # of a run of several impacts: the sum of all
+SAID = 3  # particles that a title names
 NOTES = ("effects", "warnings")  # lists of words, below the table
 GROUPS = {
     "shape": (
@@ -65,10 +83,11 @@ GROUPS = {
         "velocity",
         "rebound",
         "penetration",
+        "surface",
     ),
-    "particle": ("eps_p", "T_", "von_mises"),
+    "particle": ("material", "diameter", "speed", "eps_p", "T_", "von_mises"),
     "balance, of the initial energy": ("energy", "momentum", "numerical"),
-    "target": ("target",),
+    "target": ("target", "plastic"),
     "run": ("",),  # whatever is left
 }
 
@@ -76,7 +95,7 @@ GROUPS = {
 def columns(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Heading -> values of a summary: what "greatest_deformation" and "end" hold side by side, all else in the last.
 
-    Lists of words and of impacts, bands and tables within the summary are left out.
+    Lists of words and of impacts, bands and tables within the summary are left out, and lists of nothing.
     """
     peak, end = (summary.get(name) for name in ("greatest_deformation", "end"))
     named = (*NOTES, "greatest_deformation", "end")
@@ -111,13 +130,13 @@ def shown(key: str, value: Any, band: float | None = None) -> str:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, int):
+    if isinstance(value, int) and key not in SPECIAL:
         return f"{value:,}".replace(",", " ")
-    if isinstance(value, float):
+    if isinstance(value, float | int):
         factor = _scale(key)[1]
         return f"{value * factor:.4g}" if band is None else with_band(value * factor, band * factor)
     if isinstance(value, list):
-        return ", ".join(str(item) for item in value)
+        return ", ".join(shown(key, item) for item in value)
     return str(value)
 
 
@@ -155,29 +174,52 @@ def title(result: Result) -> str:
     try:
         scene = tomllib.loads(result.scene_text)
         particles, substrate = scene["particle"], scene["substrate"]
-        particle = particles[0] if isinstance(particles, list) else particles
-        said = [particle["diameter"], particle["material"], "on", substrate["material"]]
-        said += ["at", particle["velocity"]]
-        angle = str(particle.get("angle", "0 deg"))
-        if float(angle.split()[0]) != 0.0:
-            said += ["and", angle.replace(" deg", "°")]
-        if isinstance(particles, list) and len(particles) > 1:
-            said += [f"and {len(particles) - 1} more"]
+        bodies = particles if isinstance(particles, list) else [particles]
+        whats = [_short(one["diameter"]) + " " + _short(one["material"]) for one in bodies]
+        said = [", ".join(whats[:SAID]), *([f"and {len(bodies) - SAID} more"] if len(bodies) > SAID else [])]
+        said += ["on", _short(substrate["material"]), "at", _alike([one["velocity"] for one in bodies])]
+        angles = [str(one.get("angle", "0 deg")) for one in bodies]
+        if any(float(angle.split()[0]) != 0.0 for angle in angles):
+            said += ["and", _alike(angles).replace(" deg", "°")]
     except (StoreError, tomllib.TOMLDecodeError, LookupError, TypeError, ValueError, AttributeError):
         return result.directory.resolve().name
-    return " ".join(str(word)[:40] for word in said).replace(" um ", " µm ")
+    return " ".join(said).replace(" um ", " µm ")
+
+
+def _whose(impact: Mapping[str, Any]) -> str:
+    """The particle of an impact, for the head of its column; its spaces do not break."""
+    known = [shown(key, impact[key]) for key in ("diameter_m", "material") if impact.get(key) is not None]
+    return "\u00a0µm\u00a0".join(known) if len(known) == 2 else ""
+
+
+def _short(text: Any) -> str:
+    return str(text)[:40]
+
+
+def _alike(quantities: Sequence[Any]) -> str:
+    """Quantities of one unit in a row, said once where they are equal: "500 m/s" or "500, 546, 610 m/s"."""
+    texts = list(dict.fromkeys(_short(one) for one in quantities))
+    number, unit = zip(*(text.split(maxsplit=1) for text in texts), strict=True)
+    if len(set(unit)) > 1 or len(texts) > SAID:
+        return f"{texts[0]} to {texts[-1]}"
+    return f"{', '.join(number)} {unit[0]}"
 
 
 def summary_table(result: Result) -> Table:
     """The summary for a terminal, in units that people use, as a rich table.
 
-    What the blocks "greatest_deformation" and "end" hold stands side by side, all else in the last column.
+    What the blocks "greatest_deformation" and "end" hold stands side by side, all else in the last column. Of a run of several
+    impacts each has a column with its own end, and what they took together stands below.
     """
     from rich.table import Table
     from rich.text import Text
 
     summary = result.summary
+    several = impacts(summary)
     blocks, band = columns(summary), bands(summary)
+    if len(several) > 1:
+        blocks = {f"impact\u00a0{k + 1} {_whose(one)}".strip(): one for k, one in enumerate(several)}
+        band = {}  # those of the summary are of its last impact
     table = Table(title=Text(title(result)), title_justify="left", title_style="bold")
     table.add_column("")
     for heading in blocks or {"": {}}:
@@ -191,13 +233,22 @@ def summary_table(result: Result) -> Table:
             width = band[key][0] if key in band else None
             cells = [shown(key, block.get(key), width) for block in blocks.values()]
             table.add_row(Text("  " + label), *(Text(cell) for cell in cells), Text(unit))
+    if len(several) > 1:
+        table.add_section()
+        table.add_row(Text("all impacts", style="bold"))
+        for key in TOGETHER:
+            if key in summary:
+                label, unit = words(key)
+                spaces = [Text("")] * (len(several) - 1)
+                table.add_row(Text("  " + label), *spaces, Text(shown(key, summary[key])), Text(unit))
     notes = [f"{name}: {shown(name, summary[name])}" for name in NOTES if summary.get(name)]
     table.caption = Text("\n".join(notes), justify="left")
     return table
 
 
 def _nested(value: Any) -> bool:
-    return isinstance(value, Mapping) or (isinstance(value, list) and any(isinstance(item, Mapping) for item in value))
+    of_tables = isinstance(value, list) and (not value or any(isinstance(item, Mapping) for item in value))
+    return isinstance(value, Mapping) or of_tables
 
 
 def _scale(key: str) -> tuple[str, float, str]:

@@ -11,7 +11,7 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 import numpy as np
 from numba import njit
 
-from ..constitutive import harden, hugoniot_pressure, mie_gruneisen
+from ..constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, softened
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -31,7 +31,7 @@ def apply_law(
     laws: one LAW record, dt s, H Pa. Per point (n,): volume m3 and mass kg; machdyn_eps, machdyn_e (J), machdyn_de
     (W) of LAMMPS, written; stress (n,6) of LAMMPS, xx xy xz yy yz zz, read; sigma_y Pa, eps_p, rate 1/s, T K, J, p
     Pa, energy J per reference m3, work (plastic work per reference m3); set_e: the e (J/kg) prescribed for this
-    step. sums (2,) grows by plastic work and plastic heat in J.
+    step. sums (2,) grows by plastic work and by what of its heat makes pressure, J.
     """
     law = laws[0]
     for i in range(len(eps_p)):
@@ -50,7 +50,7 @@ def apply_law(
         eps_p[i], rate[i], T[i], sigma_y[i], w = harden(
             law, deps, dt, Ji, sigma_y[i], sigma_y[i], eps_p[i], rate[i], T[i]
         )
-        heat = law.taylor_quinney * w
+        heat = law.expansion * law.taylor_quinney * w
         p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
         J[i] = Ji
         work[i] += w
@@ -64,15 +64,33 @@ def apply_law(
 
 
 @njit(cache=True, nogil=True)
-def elastic_energy(laws, volume, stress, J, energy, work):
-    """Recoverable energy in J: deviators (J V s:s / 4G) and volumetric energy without the plastic heat in it."""
+def warm_points(laws, H, volume, heat, machdyn_eps, sigma_y, T, energy, sums):
+    """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
+
+    machdyn_eps (n,), written, prescribes sigma_y for the next step; sums[1] grows by what went into the energy, J.
+    """
+    law = laws[0]
+    for i in range(len(heat)):
+        if heat[i] == 0.0:
+            continue
+        old = T[i]
+        T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
+        sigma_y[i] = softened(law, sigma_y[i], old, T[i])
+        machdyn_eps[i] = sigma_y[i] / H
+        energy[i] += law.expansion * heat[i] / volume[i]
+        sums[1] += law.expansion * heat[i]
+
+
+@njit(cache=True, nogil=True)
+def stored_energy(laws, volume, stress, J, energy):
+    """Energy in J that stresses hold: deviators (J V s:s / 4G) and that of the volume, the heat in it included."""
     law = laws[0]
     total = 0.0
     for i in range(len(J)):
         mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
         xx, yy, zz = stress[i, 0] - mean, stress[i, 3] - mean, stress[i, 5] - mean
         ss = xx * xx + yy * yy + zz * zz + 2.0 * (stress[i, 1] ** 2 + stress[i, 2] ** 2 + stress[i, 4] ** 2)
-        total += volume[i] * (J[i] * ss / (4.0 * law.G) + energy[i] - law.taylor_quinney * work[i])
+        total += volume[i] * (J[i] * ss / (4.0 * law.G) + energy[i])
     return total
 
 

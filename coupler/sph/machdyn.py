@@ -101,7 +101,7 @@ class Particle:
         self.J, self.p, self.energy, self._set_e = np.ones(self.n), np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
         self.T = np.full(self.n, temperature)
         self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, temperature))
-        self.sums = np.zeros(2)  # plastic work and plastic heat, J
+        self.sums = np.zeros(2)  # plastic work and heat put into the energy, J
         self.internal_work = 0.0
 
     def _start(
@@ -119,7 +119,7 @@ class Particle:
         room = room or max(10.0 * float(extent.min()), float(extent.max()))  # LAMMPS's memory grows with its cube
         low, high = centre - room, centre + room
         numbers = {
-            "ghost_cutoff": 4 * radius, "skin": radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
+            "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
             "zlo": low[2], "zhi": high[2], "rho": float(r["rho"]), "volume": self.volume_of_point,
             "contact_radius": 0.5 * self.spacing, "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G),
             "nu": (3 * K - 2 * G) / (2 * (3 * K + G)), "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass,
@@ -257,13 +257,22 @@ class Particle:
 
     def elastic(self) -> float:
         """Recoverable energy in J."""
-        return float(k.elastic_energy(self.law, self.volume, self._stress, self.J, self.energy, self.work))
+        stored = k.stored_energy(self.law, self.volume, self._stress, self.J, self.energy)
+        return float(stored - self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
-        """Put heat (n,) J into the temperature of the points."""
-        law = self.law[0]
-        cp = law["cp_0"] + law["cp_slope"] * (np.clip(self.T, law["cp_T0"], law["cp_T1"]) - law["cp_T0"])
-        self.T += heat / (self.mass * cp)
+        """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
+        k.warm_points(
+            self.law,
+            H,
+            self.volume,
+            np.ascontiguousarray(heat, float),
+            self._eps,
+            self.sigma_y,
+            self.T,
+            self.energy,
+            self.sums,
+        )
 
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""

@@ -23,9 +23,11 @@ from ..errors import SplatError
 from .surface import open_or_double
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
+WORKER = "coupler.splat.worker"
 FEWEST = 50  # points of a body
 MOST_ELEMENTS = 5e6
 TETS_PER_SIZE3 = 4.2  # in a volume size^3, as gmsh makes them
+START = 300.0  # s, before the first try: imports, and the kernels where they must be compiled
 _FIELDS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0, "X": 3}  # name -> columns
 
 
@@ -91,7 +93,9 @@ class Cloud:
                 raise SplatError(f"{name} must have the shape {shape}, has {np.shape(values)}")
             bad = np.flatnonzero(~np.isfinite(np.asarray(values).reshape(n, -1)).all(axis=1))
             if len(bad):
-                raise SplatError(f"{name} of {len(bad)} points is not a number (first: point {bad[0]}): remove or mend them")
+                raise SplatError(
+                    f"{name} of {len(bad)} points is not a number (first: point {bad[0]}): remove or mend them"
+                )
         for name in ("spacing", "rho"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
                 raise SplatError(f"{name} must be positive, is {getattr(self, name):g}")
@@ -109,7 +113,9 @@ class Cloud:
         extent = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) * np.sqrt(12.0 / len(x))
         if extent[2] < 0.05 * self.spacing:
             shape = "a line" if extent[1] < 0.05 * self.spacing else "a plane"
-            raise SplatError(f"the points lie in {shape}: a body needs points in three dimensions, or a smaller spacing")
+            raise SplatError(
+                f"the points lie in {shape}: a body needs points in three dimensions, or a smaller spacing"
+            )
         pairs = cKDTree(x).query(x, k=2)
         double = np.flatnonzero(pairs[0][:, 1] < 1e-4 * self.spacing)
         if len(double):
@@ -154,13 +160,15 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
     """Mesh a cloud with elements of about element_size m and carry its state over.
 
     method: "auto" takes the carried surface where there is one, else the density of the points, and isosurface stuffing where
-    neither can be filled; the others force one way. time_limit: s, for one process at work; a try that exceeds it is
-    given up for the next. Raises SplatError for a cloud no body can be made of, or when every way has failed.
+    neither can be filled; the others force one way. time_limit: s, for one try; what exceeds it is given up for the next.
+    Raises SplatError for a cloud no body can be made of, or when every way has failed.
     """
     if method not in METHODS:
         raise SplatError(f"unknown method {method!r}: choose one of {', '.join(METHODS)}")
     if method == "carried" and cloud.surface is None:
-        raise SplatError("method 'carried' needs the carried surface of the body, and the cloud has none: use 'density'")
+        raise SplatError(
+            "method 'carried' needs the carried surface of the body, and the cloud has none: use 'density'"
+        )
     if method == "paper" and importlib.util.find_spec("open3d") is None:
         raise SplatError("method 'paper' needs the package open3d, which is not installed: install it, or use 'auto'")
     cloud.check()
@@ -205,34 +213,49 @@ def load(folder: Path) -> tuple[Cloud, dict[str, Any]]:
 
 def _work(folder: Path, time_limit: float) -> None:
     """Run workers until one ends by itself; each goes on where the one before has died."""
-    here = str(Path(__file__).resolve().parents[2])
-    paths = os.pathsep.join(p for p in (here, os.environ.get("PYTHONPATH")) if p)
+    tries = folder / "tries.jsonl"
     for _ in range(100):
-        with open(folder / "log.txt", "wb") as log:
-            worker = subprocess.Popen(
-                [sys.executable, "-m", "coupler.splat.worker", str(folder)],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": paths},
-            )  # fmt: skip
-            try:
-                code = worker.wait(time_limit)
-                how = f"the mesher was ended by {signal.Signals(-code).name}" if code < 0 else ""
-            except subprocess.TimeoutExpired:
-                code, how = -1, f"not done after {time_limit:g} s"
-            finally:  # an interrupt here must not leave it behind
-                if worker.poll() is None:
-                    worker.kill()
-                    worker.wait()
+        code, how = _one_worker(folder, tries, time_limit)
         if code == 0:
             return
         if code > 0:
-            raise RuntimeError(f"the conversion's own program failed:\n{(folder / 'log.txt').read_text(errors='replace')}")
-        tries = folder / "tries.jsonl"
+            log = (folder / "log.txt").read_text(errors="replace")
+            raise RuntimeError(f"the conversion's own program failed:\n{log}")
         last = json.loads(tries.read_text().splitlines()[-1]) if tries.exists() else {"failed": ""}
         if last["failed"] is not None:  # nothing was being tried: another process would do no better
             raise SplatError(f"{how} before it could try anything: give more time, or a larger element size")
         with open(tries, "a") as file:
             file.write(json.dumps({**last, "failed": how}) + "\n")
     raise SplatError("the mesher was ended a hundred times")
+
+
+def _one_worker(folder: Path, tries: Path, time_limit: float) -> tuple[int, str]:
+    """The exit code of a worker, and how it was ended if not by itself."""
+    here = str(Path(__file__).resolve().parents[2])
+    paths = os.pathsep.join(p for p in (here, os.environ.get("PYTHONPATH")) if p)
+    with open(folder / "log.txt", "wb") as log:
+        worker = subprocess.Popen(
+            [sys.executable, "-m", WORKER, str(folder)],
+            stdin=subprocess.DEVNULL, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": paths},
+        )  # fmt: skip
+        before = noted = tries.stat().st_size if tries.exists() else 0
+        since = clock.monotonic()
+        try:
+            while True:
+                try:
+                    code = worker.wait(0.05)
+                    return code, f"the mesher was ended by {signal.Signals(-code).name}" if code < 0 else ""
+                except subprocess.TimeoutExpired:
+                    size = tries.stat().st_size if tries.exists() else 0
+                    if size != noted:
+                        noted, since = size, clock.monotonic()
+                    limit = time_limit if noted != before else max(time_limit, START)
+                    if clock.monotonic() - since > limit:
+                        return -1, f"not done after {limit:g} s"
+        finally:  # nor may an interrupt here leave it behind
+            if worker.poll() is None:
+                worker.kill()
+                worker.wait()
 
 
 def _read(folder: Path, cloud: Cloud) -> Splat:

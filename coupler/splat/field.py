@@ -87,18 +87,23 @@ def steepness(field: Field) -> np.ndarray:
 
 def inside(field: Field, slope: np.ndarray, level: float) -> float:
     """Volume (m3) where the field exceeds the level; cells the level set passes count in part. slope: its `steepness`."""
-    return (
-        float(np.clip(0.5 + (field.values - level) / np.maximum(slope, 1e-6), 0.0, 1.0).sum(dtype=float)) * field.h**3
-    )
+    return float(_share(field.values, slope, level).sum(dtype=float)) * field.h**3
+
+
+def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
+    return np.clip(0.5 + (values - level) / np.maximum(slope, 1e-6), 0.0, 1.0)
 
 
 def level_of(field: Field, volume: float) -> float:
     """The level that encloses a volume (m3), between 0.15 and 0.85: beyond, the level set hangs on the tail of the smoothing."""
-    slope = steepness(field)
+    near = (field.values > 0.01) & (field.values < 0.99)
+    values, slope = field.values[near], steepness(field)[near]
+    wanted = volume / field.h**3 - int(np.sum(field.values >= 0.99))
     low, high = 0.15, 0.85
     for _ in range(20):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if inside(field, slope, middle) > volume else (low, middle)
+        more = float(_share(values, slope, middle).sum(dtype=float)) > wanted
+        low, high = (middle, high) if more else (low, middle)
     return 0.5 * (low + high)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from .kernels import winding
-from .quality import boundary, volumes
+from .quality import boundary, compact, volumes
 
 if TYPE_CHECKING:
     from .convert import Cloud
@@ -14,19 +14,21 @@ if TYPE_CHECKING:
 _SAMPLES = 6  # along the edge of a facet, to measure distances from
 
 
-def depth_below(vertices: np.ndarray, triangles: np.ndarray, x: np.ndarray, h: float) -> np.ndarray:
-    """How deep places x (k,3) m lie below a closed surface, (k,) m, negative outside; exact to about h m."""
-    i, j = np.array([(i, j) for i in range(_SAMPLES + 1) for j in range(_SAMPLES + 1 - i)]).T / _SAMPLES
-    sample = np.einsum("kc,fcd->fkd", np.stack([1.0 - i - j, i, j], axis=1), vertices[triangles])
-    gap = cKDTree(sample.reshape(-1, 3)).query(x)[0]
+def distance_outside(vertices: np.ndarray, triangles: np.ndarray, x: np.ndarray, h: float) -> np.ndarray:
+    """Distance of places x (k,3) m from a closed surface where they lie outside it, else 0, (k,) m; exact to about h m."""
     low = vertices.min(axis=0) - 0.419 * h
     counts = np.ceil((vertices.max(axis=0) - low) / h).astype(int) + 1
     w = np.zeros(counts, np.int8)
     winding(vertices, np.ascontiguousarray(triangles, np.int64), low, h, w)
     cell = np.floor((x - low) / h).astype(int)
-    within = ((cell >= 0) & (cell < counts)).all(axis=1)
-    within[within] = w[tuple(cell[within].T)] > 0
-    return np.where(within, gap, -gap)
+    inside = ((cell >= 0) & (cell < counts)).all(axis=1)
+    inside[inside] = w[tuple(cell[inside].T)] > 0
+    distance = np.zeros(len(x))
+    if not inside.all():
+        i, j = np.array([(i, j) for i in range(_SAMPLES + 1) for j in range(_SAMPLES + 1 - i)]).T / _SAMPLES
+        sample = np.einsum("kc,fcd->fkd", np.stack([1.0 - i - j, i, j], axis=1), vertices[triangles])
+        distance[~inside] = cKDTree(sample.reshape(-1, 3)).query(x[~inside])[0]
+    return distance
 
 
 def fit_of(points: np.ndarray, tets: np.ndarray, cloud: "Cloud") -> dict[str, Any]:
@@ -35,13 +37,12 @@ def fit_of(points: np.ndarray, tets: np.ndarray, cloud: "Cloud") -> dict[str, An
     width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than
     half a spacing outside; outside_max: the farthest; centroid_off: of the centre of mass.
     """
-    used, skin = np.unique(boundary(tets), return_inverse=True)
-    x, triangles = points[used], skin.reshape(-1, 3)
+    x, triangles = compact(points, boundary(tets))
     source = cloud.x if cloud.surface is None else cloud.surface[0]
     share = volumes(points, tets)
     centroid = share @ points[tets].mean(axis=1) / share.sum()
     h = max(cloud.spacing / 6.0, float(np.prod(np.ptp(x, axis=0)) / 8e6) ** (1.0 / 3.0))
-    out = -depth_below(x, triangles, cloud.x, h) / cloud.spacing
+    out = distance_outside(x, triangles, cloud.x, h) / cloud.spacing
 
     def width(places: np.ndarray) -> float:
         return float(np.sqrt(4.0 / np.pi * ConvexHull(places[:, :2]).volume))
@@ -51,5 +52,5 @@ def fit_of(points: np.ndarray, tets: np.ndarray, cloud: "Cloud") -> dict[str, An
         "source_extent_m": np.ptp(source, axis=0).tolist(), "source_width_m": width(source),
         "source_top_m": float(source[:, 2].max()),
         "centroid_off": float(np.linalg.norm(centroid - np.average(cloud.x, axis=0, weights=cloud.mass)) / cloud.spacing),
-        "outside_half": float(np.mean(out > 0.5)), "outside_max": float(max(out.max(), 0.0)),
+        "outside_half": float(np.mean(out > 0.5)), "outside_max": float(out.max()),
     }  # fmt: skip

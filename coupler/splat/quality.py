@@ -49,30 +49,39 @@ def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
 def boundary(tets: np.ndarray) -> np.ndarray:
     """Outward triangles (k,3) that only one tetrahedron has."""
     faces = np.concatenate([tets[:, face] for face in _FACES])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[first[count == 1]]
+    a, b, c = np.sort(faces, axis=1).T
+    many = int(tets.max()) + 1
+    key = (a * many + b) * many + c
+    order = np.argsort(key)
+    twin = key[order][1:] == key[order][:-1]
+    alone = ~(np.concatenate([twin, [False]]) | np.concatenate([[False], twin]))
+    return faces[order[alone]]
 
 
-def _parts(tets: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
-    """Number of parts that share no node, the part of each tetrahedron, and the nodes in use."""
-    used, numbered = np.unique(tets, return_inverse=True)
-    conn = numbered.reshape(-1, 4)
+def compact(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The points (n,3) that cells use, and the cells with their new numbers."""
+    used = np.zeros(len(points), bool)
+    used[cells] = True
+    return points[used], (np.cumsum(used) - 1)[cells]
+
+
+def _parts(points: np.ndarray, tets: np.ndarray) -> tuple[int, np.ndarray]:
+    """Number of parts that share no node, and the part of each tetrahedron."""
+    nodes, conn = compact(points, tets)
     pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(used), len(used)))
+    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(nodes), len(nodes)))
     count, part = connected_components(graph, directed=False)
-    return int(count), part[conn[:, 0]], used
+    return int(count), part[conn[:, 0]]
 
 
-def pieces(tets: np.ndarray) -> int:
+def pieces(points: np.ndarray, tets: np.ndarray) -> int:
     """Number of parts of a mesh that share no node."""
-    return _parts(tets)[0]
+    return _parts(points, tets)[0]
 
 
 def largest(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The part of a mesh with the most tetrahedra, its nodes numbered anew."""
     if len(tets) == 0:
         return points[:0], tets
-    _, part, _ = _parts(tets)
-    kept = tets[part == np.argmax(np.bincount(part))]
-    used, numbered = np.unique(kept, return_inverse=True)
-    return points[used], numbered.reshape(-1, 4)
+    _, part = _parts(points, tets)
+    return compact(points, tets[part == np.argmax(np.bincount(part))])

@@ -69,25 +69,35 @@ def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return once, np.linalg.norm(x[once[:, 0]] - x[once[:, 1]], axis=1)
 
 
-def _around(t: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles around each vertex: start (n+1,), table."""
-    flat = t.ravel()
+@njit(cache=True, nogil=True)
+def _around(t, n):
+    """Triangles around each of n vertices: start (n+1,), table."""
     start = np.zeros(n + 1, np.int64)
-    np.cumsum(np.bincount(flat, minlength=n), out=start[1:])
-    return start, np.argsort(flat, kind="stable") // 3
+    for f in range(len(t)):
+        for k in range(3):
+            start[t[f, k] + 1] += 1
+    for v in range(n):
+        start[v + 1] += start[v]
+    table, free = np.empty(3 * len(t), np.int64), start[:-1].copy()
+    for f in range(len(t)):
+        for k in range(3):
+            table[free[t[f, k]]] = f
+            free[t[f, k]] += 1
+    return start, table
 
 
 def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(60):
         edges, length = _edges(x, t)
         pick = np.flatnonzero(length < short)
-        pick = pick[np.argsort(length[pick], kind="stable")]
+        pick = pick[np.argsort(length[pick])]
         done = _collapse(x, t, *_around(t, len(x)), edges[pick], longest)
-        t = t[t[:, 0] >= 0]
-        used, t = np.unique(t, return_inverse=True)
-        x, t = x[used], t.reshape(-1, 3)
         if done == 0:
             break
+        t = t[t[:, 0] >= 0]
+        used = np.zeros(len(x), bool)
+        used[t] = True
+        x, t = x[used], (np.cumsum(used) - 1)[t]
     return x, t
 
 
@@ -174,8 +184,9 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray
         pick = np.flatnonzero(length > longest)
         if len(pick) == 0:
             break
-        pick = edges[pick[np.argsort(-length[pick], kind="stable")]]
-        x, t = _split(x, t, *_around(t, len(x)), pick)
+        pick = edges[pick[np.argsort(-length[pick])]]
+        start, table = _around(t, len(x))
+        x, t = _split(x, t, start, table, pick)
     return x, t
 
 
@@ -211,7 +222,8 @@ def _split(x, t, start, table, edges):
 def _flip_all(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(8):
         edges, _ = _edges(x, t)
-        if _flip(x, t, *_around(t, len(x)), edges) == 0:
+        start, table = _around(t, len(x))
+        if _flip(x, t, start, table, edges) == 0:
             break
     return x, t
 

@@ -8,7 +8,8 @@ out. Labelle & Shewchuk (2007), with quadrilaterals cut by vertex number instead
 import numpy as np
 
 from .field import Field
-from .quality import boundary, volumes
+from .quality import boundary, compact, volumes
+from .remesh import normals
 
 WARP_LONG, WARP_SHORT = 0.24999, 0.41189  # of an edge: a cut nearer than that to a vertex moves the vertex onto it
 EDGE = 1.25  # lattice constant over the element size: tetrahedra of about the volume gmsh makes
@@ -127,16 +128,12 @@ def _clip(
     points, made = np.concatenate([x, cut]), np.concatenate(found)
     signed = volumes(points, made)
     made[signed < 0] = made[signed < 0][:, [0, 1, 3, 2]]
-    used, made = np.unique(made, return_inverse=True)
-    return points[used], made.reshape(-1, 4)
+    return compact(points, made)
 
 
 def swell(points: np.ndarray, tets: np.ndarray, target: float, most: float) -> tuple[np.ndarray, float]:
     """Boundary nodes moved along their normals until the body has `target` m3; the points, and by how much, m."""
-    from .remesh import normals
-
-    faces = boundary(tets)
-    used, numbered = np.unique(faces, return_inverse=True)
+    used, numbered = np.unique(boundary(tets), return_inverse=True)
     numbered = numbered.reshape(-1, 3)
     x, moved = points.copy(), 0.0
     for _ in range(6):

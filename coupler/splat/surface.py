@@ -7,6 +7,7 @@ from scipy.sparse.csgraph import connected_components
 from . import remesh
 from .carry import volume
 from .field import Field
+from .quality import compact
 
 Surface = tuple[np.ndarray, np.ndarray]
 
@@ -30,8 +31,7 @@ def shells(surface: Surface, smallest: float) -> list[Surface]:
         own = triangles[which[triangles[:, 0]] == piece]
         if len(own) == 0:
             continue
-        used, numbered = np.unique(own, return_inverse=True)
-        part = vertices[used], numbered.reshape(-1, 3)
+        part = compact(vertices, own)
         if abs(volume(*part)) >= smallest:
             found.append(part)
     return sorted(found, key=lambda part: -volume(*part))
@@ -75,7 +75,7 @@ class LevelSet:
             pull = (self.level - self.field.at(x))[:, None] * slope
             pull /= np.maximum(square, (0.05 / self.size) ** 2)[:, None]
             length = np.linalg.norm(pull, axis=1)
-            x += pull * np.minimum(1.0, 0.15 * self.size / np.maximum(length, 1e-300))[:, None]
+            x += pull * np.minimum(1.0, 0.15 * self.size / np.maximum(length, 1e-9 * self.size))[:, None]
         return x
 
 

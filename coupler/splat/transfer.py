@@ -1,7 +1,8 @@
 """State from the points of a cloud to the nodes and elements of its mesh.
 
 Linear moving least squares; then what must be conserved is made exact: velocities get the rigid motion a + omega x r that
-restores linear and angular momentum, temperature, plastic strain and energy a uniform shift that restores their sum over
+restores linear and angular momentum and a scaling of the rest that restores the
+kinetic energy, temperature, plastic strain and energy a uniform shift that restores their sum over
 the mass. No value leaves the range of the points it comes from by more than REACH of that range.
 """
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from .convert import Cloud
 
 NEIGHBOURS = 16  # the twelve nearest of a face-centred cubic lattice and a few more
+STRETCH = 0.1  # of velocities, to keep the kinetic energy: more would be noise of the points made coarse
 REACH = 0.3  # what a fit may extrapolate, over the range of its points
 RIDGE = 0.02  # of a spacing: points that lie flatter than that are taken for flat
 
@@ -44,13 +46,24 @@ class Fit:
 
 def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
     """Velocities v + a + omega x r (n,3) with linear momentum P (3,) kg m/s and angular momentum L (3,) kg m2/s about the origin."""
+    return v + rigid(x, mass, P - mass @ v, L - mass @ np.cross(x, v))
+
+
+def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """The velocities (n,3) of a rigid motion with these momenta, as in `with_momentum`."""
     centre = mass @ x / mass.sum()
     r = x - centre
-    a = (P - mass @ v) / mass.sum()
-    v = v + a
     inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)
-    spin = L - np.cross(centre, P) - mass @ np.cross(r, v)
-    return v + np.cross(np.linalg.solve(inertia, spin), r)
+    return P / mass.sum() + np.cross(np.linalg.solve(inertia, L - np.cross(centre, P)), r)
+
+
+def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) -> np.ndarray:
+    """Velocities (n,3) of the same momenta whose part beside the rigid motion is scaled (STRETCH at most) to a kinetic energy, J."""
+    whole = rigid(x, mass, mass @ v, mass @ np.cross(x, v))
+    own = v - whole
+    moving, rest = (0.5 * float(mass @ np.einsum("ij,ij->i", w, w)) for w in (own, whole))
+    scale = np.sqrt(max(kinetic - rest, 0.0) / moving) if moving > 0.0 else 1.0
+    return whole + float(np.clip(scale, 1.0 - STRETCH, 1.0 + STRETCH)) * own
 
 
 def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
@@ -74,7 +87,9 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
     return made
 
 
-def transfer(cloud: "Cloud", points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, np.ndarray | None], dict[str, Any]]:
+def transfer(
+    cloud: "Cloud", points: np.ndarray, tets: np.ndarray
+) -> tuple[dict[str, np.ndarray | None], dict[str, Any]]:
     """Fields of a mesh, and what the transfer changed.
 
     points (n,3) m, tets (m,4). Fields as in `convert.Body`, None where the cloud has none; the report holds the share by
@@ -115,11 +130,11 @@ def transfer(cloud: "Cloud", points: np.ndarray, tets: np.ndarray) -> tuple[dict
         mass, node_mass = cloud.mass, node_share * cloud.mass.sum()
         P, L = mass @ cloud.velocity, mass @ np.cross(cloud.x, cloud.velocity)
         raw = at_nodes(cloud.velocity)
-        v = with_momentum(raw, points, node_mass, P, L)
-        fields["velocity"] = v
         speed = np.linalg.norm(cloud.velocity, axis=1)
         P_size, L_size = float(mass @ speed), float(mass @ (speed * np.linalg.norm(cloud.x, axis=1)))
         kinetic = 0.5 * float(mass @ speed**2)
+        v = with_energy(with_momentum(raw, points, node_mass, P, L), points, node_mass, kinetic)
+        fields["velocity"] = v = with_momentum(v, points, node_mass, P, L)  # once more: rounding
         report["momentum_raw"] = float(np.linalg.norm(node_mass @ raw - P)) / (P_size or 1.0)
         report["momentum"] = float(np.linalg.norm(node_mass @ v - P)) / (P_size or 1.0)
         report["angular_momentum"] = float(np.linalg.norm(node_mass @ np.cross(points, v) - L)) / (L_size or 1.0)
@@ -130,4 +145,6 @@ def transfer(cloud: "Cloud", points: np.ndarray, tets: np.ndarray) -> tuple[dict
 
 def _square(stress: np.ndarray) -> np.ndarray:
     """sigma : sigma (n,) of Voigt tensors (n,6)."""
-    return np.einsum("ij,ij->i", stress[:, :3], stress[:, :3]) + 2.0 * np.einsum("ij,ij->i", stress[:, 3:], stress[:, 3:])
+    return np.einsum("ij,ij->i", stress[:, :3], stress[:, :3]) + 2.0 * np.einsum(
+        "ij,ij->i", stress[:, 3:], stress[:, 3:]
+    )

@@ -20,11 +20,15 @@ LEAST_GAMMA = 0.05
 LEAST_STEP = 0.05  # of an element size: step length of the worst element; even tetrahedra have some 0.4
 VOLUME_BOUND = 0.01
 SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing over element size
-CELLS = 6  # of the grid along an element's edge
+CELLS = 6  # of the grid along an edge of an element, unless that makes more than
+MOST_CELLS = 4e6  # ... in all
 POINT_SMOOTHING = 0.6  # least smoothing of a cloud, in spacings: below, single points show
 VOID = 30  # spacing^3: smaller voids and crumbs are noise
 MOST_SWELL = 0.25  # of an element size, to put the volume right
-CREDIBLE = (-0.22, 0.06)  # volume inside the carried surface over the points' less 1; beyond, the surface is not the body's
+CREDIBLE = (
+    -0.22,
+    0.06,
+)  # volume inside the carried surface over the points' less 1; beyond, the surface is not the body's
 
 
 @dataclass(frozen=True)
@@ -136,11 +140,13 @@ def _shape(cloud: "Cloud", others: np.ndarray, source: str, size: float, sigma: 
 
 
 def _cell(x: np.ndarray, h: float) -> float:
-    """A cell size h (m) that keeps a grid over x (n,3) within 6 million cells."""
-    return max(h, float(np.prod(np.ptp(x, axis=0) + 12.0 * h) / 6e6) ** (1.0 / 3.0))
+    """A cell size h (m) that keeps a grid over x (n,3) within MOST_CELLS."""
+    return max(h, float(np.prod(np.ptp(x, axis=0) + 12.0 * h) / MOST_CELLS) ** (1.0 / 3.0))
 
 
-def attempt(way: Way, body: Body, size: float, seconds: dict[str, float]) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
+def attempt(
+    way: Way, body: Body, size: float, seconds: dict[str, float]
+) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
     """Points (n,3) m, tetrahedra (m,4) and a report of one way. Raises SplatError where it fails or a gate stops it.
 
     seconds: wall time of each stage, added to.
@@ -177,7 +183,7 @@ def attempt(way: Way, body: Body, size: float, seconds: dict[str, float]) -> tup
     parts, moved = surface.swell(parts, solid, most)
     report |= {"moved_m": moved, "surface": [len(part[1]) for part in parts]}
     algorithm = tetrahedra.DELAUNAY if way.filler == "Delaunay" else tetrahedra.HXT
-    improve = 0.3 if way.source == "paper" else 0.5
+    improve = 0.3 if way.source == "paper" else 0.45
     points, tets = timed("volume", lambda: tetrahedra.fill(parts, size, algorithm, improve))
     report |= gates(points, tets, solid, size, strict=way.source != "paper")
     return points, tets, report
@@ -211,7 +217,7 @@ def gates(points: np.ndarray, tets: np.ndarray, solid: float, size: float, stric
         wrong.append(f"{inverted} tetrahedra are inverted")
     if unclosed := surface.open_or_double(quality.boundary(tets)):
         wrong.append(unclosed)
-    if (pieces := quality.pieces(tets)) != 1:
+    if (pieces := quality.pieces(points, tets)) != 1:
         wrong.append(f"{pieces} pieces")
     if gamma.min() < LEAST_GAMMA:
         poor.append(f"worst quality {gamma.min():.3f}, allowed {LEAST_GAMMA}")

@@ -94,6 +94,9 @@ def mesh(
         except SplatError as problem:
             tries.note(number, str(way), str(problem))
             continue
+        except Exception as problem:  # whatever one way has come to grief on, another may not
+            tries.note(number, str(way), f"{type(problem).__name__}: {problem}")
+            continue
         start = clock.perf_counter()
         fields, moved = transfer(part, points, tets)
         report |= {"method": str(way), "points": len(index), "mass_scale": moved.pop("mass_scale"), "transfer": moved}
@@ -137,7 +140,7 @@ def main(folder: Path) -> None:
                 summary["bodies"].append(json.loads(done.read_text()))
             else:
                 summary["bodies"].append(mesh(one, index, number, task, folder, tries))
-        summary["report"] = _together(summary["bodies"], sorting)
+        summary["report"] = _together(summary["bodies"], sorting) | {"cpu_s": clock.process_time()}
     except SplatError as problem:
         summary["error"] = str(problem)
     (folder / "summary.json").write_text(json.dumps(summary))

@@ -1,0 +1,143 @@
+"""Heat through a pause: Fourier's law over all bodies, implicit in time, while the dynamics sleeps.
+
+scikit-fem assembles the conduction of linear tetrahedra in the current configuration; capacities are lumped, and links carry
+heat between nodes of one body and facets of another. Backward Euler with steps that grow geometrically, as diffusion slows
+down; k(T) and c_p(T) are those at the beginning of each step. Elements keep their own temperatures as `fe.heat` says: what
+one lies above the mean of its nodes flows into them, what changes at nodes it gets back as an increment. Heat is conserved
+to the tolerance of the linear solver.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.sparse.linalg import cg
+
+from ..errors import SolverError
+from .heat import gains, means, shares, take_heat
+
+GROWTH = 1.1  # of the step
+FIRST = 0.1  # first step, in the shortest time that heat takes through an element
+PERFECT = 0.01  # elements that a link of perfect contact resists like
+TOLERANCE = 1e-11  # of the linear solver
+
+
+@dataclass(frozen=True)
+class Links:
+    """Where heat crosses between bodies: nodes (k,) to places on triangles (k,3) with weights (k,3), each for an area (k,) m2.
+
+    conductance: W/m2K, infinite for perfect contact.
+    """
+
+    nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
+    weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    area: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    conductance: float = np.inf
+
+
+def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
+    """Let heat flow for `time` s in a `fe.explicit.Target` at rest. Its T, sigma_y and books move on; its pressures do when it moves.
+
+    held: nodes kept at held_T K; every other face is insulated. Returns steps, hottest and mean temperatures before and after
+    (K), and the heat (J) that held nodes have taken away. Raises SolverError when the linear solver does not come to an end.
+    """
+    t, links = target, links or Links()
+    n, m = len(t.x), len(t.mesh.conn)
+    share, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
+    heat, laws, law_of, V0 = np.zeros(m), t.laws, t.law_of, t.mesh.V0
+
+    def nodal(values: np.ndarray) -> np.ndarray:
+        shares(0, m, V0, laws, law_of, t.T, share)
+        means(0, n, t.start, t.table, share, values, capacity, mean)
+        return mean.copy()
+
+    before = _extremes(t)
+    T = nodal(t.T)
+    grad2, assemble = _conduction(t)
+    free = np.ones(n)
+    free[held] = 0.0
+    dt, left, steps, taken = 0.0, time, 0, 0.0
+    known = np.full(n, np.inf)
+    while left > 0.0:
+        T_mean = T[t.mesh.conn].mean(axis=1)
+        k = _linear(laws[law_of], "k", T_mean)
+        if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
+            K, known = assemble(k) + _across(links, laws, law_of, t, n, k), T.copy()
+        rate = k * grad2 / (4.0 * share / V0)
+        dt = min(left, GROWTH * dt if steps else FIRST / float(rate.max()))
+        dt = left if left < 1.5 * dt else dt
+        own[:] = (t.T - T_mean) * -np.expm1(-dt * rate)
+        source = capacity * nodal(own)
+        # held nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
+        fixed = np.where(free == 0.0, held_T - T, 0.0)
+        A = diags(free) @ (diags(capacity) + dt * K) @ diags(free) + diags(1.0 - free)
+        b = free * (source - dt * (K @ (T + fixed))) + fixed
+        change, failed = cg(A, b, x0=fixed, rtol=TOLERANCE, maxiter=5000, M=diags(1.0 / A.diagonal()))
+        if failed:
+            raise SolverError("the pause's heat conduction found no end: give a shorter dwell or a finer preset")
+        # each element gets what its nodes gained, and gives what it had above them
+        gains(0, m, t.mesh.conn, share, change, own, gain)
+        take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y)
+        taken -= float(gain.sum())
+        T += change
+        nodal(t.T)
+        left = left - dt if dt < left else 0.0
+        steps += 1
+    t.heat += heat
+    t.sums[2] += float(heat.sum())
+    after = _extremes(t)
+    return {
+        "time_s": time, "heat_steps": float(steps), "T_max_before_K": before[0], "T_max_after_K": after[0],
+        "T_mean_before_K": before[1], "T_mean_after_K": after[1], "taken_away_J": taken,
+    }  # fmt: skip
+
+
+def _conduction(t: Any) -> tuple[np.ndarray, Any]:
+    """tr(sum b b^T) (m,) of the elements, 1/m2, and a function that assembles the matrix (n,n) W/K for k (m,) W/mK."""
+    from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
+    from skfem.helpers import dot, grad
+
+    mesh = MeshTet(np.ascontiguousarray(t.x.T), np.ascontiguousarray(t.mesh.conn.T, np.int64), sort_t=False)
+    basis = Basis(mesh, ElementTetP1(), intorder=1)
+    form = BilinearForm(lambda u, v, w: w.k * dot(grad(u), grad(v)))
+    squares = [np.broadcast_to(b[0].grad, (3, len(t.mesh.conn), 1))[:, :, 0] for b in basis.basis]
+    return sum(np.einsum("ae,ae->e", g, g) for g in squares), lambda k: form.assemble(basis, k=k[:, None]).tocsr()
+
+
+def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Any, n: int, k: np.ndarray) -> csr_matrix:
+    """What links add to the matrix: H d d^T each, d the difference of a node and its place on a triangle."""
+    count = len(links.nodes)
+    if count == 0:
+        return csr_matrix((n, n))
+    size = np.sqrt(links.area)
+    h = 1.0 / (PERFECT * size / float(k.min()) + 1.0 / links.conductance)
+    rows = np.repeat(np.arange(count), 4)
+    columns = np.concatenate([links.nodes[:, None], links.triangles], axis=1).ravel()
+    d = csr_matrix(
+        (np.concatenate([np.ones((count, 1)), -links.weights], axis=1).ravel(), (rows, columns)), shape=(count, n)
+    )
+    return (d.T @ diags(h * links.area) @ d).tocsr()
+
+
+def _extremes(t: Any) -> tuple[float, float]:
+    return float(t.T.max()), float(np.average(t.T, weights=t.mesh.V0))
+
+
+def _linear(laws: np.ndarray, name: str, T: np.ndarray) -> np.ndarray:
+    """c_p or k of each element's law at T (m,) K: linear between two points, constant beyond them."""
+    T0 = laws[f"{name}_T0"]
+    return laws[f"{name}_0"] + laws[f"{name}_slope"] * (np.clip(T, T0, laws[f"{name}_T1"]) - T0)
+
+
+def together(links: Sequence[Links]) -> Links:
+    """Several sets of links of one conductance as one."""
+    if not links:
+        return Links()
+    parts = {
+        name: np.concatenate([getattr(link, name) for link in links])
+        for name in ("nodes", "triangles", "weights", "area")
+    }
+    return Links(**parts, conductance=links[0].conductance)

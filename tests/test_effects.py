@@ -1,0 +1,153 @@
+"""Each effect has its own switch and closed form; the numbers that decide; the range of the models."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import elastic
+from test_scene import scene_with, several
+
+from coupler import constitutive as law
+from coupler import effects
+from coupler.fe import mesh as meshes
+from coupler.fe.explicit import Target
+from coupler.materials import material
+from coupler.plan import plan
+from coupler.validity import Extremes, greatest_compression, pressure
+
+
+def test_every_effect_has_a_threshold_and_says_why() -> None:
+    assert set(effects._WHY) == set(effects.THRESHOLDS) == set(effects.NAMES)
+    for row in plan(scene_with()).effects.rows:
+        assert math.isfinite(row.value), row.name
+        assert row.why
+
+
+def test_conductivity_is_that_of_the_first_temperature_without_its_effect() -> None:
+    metal = material("Ni")
+    on, off = law.law_record(metal)[0], law.law_record(metal, {"temperature_dependent_k": False})[0]
+    assert law.conductivity(on, 700.0) == pytest.approx(metal.k_at(700.0))
+    assert law.conductivity(off, 700.0) == metal.k[0][1]
+    without_cp = law.law_record(metal, {"temperature_dependent_cp": False})[0]
+    assert law.heat_capacity(without_cp, 700.0) == metal.cp[0][1]
+    assert law.conductivity(without_cp, 700.0) == law.conductivity(on, 700.0)
+
+
+def test_heat_raises_temperature_by_enthalpy_and_softens_by_johnson_cook() -> None:
+    metal = material("Ti")
+    record = law.law_record(metal)[0]
+    T = law.heated(record, 350.0, 1e5)
+    slope = (metal.cp[1][1] - metal.cp[0][1]) / (metal.cp[1][0] - metal.cp[0][0])
+    assert metal.cp_at(350.0) * (T - 350.0) + 0.5 * slope * (T - 350.0) ** 2 == pytest.approx(1e5, rel=1e-12)
+    assert law.heated(record, T, -1e5) == pytest.approx(350.0, rel=1e-12)
+    sigma = law.yield_stress(record, 0.2, 0.0, 350.0)
+    assert law.softened(record, sigma, 350.0, T) == pytest.approx(law.yield_stress(record, 0.2, 0.0, T), rel=1e-12)
+    hard = law.law_record(metal, {"thermal_softening": False})[0]
+    assert law.softened(hard, sigma, 350.0, T) == sigma
+
+
+@pytest.mark.parametrize("expands", [True, False])
+def test_heat_makes_pressure_only_with_thermal_expansion(expands: bool) -> None:
+    """Held in its volume a body gains Gamma0 times its heat in pressure; the books know what became of the heat."""
+    metal = material("Ni")
+    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+    t = Target(
+        m,
+        law.law_record(metal, {"thermal_expansion": expands}),
+        300.0,
+        fixed=("bottom", "top", "sides"),
+        sleeping=False,
+    )
+    t.warm(np.arange(len(m.conn)), 1e8 * m.V0)
+    assert t.T.min() > 320.0
+    t.advance(1e-9)
+    t.finish()
+    np.testing.assert_allclose(t.p, metal.Gamma0 * 1e8 if expands else 0.0, rtol=1e-6, atol=1e-3)
+    assert t.elastic() == pytest.approx(0.0, abs=1e-6 * 1e8)
+
+
+def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
+    """A block sheared far: its energy is plastic work, and without expansion no mean stress comes of it."""
+    metal = material("OFHC_Cu")
+    pressures = []
+    for on in (True, False):
+        m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+        record = law.law_record(metal, {"thermal_expansion": on})
+        faces = ("bottom", "top", "sides")
+        t = Target(m, record, 300.0, fixed=faces, sleeping=False)
+        t.inv_mass[:] = 0.0  # every node is driven
+        t.v[:, 0] = 1e3 * m.points[:, 2]
+        for _ in range(400):
+            t.advance(1e-6)
+            t.finish()
+        assert t.eps_p.min() > 0.1
+        assert t.sums[2] == pytest.approx(0.9 * t.sums[0] if on else 0.0, rel=1e-9)
+        pressures.append((float(t.p.mean()), 0.9 * t.sums[0]))
+    assert pressures[0][0] == pytest.approx(metal.Gamma0 * pressures[0][1], rel=0.01)  # of a volume of 1 m3
+    assert abs(pressures[1][0]) < 1e-6 * pressures[0][0]
+
+
+def test_numbers_of_conduction_on_both_sides() -> None:
+    made = plan(scene_with(particle__material="OFHC_Cu"))
+    value = {row.name: row.value for row in made.effects.rows}
+    copper, steel = material("OFHC_Cu"), material("SS304")
+    time = made.impact.end_time
+    in_points = math.sqrt(effects.diffusivity(copper, 300.0) * time) / made.impact.spacing
+    assert value["particle_conduction"] == pytest.approx(in_points)
+    # steel is the one that holds heat back
+    across = math.sqrt(effects.diffusivity(steel, 300.0) * time) / made.target.element_size
+    assert value["interface_conduction"] == pytest.approx(across)
+    later = {row.name: row.value for row in plan(several(*[{"material": "OFHC_Cu"}] * 2)).effects.rows}
+    assert later["particle_conduction"] == pytest.approx(in_points)  # a particle is there for its own impact only
+
+
+def test_cooling_and_adhesion_need_a_pause_and_several_impacts() -> None:
+    assert not plan(scene_with(particle__dwell="1 ms")).effects.on("adhesion")
+    short, long = (plan(several({"dwell": dwell}, {})).effects for dwell in ("1 ns", "1 ms"))
+    assert (short.on("cooling"), long.on("cooling")) == (False, True)
+    value = next(row.value for row in long.rows if row.name == "cooling")
+    assert value == pytest.approx(math.sqrt(effects.diffusivity(material("Ni"), 300.0) * 1e-3) / 25e-6)
+    assert plan(several({}, {})).adhesion.kind == "tied"
+    assert plan(several({}, {}, effects=["auto", "-adhesion"])).adhesion.kind == "none"
+
+
+def test_elements_ahead_of_the_waves_are_computed_only_when_asked_for() -> None:
+    assert not plan(scene_with()).effects.on("ahead_of_waves")
+    assert plan(scene_with(effects="all")).effects.on("ahead_of_waves")
+
+
+def test_warnings_name_the_limit_that_was_left() -> None:
+    from types import SimpleNamespace
+
+    nickel, steel = material("Ni"), material("SS304")
+    seen = Extremes()
+    one = np.ones(200)
+    calm = SimpleNamespace(rate=0.0 * one, T=300.0 * one, J=one, active_nodes=200, active_elements=200)
+    seen.note(calm, calm)
+    assert seen.warnings(1, {"particle": nickel, "target": steel}, True) == []
+    wild = SimpleNamespace(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one)
+    seen.note(wild, calm)
+    seen.note(calm, calm)  # what was stays
+    fast, hot = seen.warnings(2, {"particle": nickel, "target": steel}, True)
+    assert "impact 2: in the particle strain rates went to 3.0e+07 1/s" in fast
+    assert "1e+04" in fast
+    assert f"{0.9 * nickel.T_m:.0f} K" in hot
+    # a linear equation of state is 5 % short at that compression
+    linear = greatest_compression(nickel, False)
+    assert pressure(nickel, linear) / (nickel.K * linear) == pytest.approx(1.05, abs=0.004)
+    assert len(seen.warnings(2, {"particle": nickel, "target": steel}, False)) == 3
+    # behind a shock of 2 km/s: rho U u
+    shock = nickel.rho * (nickel.c0 + nickel.s * 2000.0) * 2000.0
+    assert pressure(nickel, greatest_compression(nickel, True)) == pytest.approx(shock)
+    kept = Extremes()
+    kept.restore(seen.state())
+    assert kept.found == seen.found
+
+
+def test_the_law_without_effects_is_elastic_perfectly_plastic_but_for_hardening() -> None:
+    record = law.law_record(material("Ni"), dict.fromkeys(effects.NAMES, False))[0]
+    assert law.yield_stress(record, 0.5, 1e7, 900.0) == pytest.approx(
+        material("Ni").A + material("Ni").B * 0.5 ** material("Ni").n
+    )
+    assert law.harden(record, 0.1, 1e-9, 1.0, 1e8, 1e8, 0.0, 0.0, 300.0)[2] == 300.0
+    assert law.law_record(elastic())[0]["expansion"] == 1.0

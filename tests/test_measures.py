@@ -1,0 +1,40 @@
+"""Measures of an impact on fields that are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from coupler.fe import mesh as meshes
+from coupler.measures import YIELDED, contact_pressure, plastic_zone
+
+
+def test_a_round_contact_has_its_area_and_the_mean_pressure(rng: np.random.Generator) -> None:
+    r, angle = 9e-6 * np.sqrt(rng.random(4000)), 2 * np.pi * rng.random(4000)
+    bowl = np.stack([r * np.cos(angle), r * np.sin(angle), 0.02 * r], axis=1)
+    pressure, area = contact_pressure(0.3, bowl)
+    assert area == pytest.approx(np.pi * 9e-6**2, rel=0.02)
+    assert pressure == pytest.approx(0.3 / area)
+    # seen along z: how deep the bowl is does not matter
+    assert contact_pressure(0.3, bowl * [1, 1, 40])[1] == pytest.approx(area)
+
+
+@pytest.mark.parametrize(
+    "touching", [np.zeros((0, 3)), np.ones((2, 3)), np.outer(np.linspace(0, 1e-5, 9), [1.0, 2.0, 0.5])]
+)
+def test_what_fills_no_area_presses_nothing(touching: np.ndarray) -> None:
+    assert contact_pressure(0.3, touching) == (0.0, 0.0)
+
+
+def test_the_yielded_zone_is_found_in_a_block() -> None:
+    points, tets = meshes.box((40e-6, 40e-6, 20e-6), 2e-6)
+    mesh = meshes.prepare(points - np.array([20e-6, 20e-6, 20e-6]), tets)
+    middle = mesh.points[mesh.conn].mean(axis=1)
+    radius, depth = 12e-6, 9e-6
+    inside = (middle[:, 0] / radius) ** 2 + (middle[:, 1] / radius) ** 2 + (middle[:, 2] / depth) ** 2 < 1
+    target = SimpleNamespace(mesh=mesh, x=mesh.points, eps_p=np.where(inside, 2 * YIELDED, 0.5 * YIELDED))
+    found = plastic_zone(target)
+    assert found[0] == pytest.approx(radius, rel=0.05)
+    assert found[1] == pytest.approx(depth, abs=1e-6)
+    target.eps_p[:] = 0.0
+    assert plastic_zone(target) == (0.0, 0.0)

@@ -1,0 +1,296 @@
+"""Runs in trouble: they go back, try again and say so; and the hard and random scenes that watch over it."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler import Result, Scene, rescue, run
+from coupler.deposition import resume
+from coupler.errors import SolverError
+from coupler.rescue import MEASURES, Measure, Rescuer, numerics_of
+from tests.test_parallel import NI, finish, numbers, start
+from tests.test_resume import Enough
+from tests.test_sequence import DOUBLE
+from workflows import fuzz, stability
+
+NOT_OF_A_RESCUE = ("rescues", "warnings")
+
+
+class Lines:
+    """A progress that keeps what is logged."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+
+    def log(self, text: str) -> None:
+        self.lines.append(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_: None
+
+
+class Trouble:
+    """A probe that breaks the n-th impact at `at` s, so many `times`: by an error, or by a point that is no longer anywhere."""
+
+    def __init__(self, at: float, times: int = 1, how: str = "error", impact: int = 1):
+        self.at, self.times, self.how, self.left = at, times, how, impact
+        self.seen, self.done = -1.0, 0
+        self.steps: list[float] = []
+
+    def __call__(self, impact: Any) -> None:
+        if impact.time < self.seen and self.done == 0:
+            self.left -= 1
+        self.seen = impact.time
+        self.steps.append(impact.particle.dt)
+        if self.left == 1 and impact.time > self.at and self.done < self.times:
+            self.done += 1
+            if self.how == "error":
+                raise SolverError("made to fail. Try nothing")
+            impact.particle.x[7], impact.particle.v[7] = np.nan, np.nan
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """An impact that nothing happened to."""
+    return run(Scene.from_text(NI, "tiny"), tmp_path_factory.mktemp("whole") / "out")
+
+
+def same_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rescues that change nothing, so that nothing but going back is seen."""
+    monkeypatch.setattr(rescue, "MEASURES", tuple(replace(m, dt_factor=1.0, numerics={}) for m in MEASURES))
+
+
+def equal(one: Result, other: Result) -> None:
+    """The same to the last bit, but for what is said of rescues."""
+    a, b = numbers(one.summary), numbers(other.summary)
+    assert {name: value for name, value in a.items() if value != b[name]} == {}
+    assert (one.directory / "history.csv").read_text() == (other.directory / "history.csv").read_text()
+    for domain in ("particle", "surface", "target"):
+        np.testing.assert_array_equal(one.times(domain), other.times(domain))
+        left, right = one.fields(-1, domain), other.fields(-1, domain)
+        np.testing.assert_array_equal(left.points, right.points)
+        for name in left.data:
+            np.testing.assert_array_equal(left.data[name], right.data[name])
+
+
+@pytest.mark.parametrize("how", ["error", "nan"])
+def test_going_back_is_exact(whole: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    same_step(monkeypatch)
+    result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=Trouble(30e-9, 2, how))
+    made = result.summary["rescues"]
+    assert len(made) == 2
+    assert 0 <= made[1]["back_to_s"] <= made[0]["back_to_s"] < 30e-9 < made[0]["time_s"]
+    assert made[0]["back_to_s"] > 0
+    equal(result, whole)
+
+
+def test_a_rescue_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> None:
+    log, trouble = Lines(), Trouble(30e-9)
+    result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=trouble, progress=log)
+    (made,) = result.summary["rescues"]
+    assert made["reason"] == "made to fail"
+    assert made["measure"] == MEASURES[0].words
+    assert made["dt_factor"] == 0.5
+    said = [line for line in log.lines if "rescued" in line]
+    assert said == [
+        f"rescued at {made['time_s'] * 1e9:.2f} ns: made to fail; {MEASURES[0].words} ({made['back_to_s'] * 1e9:.2f} ns)"
+    ]
+    assert said[0] in result.summary["warnings"]
+    broken = next(i for i in range(1, len(trouble.steps)) if trouble.steps[i] < 0.7 * trouble.steps[i - 1])
+    assert trouble.steps[broken] == pytest.approx(0.5 * trouble.steps[broken - 1], rel=0.3)
+    assert result.steps > whole.steps
+    # the same splat, a little better integrated
+    for name in ("flattening_ratio", "splat_diameter_m", "eps_p_mean", "T_mean_K"):
+        assert result.summary[name] == pytest.approx(whole.summary[name], rel=0.01), name
+    assert abs(result.energy_drift) < 0.01
+    assert np.all(np.diff(result.history("time")) > 0)
+    assert whole.summary["rescues"] == []
+
+
+def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_path: Path) -> None:
+    log, seen = Lines(), []
+
+    def probe(impact: Any) -> None:
+        seen.append(impact.particle.numerics)
+        if impact.time > 5e-9:
+            raise SolverError("made to fail")
+
+    with pytest.raises(SolverError, match="made to fail"):
+        run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=probe, progress=log)
+    assert sum("rescued" in line for line in log.lines) == len(MEASURES) == 3
+    assert (seen[0].Q1, seen[0].hourglass) == (0.06, 1.0)
+    assert (seen[-1].Q1, seen[-1].hourglass) == (0.2, 3.0)
+    assert not (tmp_path / "out" / "summary.json").exists()
+    assert len(Result(tmp_path / "out").times("target")) > 0
+
+
+def test_a_time_step_too_long_is_rescued(whole: Result, tmp_path: Path) -> None:
+    """Nothing made up: with a step so much longer than the particle can take, the run fails of itself (docs/solvers.md)."""
+    result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", numerics={"courant": 0.9, "stretch": 4.0})
+    made = result.summary["rescues"]
+    assert 1 <= len(made) <= len(MEASURES)
+    assert result.summary["numerics"]["stretch"] == 4.0
+    assert abs(result.energy_drift) < 0.01
+    for name in ("flattening_ratio", "splat_diameter_m", "T_mean_K"):
+        assert result.summary[name] == pytest.approx(whole.summary[name], rel=0.03), name
+
+
+def test_books_that_open_on_the_way_are_trouble(tmp_path: Path) -> None:
+    def probe(impact: Any) -> None:
+        if impact.time > 20e-9 and impact.dt_factor == 1.0:
+            impact.target.sums[0] += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
+
+    result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=probe)
+    (made,) = result.summary["rescues"]
+    assert "ledger does not close" in made["reason"]
+    assert made["back_to_s"] < 27e-9  # not to a state that had much of it already
+    assert abs(result.energy_drift) < 0.01
+
+
+def test_a_checkpoint_keeps_the_rescues(tmp_path: Path) -> None:
+    class Both(Trouble):
+        def __call__(self, impact: Any) -> None:
+            super().__call__(impact)
+            if self.done == self.times and impact.time > 15e-9:
+                raise Enough
+
+    scene = Scene.from_text(NI + '[end]\ntime = "20 ns"\n', "tiny")
+    through = run(scene, tmp_path / "through", probe=Trouble(8e-9, 3))
+    with pytest.raises(Enough):
+        run(scene, tmp_path / "out", probe=Both(8e-9, 3), checkpoint_every=0.05)
+    result = resume(tmp_path / "out")
+    assert result.summary["rescues"] == through.summary["rescues"]
+    assert result.summary["numerics"]["Q1"] == 0.2
+    equal(result, through)
+
+
+@pytest.mark.slow
+def test_the_second_impact_of_a_sequence_is_rescued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    same_step(monkeypatch)
+    scene = Scene.from_text(DOUBLE, "double")
+    plain = run(scene, tmp_path / "plain")
+    result = run(scene, tmp_path / "out", probe=Trouble(25e-9, 1, "nan", impact=2))
+    assert [made["impact"] for made in result.summary["rescues"]] == [2]
+    assert result.summary["rescues"][0]["time_s"] > result.summary["impacts"][0]["sim_time_s"]
+    equal(result, plain)
+
+
+@pytest.mark.slow
+def test_ranks_are_rescued_too(whole: Result, tmp_path: Path) -> None:
+    code = f"""
+from coupler import Scene, run
+from coupler.errors import SolverError
+done = []
+def probe(impact):
+    if impact.time > 30e-9 and not done:
+        done.append(1)
+        raise SolverError("made to fail")
+run(Scene.from_text({NI!r}, "tiny"), {str(tmp_path / "two")!r}, probe=probe)
+"""
+    status, _, err = finish(start(2, code=code))
+    assert status == 0, err
+    assert err.count("rescued at") == 1
+    result = Result(tmp_path / "two")
+    assert result.summary["ranks"] == 2
+    assert len(result.summary["rescues"]) == 1
+    assert result.flattening_ratio == pytest.approx(whole.flattening_ratio, rel=0.01)
+
+
+def test_the_first_and_the_last_two_states_are_kept() -> None:
+    rescuer = Rescuer({"Q1": 0.5})
+    for i in range(5):
+        rescuer.keep(float(i), {"i": i})
+    first, state = rescuer.way_out(SolverError("one: try two"), 1, 5.0)
+    assert (first.back_to_s, state["i"], first.reason, first.numerics) == (4.0, 4, "one", {"Q1": 0.5})
+    second, _ = rescuer.way_out(SolverError("two"), 1, 5.0)
+    assert second.back_to_s == 3.0
+    third, state = rescuer.way_out(SolverError("three"), 1, 5.0)
+    assert (third.back_to_s, state["i"]) == (0.0, 0)
+    assert third.numerics == {"Q1": 0.5, "hourglass": 3.0}  # raised, never lowered
+    with pytest.raises(SolverError, match="four"):
+        rescuer.way_out(SolverError("four"), 1, 5.0)
+    assert numerics_of({"rescues": [asdict(made) for made in rescuer.made]}, {}) == third.numerics
+    assert numerics_of(None, {"Q1": 0.1}) == {"Q1": 0.1}
+    with pytest.raises(SolverError, match="early"):
+        Rescuer({}).way_out(SolverError("early"), 1, 0.0)
+    assert Measure(0, 1.0, "", {"Q1": 0.2}).raised({"Q1": 0.1}) == {"Q1": 0.2}
+
+
+# ---- the battery and the random scenes --------------------------------------------------------------------------------
+
+
+def test_the_battery_is_sixty_scenes_and_more() -> None:
+    scenes = stability.battery()
+    assert len(scenes) + len(stability.SPECIAL) >= 60
+    for name, said in scenes.items():
+        checked = Scene.from_dict(said, name.replace(",", ""))
+        assert checked.points <= 2100, name
+
+
+def test_the_judge_sees_each_fault() -> None:
+    good = {
+        "energy_drift": 0.001, "momentum_error": 1e-12, "numerical_dissipation": 0.09, "penetration_max_m": 1e-7, "spacing_m": 1e-6,
+        "points": 400, "eps_p_max": 2.0, "target_eps_p_max": 1.0, "T_max_K": 900.0, "target_T_max_K": 900.0, "material": "Ni",
+    }  # fmt: skip
+    about = {"steps": 10, "sim_time_s": 5e-8, "flattening_ratio": 0.5, "rescues": [], "warnings": []}
+    melting = {"Ni": 1726.0, "target": 1673.0}
+
+    def wrong(seen: stability.Watching | None = None, warnings: tuple[str, ...] = (), **bad: float) -> list[str]:
+        summary = about | {"impacts": [good, good | bad], "warnings": list(warnings)}
+        return stability.judged(summary, seen or stability.Watching(), melting)[1]
+
+    assert wrong() == []
+    for name, value in {
+        "energy_drift": -0.011, "momentum_error": 1e-5, "numerical_dissipation": 0.25, "penetration_max_m": 6e-7, "T_max_K": 1800.0,
+        "target_T_max_K": 1700.0,
+    }.items():  # fmt: skip
+        assert len(wrong(**{name: value})) == 1, name
+    assert len(wrong(numerical_dissipation=-0.02)) == 1
+    assert wrong(T_max_K=1800.0, warnings=("impact 1: the particle went beyond melting",)) == []
+    assert len(wrong(stability.Watching(fallen=0.1))) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    ["Ni 1500 m/s", "Cu 800 m/s at 75 degrees", "Ni flake on edge", "Ni on the rim of a Ni splat",
+     "Ni elements smaller than the spacing"],
+)  # fmt: skip
+def test_hard_scenes_of_the_battery(name: str, tmp_path: Path) -> None:
+    row, wrong = stability.play(name, stability.battery()[name], tmp_path)
+    assert wrong == [], row
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(stability.SPECIAL))
+def test_special_cases_of_the_battery(name: str, tmp_path: Path) -> None:
+    row, wrong = stability.SPECIAL[name](tmp_path)
+    assert wrong == [], row
+
+
+def test_random_scenes_are_made_from_their_seed() -> None:
+    assert fuzz.scene(5) == fuzz.scene(5) != fuzz.scene(6)
+    text = fuzz.toml(
+        {"effects": "auto", "particle": [{"material": "Ni", "offset": ["1 um", "2 um"]}], "end": {"time": "1 ns"}}
+    )
+    assert text == 'effects = "auto"\n[[particle]]\nmaterial = "Ni"\noffset = ["1 um", "2 um"]\n[end]\ntime = "1 ns"\n'
+    ways = {json.dumps(fuzz.scene(seed).get("adhesion", {}).get("kind")) for seed in range(60)}
+    assert ways == {"null", '"none"', '"tied"', '"cohesive"'}
+
+
+def test_only_a_result_or_one_message_is_a_good_end() -> None:
+    assert [fuzz.verdict(code, "coldspray: no") for code in (2, 3)] == ["", ""]
+    assert fuzz.verdict(0, "") == ""
+    for code, said in (
+        (1, "x"),
+        (-11, ""),
+        (None, ""),
+        (2, ""),
+        (3, "coldspray: a\ncoldspray: b"),
+        (0, "Traceback (most recent call last)"),
+    ):
+        assert fuzz.verdict(code, said), (code, said)

@@ -1,0 +1,130 @@
+"""Clouds of points that must become meshes: real impacts and made-up hard ones, by each method, in one table.
+
+    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--out docs/tables/splats.csv]
+
+Clouds that are in DIR already are not made again, rows that are in the table are kept: a run that was stopped goes on. Run
+it with OMP_NUM_THREADS=1: seconds are those of one core, the start of the mesher's process and its imports included.
+"""
+
+import argparse
+import csv
+import resource
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import splat_clouds
+
+from coupler.errors import ColdsprayError, SplatError
+from coupler.splat.convert import Cloud, convert
+
+SIZE_OVER_SPACING = 1.7  # as the target's elements
+COLUMNS = [
+    "cloud", "kind", "points", "size_over_spacing", "asked", "used", "result", "bodies", "lost_mass", "tets", "volume_before",
+    "moved_spacings", "gamma_min", "gamma_mean", "dihedral_deg", "step_over_size", "width", "top_spacings", "outside_half",
+    "outside_max", "T_raw", "eps_p_raw", "energy_raw", "momentum", "angular_momentum", "kinetic", "stress_square", "cpu_s",
+    "wall_s", "failed_tries",
+]  # fmt: skip
+SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
+
+
+def load(path: Path) -> Cloud:
+    """A cloud of the battery from its file."""
+    with np.load(path, allow_pickle=False) as file:
+        arrays: dict[str, Any] = {name: file[name] for name in file.files}
+    for name in ("spacing", "rho", "wave_speed"):
+        if name in arrays:
+            arrays[name] = float(arrays[name])
+    if "vertices" in arrays:
+        arrays["surface"] = arrays.pop("vertices"), arrays.pop("triangles")
+    return Cloud(**arrays)
+
+
+def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dict[str, Any]:
+    """Convert one cloud; its line of the table."""
+    row: dict[str, Any] = {
+        "cloud": name,
+        "kind": kind,
+        "points": len(cloud.x),
+        "size_over_spacing": ratio,
+        "asked": method,
+    }
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    try:
+        splat = convert(cloud, ratio * cloud.spacing, method, time_limit=180.0)
+    except SplatError as problem:
+        row["result"] = f"failed: {problem}"[:400]
+        splat = None
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    row["cpu_s"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    if splat is None:
+        return row
+    r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
+    row |= {
+        "used": r["method"], "result": "; ".join(r["missed"]) or "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
+        "lost_mass": splat.lost_mass / cloud.mass.sum(), "volume_before": r["volume_error_before"],
+        "moved_spacings": r["moved_m"] / dx, "gamma_min": r["gamma_min"], "gamma_mean": r["gamma_mean"],
+        "dihedral_deg": r["dihedral_min_deg"], "step_over_size": r["step_length_min_m"] / r["element_size_m"],
+        "width": r["width_m"] / r["source_width_m"] - 1.0, "top_spacings": (r["top_m"] - r["source_top_m"]) / dx,
+        "outside_half": r["outside_half"], "outside_max": r["outside_max"], "T_raw": t.get("T_raw"), "eps_p_raw": t.get("eps_p_raw"),
+        "energy_raw": t.get("energy_raw"), "momentum": t.get("momentum"), "angular_momentum": t.get("angular_momentum"),
+        "kinetic": t.get("kinetic_energy"), "stress_square": t.get("stress_square"), "wall_s": r["wall_s"],
+        "failed_tries": " | ".join(r["failed"])[:400],
+    }  # fmt: skip
+    return row
+
+
+def main() -> None:
+    """Make what is missing of the clouds and of the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
+    parser.add_argument("--methods", nargs="*", default=["auto", "paper"])
+    parser.add_argument("--only", default="", help="clouds whose name contains this")
+    parser.add_argument("--out", type=Path, default=Path("docs/tables/splats.csv"))
+    a = parser.parse_args()
+    a.clouds.mkdir(parents=True, exist_ok=True)
+    rows: list[dict[str, str]] = []
+    if a.out.exists():
+        with a.out.open() as file:
+            rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    have = {(row["cloud"], row["asked"], float(row["size_over_spacing"])) for row in rows}
+    for kind, makers in (("real", splat_clouds.real()), ("made up", splat_clouds.made_up())):
+        for name, make in makers.items():
+            if a.only not in name:
+                continue
+            path = a.clouds / f"{name}.npz"
+            if not path.exists():
+                print(f"{name}: making it", flush=True)
+                try:
+                    made = make()
+                except ColdsprayError as problem:
+                    print(f"{name}: no cloud, {problem}", flush=True)
+                    continue
+                np.savez_compressed(path, **made)
+            cloud = load(path)
+            for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())):
+                for method in a.methods:
+                    if (name, method, ratio) in have:
+                        continue
+                    row = row_of(name, kind, cloud, ratio, method)
+                    rows.append(
+                        {k: f"{v:.4g}" if isinstance(v, float) else str(v) for k, v in row.items() if v is not None}
+                    )
+                    write(a.out, rows)
+                    told = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
+                    print(f"{name}:", *(rows[-1].get(k, "-")[:150] for k in told), flush=True)
+
+
+def write(out: Path, rows: list[dict[str, str]]) -> None:
+    """The table, whole."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with out.open("w", newline="") as file:
+        file.write("# remake: OMP_NUM_THREADS=1 python workflows/splat_battery.py (rows that are here are kept)\n")
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,279 @@
+"""The clouds of the splat battery: what real impacts leave, and made-up hard ones."""
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from coupler import Scene, run
+from coupler.materials import material
+from coupler.sph import packing, shapes
+from coupler.splat.carry import CarriedSurface
+
+D = 25e-6
+SCENE = """
+{before}[[particle]]
+material = "{metal}"
+shape = "{shape}"
+diameter = "{diameter} um"
+velocity = "{velocity} m/s"
+angle = "{angle} deg"
+tilt = "{tilt} deg"
+offset = ["{offset} um", "0 um"]
+[substrate]
+material = "SS304"
+[resolution]
+spacing = "{spacing!r} um"
+[end]
+at = "rest"
+"""
+Map = Callable[[np.ndarray], np.ndarray]
+
+
+def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, Any]]:
+    """A run to rest; also of the moment of greatest deformation, with `greatest`."""
+
+    def make() -> dict[str, Any]:
+        how = {"shape": "sphere", "angle": 0, "tilt": 0, "offset": 0, "points": 1000, "onto": False, **more}
+        diameter = 25.0 if metal == "Ni" else 30.0
+        spacing = (np.pi / 6.0 * diameter**3 / how["points"]) ** (1.0 / 3.0)
+        first = (
+            f'[[particle]]\nmaterial = "{metal}"\ndiameter = "{diameter} um"\nvelocity = "500 m/s"\n'
+            if how["onto"]
+            else ""
+        )
+        text = SCENE.format(before=first, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how)
+        scene = Scene.from_text(text, "battery")
+        body = shapes.shape(how["shape"], diameter * 1e-6, scene.points, np.radians(how["tilt"]), 0.8)
+        inner = CarriedSurface(body.points, *body.inner, body.spacing) if body.inner is not None else None
+        seen: dict[str, Any] = {}
+
+        def watch(now: Any) -> None:
+            p = now.particle
+            x = np.array(p.x)
+            vertices, triangles = np.array(now.surface.positions(x)), np.array(now.surface.triangles)
+            if inner is not None:
+                triangles = np.concatenate([triangles, inner.triangles + len(vertices)])
+                vertices = np.concatenate([vertices, inner.positions(x)])
+            state = {
+                "x": x, "X": body.points, "volume": np.full(len(x), body.volume), "spacing": body.spacing, "velocity": np.array(p.v),
+                "stress": np.array(p.stress()), "eps_p": np.array(p.eps_p), "T": np.array(p.T), "J": np.array(p.J),
+                "energy": np.array(p.energy), "rho": material(metal).rho, "wave_speed": material(metal).wave_speed,
+                "vertices": vertices, "triangles": triangles,
+            }  # fmt: skip
+            if p.momentum()[2] >= 0.0 and "greatest" not in seen:
+                seen["greatest"] = state
+            seen["end"] = state
+
+        with tempfile.TemporaryDirectory() as folder:
+            run(scene, Path(folder) / "run", probe=watch, threads=1)
+        return seen["greatest" if how.get("greatest") else "end"]
+
+    return make
+
+
+def real() -> dict[str, Callable[[], dict[str, Any]]]:
+    """The impacts by name."""
+    found = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
+    found |= {f"{m}{v}_greatest": impact(m, v, greatest=True) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
+    for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
+        found |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
+    for angle in (30, 45):
+        found |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
+    found["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt=90)
+    for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
+        found[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=offset)
+    found["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=14)
+    fine = {"points": 5000}
+    found |= {"Ni500_fine": impact("Ni", 500, **fine), "Ni1000_fine": impact("Ni", 1000, **fine)}
+    found |= {"Ti500_fine": impact("Ti", 500, **fine), "Ni750_flake_fine": impact("Ni", 750, shape="flake", **fine)}
+    found["Ni500_hollow_sphere_fine"] = impact("Ni", 500, shape="hollow_sphere", **fine)
+    return found
+
+
+def still(x: np.ndarray) -> np.ndarray:
+    return x
+
+
+def lens(x: np.ndarray) -> np.ndarray:
+    """A splat: flattened, widest near its foot, on the floor of a shallow crater."""
+    r, z = np.hypot(x[:, 0], x[:, 1]) / (0.5 * D), x[:, 2] / (0.5 * D)
+    wide = 1.3 + 0.35 * np.exp(-(((z + 0.6) / 0.4) ** 2))
+    return np.stack([x[:, 0] * wide, x[:, 1] * wide, 0.5 * D * (0.55 * z + 0.12 * (wide * r) ** 2)], axis=1)
+
+
+def lip(x: np.ndarray, out: float = 1.3) -> np.ndarray:
+    """A thin rim drawn out of the foot, turned up."""
+    y, z = lens(x), x[:, 2] / (0.5 * D)
+    r = np.hypot(x[:, 0], x[:, 1]) / (0.5 * D)
+    pull = out * np.clip(r - 0.55, 0.0, None) ** 1.5 * np.exp(-(((z + 0.55) / 0.3) ** 2))
+    y[:, :2] *= (1.0 + pull)[:, None]
+    y[:, 2] += 0.5 * D * 0.9 * pull * r
+    return y
+
+
+def curled(x: np.ndarray) -> np.ndarray:
+    """A bar bent until its ends all but touch."""
+    radius = 0.62 * float(np.ptp(x[:, 0])) / (2.0 * np.pi) * 1.75
+    angle = x[:, 0] / radius
+    r = radius + x[:, 2]
+    return np.stack([r * np.sin(angle), x[:, 1], r * np.cos(angle)], axis=1)
+
+
+def starred(x: np.ndarray) -> np.ndarray:
+    """Seven jets out of the rim."""
+    y, phi = lens(x), np.arctan2(x[:, 1], x[:, 0])
+    r = np.hypot(x[:, 0], x[:, 1]) / (0.5 * D)
+    y[:, :2] *= (1.0 + 0.9 * np.clip(np.cos(7.0 * phi), 0.0, None) ** 3 * np.clip(r - 0.4, 0.0, None))[:, None]
+    return y
+
+
+def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> dict[str, Any]:
+    """A body moved by a smooth map, with analytic fields; J is the map's."""
+    x = motion(body.points)
+    step = 1e-4 * D
+    gradient = np.stack(
+        [(motion(body.points + step * e) - motion(body.points - step * e)) / (2.0 * step) for e in np.eye(3)], -1
+    )
+    J = np.abs(np.linalg.det(gradient))
+    made = filled(x, body.volume, body.spacing) | {"J": J, "X": body.points}
+    if carried:
+        vertices, triangles = body.vertices, body.triangles
+        if body.inner is not None:
+            triangles = np.concatenate([triangles, body.inner[1] + len(vertices)])
+            vertices = np.concatenate([vertices, body.inner[0]])
+        made["vertices"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x)
+        made["triangles"] = triangles
+    return made
+
+
+def filled(x: np.ndarray, volume: float, spacing: float) -> dict[str, Any]:
+    """A cloud at places x (n,3) with smooth fields."""
+    n, u = len(x), x / D
+    speed = np.stack([20 * u[:, 1], -20 * u[:, 0] + 5 * np.sin(4 * u[:, 2]), 30 + 10 * u[:, 0]], axis=1)
+    return {
+        "x": x, "volume": np.full(n, volume), "spacing": spacing, "rho": material("Ni").rho, "velocity": speed,
+        "wave_speed": material("Ni").wave_speed, "stress": 1e8 * np.stack([np.cos((i + 2) * u[:, i % 3]) for i in range(6)], axis=1),
+        "eps_p": np.exp(-2.0 * u[:, 2]), "T": 300.0 + 400.0 * np.exp(-(((u[:, 2] + 0.2) / 0.3) ** 2)),
+        "energy": 1e9 * (1.0 + u[:, 0] ** 2),
+    }  # fmt: skip
+
+
+def ball(n: int) -> shapes.Body:
+    return shapes.shape("sphere", D, n)
+
+
+def joined(*parts: dict[str, Any]) -> dict[str, Any]:
+    """Several clouds as one, without surfaces."""
+    first = parts[0]
+    arrays = {k for k, v in first.items() if np.ndim(v) and k not in ("vertices", "triangles", "X", "J")}
+    return {
+        k: np.concatenate([p[k] for p in parts]) if k in arrays else first[k]
+        for k in (*arrays, "spacing", "rho", "wave_speed")
+    }
+
+
+def moved(cloud: dict[str, Any], by: tuple[float, float, float]) -> dict[str, Any]:
+    return cloud | {"x": cloud["x"] + np.array(by)}
+
+
+def pair(n: int, gap: float) -> dict[str, Any]:
+    """Two balls whose outermost points are `gap` spacings apart."""
+    one = mapped(ball(n), still, carried=False)
+    width = float(np.ptp(one["x"][:, 0])) + gap * one["spacing"]
+    return joined(one, moved(one, (width, 0.0, 0.0)))
+
+
+def shattered(n: int, sizes: tuple[int, ...], seed: int) -> dict[str, Any]:
+    """A splat with fragments of so many points thrown off it."""
+    rng = np.random.default_rng(seed)
+    whole = mapped(ball(n), lens, carried=False)
+    parts = [whole]
+    for size in sizes:
+        points, volume = packing.sphere(whole["spacing"] * (6.0 / np.pi * max(size, 2)) ** (1.0 / 3.0), max(size, 2))
+        away = rng.normal(size=3)
+        away *= (1.4 + 0.6 * rng.random()) * D / np.linalg.norm(away)
+        parts.append(filled(points[:size] + away, volume, whole["spacing"]))
+    return joined(*parts)
+
+
+def dust(n: int, share: float, seed: int) -> dict[str, Any]:
+    """A splat with a share of its points blown off one by one."""
+    rng = np.random.default_rng(seed)
+    cloud = mapped(ball(n), lens, carried=False)
+    off = rng.choice(len(cloud["x"]), round(share * n), replace=False)
+    away = rng.normal(size=(len(off), 3))
+    cloud["x"][off] = away / np.linalg.norm(away, axis=1)[:, None] * D * (1.5 + rng.random((len(off), 1)))
+    return {k: v for k, v in cloud.items() if k not in ("J", "X")}
+
+
+def ring(n: int) -> dict[str, Any]:
+    points, volume = packing.fill(
+        lambda x: (np.hypot(x[:, 0], x[:, 1]) - 0.4 * D) ** 2 + x[:, 2] ** 2 < (0.17 * D) ** 2, (0.6 * D, 0.6 * D, 0.2 * D),
+        2.0 * np.pi**2 * 0.4 * D * (0.17 * D) ** 2, n,
+    )  # fmt: skip
+    return filled(points, volume, volume ** (1.0 / 3.0))
+
+
+def scattered(n: int, seed: int) -> dict[str, Any]:
+    """Points on no lattice, at least 0.8 spacings apart, places only."""
+    rng = np.random.default_rng(seed)
+    volume = np.pi / 6.0 * D**3 / n
+    spacing = volume ** (1.0 / 3.0)
+    x = rng.uniform(-0.5 * D, 0.5 * D, (12 * n, 3))
+    x = x[np.einsum("ij,ij->i", x, x) < (0.5 * D - 0.4 * spacing) ** 2]
+    near = cKDTree(x).query_pairs(0.8 * spacing, output_type="ndarray")
+    taken, barred = [], np.zeros(len(x), bool)
+    start = np.searchsorted((near := near[np.lexsort(near.T[::-1])])[:, 0], np.arange(len(x) + 1))
+    for i in range(len(x)):
+        if not barred[i]:
+            taken.append(i)
+            barred[near[start[i] : start[i + 1], 1]] = True
+    x = lens(x[taken])
+    return {"x": x, "volume": np.full(len(x), 0.715 * np.pi / 6.0 * D**3 / len(x)), "spacing": spacing, "rho": 8906.0}
+
+
+def curved_layer(n: int) -> dict[str, Any]:
+    """One layer of points on half a sphere."""
+    i = np.arange(2 * n) + 0.5
+    z, phi = 1.0 - i / n, np.pi * (1.0 + 5.0**0.5) * i
+    x = 0.5 * D * np.stack([np.sqrt(1 - z**2) * np.cos(phi), np.sqrt(1 - z**2) * np.sin(phi), z], axis=1)[z > 0.0]
+    spacing = float(np.sqrt(2.0 * np.pi * (0.5 * D) ** 2 / len(x)))
+    return filled(x, spacing**3, spacing)
+
+
+def made_up() -> dict[str, Callable[[], dict[str, Any]]]:
+    """The synthetic clouds by name."""
+    found: dict[str, Callable[[], dict[str, Any]]] = {}
+
+    def add(name: str, body: Callable[[], shapes.Body], motion: Map, carried: bool = True) -> None:
+        found[name] = lambda: mapped(body(), motion, carried)
+
+    for n in (500, 2000, 20000, 89094):
+        add(f"lens_{n}", partial(ball, n), lens)
+        add(f"lens_{n}_points_only", partial(ball, n), lens, carried=False)
+    for n in (2000, 20000):
+        add(f"lip_{n}", partial(ball, n), lip)
+        add(f"lip_{n}_points_only", partial(ball, n), lip, carried=False)
+    add("long_lip_5000", partial(ball, 5000), partial(lip, out=2.6))
+    add("star_5000", partial(ball, 5000), starred)
+    add("star_1000_points_only", partial(ball, 1000), starred, carried=False)
+    for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
+        add(f"{shape}_3000", partial(shapes.shape, shape, D, 3000), still)
+    hollow, rod = partial(shapes.shape, "hollow_sphere", D, 3000), partial(shapes.shape, "rod", D, 3000)
+    for carried, label in ((True, ""), (False, "_points_only")):
+        add(f"hollow_lens_3000{label}", hollow, lens, carried)
+        add(f"curled_rod_3000{label}", rod, curled, carried)
+    add("sheet_2000", partial(ball, 2000), lambda x: x * [2.6, 2.6, 1 / 6.76])
+    for gap in (0.6, 1.0, 2.0, 6.0):
+        found[f"two_balls_gap_{gap:g}"] = partial(pair, 1500, gap)
+    found["fragments"] = partial(shattered, 3000, (400, 120, 60, 30, 12, 5, 1), 1)
+    found["dust_1_percent"] = partial(dust, 5000, 0.01, 2)
+    found["ring_3000"] = partial(ring, 3000)
+    found["no_lattice_3000"] = partial(scattered, 3000, 3)
+    found["curved_layer_1500"] = partial(curved_layer, 1500)
+    return found

@@ -1,0 +1,340 @@
+"""The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
+
+    python workflows/validate.py                   # what is not in the tables yet, then the page
+    python workflows/validate.py --only cases      # of: cases, spread, draft, wave, trends, shapes
+    python workflows/validate.py --docs            # runs nothing: the page and its figures from the tables
+
+A row for each impact of each run goes into docs/tables/validation.csv (cases) and validation_trends.csv; runs that are there are not
+computed again, and one that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py` writes
+docs/validation.md and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
+"""
+
+import argparse
+import csv
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import validation_page as page
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from coupler import Result, Scene, run
+from coupler.deposition import resume
+from coupler.errors import ColdsprayError
+from coupler.measures import contact_pressure, von_mises_of
+from coupler.report.picture import stage
+from coupler.report.profiles import on_vertical, profiles
+
+HERE, RUNS = Path(__file__).parent, Path("runs/validate")
+CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
+SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
+# What the measured spread of impact velocities makes of cases A and B (m/s).
+SPREAD = {"A": (413, 483, 553), "B": (398, 459, 520)}
+DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500, 625, 750, 875, 1000, 1125, 1250)
+TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
+COLUMNS = [
+    "run", "impact", "preset", "material", "diameter_um", "speed_m_s", "temperature_K",
+    *(f"{name}_{when}" for when in ("greatest", "own", "end")
+      for name in ("flattening", "flattening_total", "height_um", "thickness_um", "axial_um", "diameter_um")),
+    "crater_greatest_um", "crater_um", "rebound_m_s", "penetration_um",
+    *(f"{name}_{which}" for name in ("eps_p", "T") for which in ("mean", "p99", "max")),
+    "target_eps_p_max", "target_T_max", "von_mises_greatest_MPa", "von_mises_MPa", "target_von_mises_MPa",
+    "plastic_radius_um", "strained_radius_um", "kinetic_over_internal", "numerical_share", "drift",
+    "points", "elements", "steps", "dt_ps", "wall_s", "run_wall_s", "run_cpu_s", "failed",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run. name: its folder and its key in the tables; text: its scene; start: temperature of the particle, K."""
+
+    name: str
+    text: str
+    start: float = 300.0
+    keep: bool = False
+
+
+def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
+    """The text of a scene of this folder with another preset, and other values of its (first) particle: velocity="413 m/s"."""
+    text = (HERE / f"{workflow}.toml").read_text().replace('preset = "standard"', f'preset = "{preset}"')
+    for key, value in particle.items():
+        head, found, rest = text.partition(f'\n{key} = "')
+        if not found:
+            raise SystemExit(f"{workflow}.toml has no line {key} = ...")
+        text = head + found + value + rest[rest.index('"') :]
+    return text
+
+
+def cases() -> Iterator[Case]:
+    """Cases A to D at the preset that the page speaks of."""
+    yield from (Case(letter, scene_of(name), keep=True) for letter, name in CASES.items())
+
+
+def drafts() -> Iterator[Case]:
+    """The same, coarser: how far the resolution can move them."""
+    yield from (Case(f"{letter}-draft", scene_of(name, "draft")) for letter, name in CASES.items())
+
+
+def spread() -> Iterator[Case]:
+    """Cases A and B at the ends and the mean of the measured impact velocities, coarse: held against the drafts."""
+    for letter, speeds in SPREAD.items():
+        for v in speeds:
+            yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", velocity=f"{v} m/s"))
+
+
+def trends() -> Iterator[Case]:
+    """Single nickel particles over diameter, velocity and temperature."""
+    grid = {(d, v, T) for d in DIAMETERS for v, T in ((500, 300), (1000, 300), (500, 600))}
+    grid |= {(25, v, 300) for v in VELOCITIES} | {(25, 500, T) for T in TEMPERATURES}
+    for d, v, T in sorted(grid):
+        particle = {"diameter": f"{d} um", "velocity": f"{v} m/s", "temperature": f"{T} K"}
+        yield Case(f"{d}um-{v}-{T}K", scene_of("single_ni", "draft", **particle), T)
+    for d in (10, 40, 60):  # the target as large, against the particle, as at 25 um
+        text = scene_of("single_ni", "draft", diameter=f"{d} um")
+        text = text.replace('diameter = "200 um"', f'diameter = "{8 * d} um"')
+        yield Case(f"{d}um-500-300K-similar", text.replace('height = "100 um"', f'height = "{4 * d} um"'))
+
+
+def shapes() -> Iterator[Case]:
+    """Three impacts of each of the six shapes."""
+    yield from (Case(f"shape-{name}", scene_of(f"morphology_{name}", "draft")) for name in SHAPES)
+
+
+def compute(case: Case, probe: Any = None) -> Result:
+    """The finished run of a case, computed or gone on with where needed."""
+    folder = RUNS / case.name
+    scene = Scene.from_text(case.text, case.name)
+    try:
+        old = Result(folder)
+        if old.scene_text == scene.to_toml():
+            return resume(folder, probe=probe)
+    except ColdsprayError:
+        pass  # nothing there that can be gone on with
+    return run(scene, folder, force=True, probe=probe)
+
+
+def axial(points: NDArray, triangles: NDArray) -> float:
+    """Metal of a closed surface on the vertical line through its middle, m. points (n,3) m, triangles (k,3)."""
+    x, y = (0.5 * (points[:, k].min() + points[:, k].max()) for k in (0, 1))
+    z = on_vertical(points, triangles, float(x), float(y))
+    return float(sum(high - low for low, high in zip(z[0::2], z[1::2], strict=False)))
+
+
+def splats_of(result: Result, least: float) -> list[float]:
+    """Thickness on the axis (m) of each splat that has joined the target, lowest first: those with a volume of `least` m3.
+
+    Bodies are told apart by their nodes, which they do not share; the largest is the substrate.
+    """
+    f = result.fields(-1, "target")
+    n, cells = len(f.points), f.cells
+    rows = np.repeat(cells[:, :1], 3, axis=1).ravel()
+    graph = coo_matrix((np.ones(len(rows)), (rows, cells[:, 1:].ravel())), shape=(n, n))
+    owner = connected_components(graph, directed=False)[1][cells[:, 0]]
+    edges = f.points[cells[:, 1:]] - f.points[cells[:, :1]]
+    volume = np.bincount(owner, np.abs(np.linalg.det(edges)) / 6.0)
+    found = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
+    middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in found}
+    return [axial(f.points, skin(cells[owner == b])) for b in sorted(found, key=lambda b: middle[b])]
+
+
+def skin(cells: NDArray) -> NDArray:
+    """The faces (k,3) of tetrahedra (m,4) that belong to one of them only."""
+    faces = np.concatenate([cells[:, corners] for corners in ([0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3])])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def strained_radius(result: Result, least: float = 0.2) -> float:
+    """Largest distance (m) from the axis at which an element of the target has a plastic strain of `least`."""
+    f = result.fields(-1, "target")
+    middle = f.points[f.cells].mean(axis=1)[f.data["eps_p"] >= least]
+    return float(np.hypot(middle[:, 0], middle[:, 1]).max()) if len(middle) else 0.0
+
+
+def rows_of(case: Case, result: Result) -> list[dict[str, Any]]:
+    """Rows of the table, one for each impact of a finished run."""
+    s, when, rows = result.summary, 0.0, []
+    impacts = s["impacts"]
+    volumes = [np.pi / 6 * one["diameter_m"] ** 3 for one in impacts]
+    standing = splats_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
+    stayed = [k for k, one in enumerate(impacts[:-1]) if one["at_end"] is not None]
+    # splats of more than one piece, or lost ones, cannot be told from each other by their order: no thickness then
+    at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
+    times = result.times("surface")
+    for k, one in enumerate(impacts):
+        when += one["sim_time_s"]
+        f = result.fields(int(np.abs(times - when).argmin()), "surface")
+        own = axial(f.points, f.cells)
+        at_end[len(impacts) - 1] = own
+        e, g = one["energies"], one["greatest_deformation"] or {}
+        kinetic = e["kinetic_particle"] + e["kinetic_target"]
+        row: dict[str, Any] = {
+            "run": case.name, "impact": k + 1, "preset": Scene.from_text(case.text, case.name).preset,
+            "material": one["material"], "diameter_um": one["diameter_m"] * 1e6, "speed_m_s": one["speed_m_s"],
+            "temperature_K": case.start, "crater_um": one["crater_depth_m"] * 1e6, "rebound_m_s": one["rebound_velocity_m_s"],
+            "penetration_um": one["penetration_max_m"] * 1e6, "target_eps_p_max": one["target_eps_p_max"],
+            "target_T_max": one["target_T_max_K"], "von_mises_MPa": one["von_mises_max_Pa"] / 1e6,
+            "target_von_mises_MPa": one["target_von_mises_max_Pa"] / 1e6,
+            "plastic_radius_um": one["plastic_radius_m"] * 1e6, "strained_radius_um": strained_radius(result) * 1e6,
+            "kinetic_over_internal": kinetic / (1.0 - kinetic), "numerical_share": one["numerical_dissipation"],
+            "drift": one["energy_drift"], "points": one["points"], "elements": one["elements"], "steps": one["steps"],
+            "dt_ps": one["dt_mean_s"] * 1e12, "wall_s": one["wall_s"], "run_wall_s": s["wall_s"], "failed": "",
+        }  # fmt: skip
+        row |= {f"eps_p_{which}": one[f"eps_p_{which}"] for which in ("mean", "p99", "max")}
+        row |= {f"T_{which}": one[f"T_{which}_K"] for which in ("mean", "p99", "max")}
+        if g:
+            row |= shape_row("greatest", g) | {"crater_greatest_um": g["crater_depth_m"] * 1e6}
+            row["von_mises_greatest_MPa"] = g["von_mises_max_Pa"] / 1e6
+        row |= shape_row("own", one) | {"axial_um_own": own * 1e6}
+        if one["at_end"] is not None:
+            row |= shape_row("end", one["at_end"])
+        if k in at_end:
+            row["axial_um_end"] = at_end[k] * 1e6
+        rows.append(row)
+    return rows
+
+
+def shape_row(when: str, m: dict[str, float]) -> dict[str, float]:
+    """The columns of a shape at one time from its measures in SI."""
+    return {
+        f"flattening_{when}": m["flattening_ratio"], f"flattening_total_{when}": m["flattening_ratio_total"],
+        f"height_um_{when}": m["height_m"] * 1e6, f"thickness_um_{when}": m["thickness_m"] * 1e6,
+        f"diameter_um_{when}": m["splat_diameter_m"] * 1e6,
+    }  # fmt: skip
+
+
+class WaveProbe:
+    """Stress at the first point of contact and pressure between the two, after every few steps of an impact.
+
+    The first point of contact: the NEAR points of the particle that began lowest, and as many elements of the target nearest below.
+    """
+
+    NEAR = 8
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, float]] = []
+        self._points = self._elements = np.zeros(0, np.int64)
+
+    def __call__(self, impact: Any) -> None:
+        p, t = impact.particle, impact.target
+        if not self.rows:
+            lowest = p.x[p.x[:, 2].argmin()]
+            self._points = np.argsort(np.linalg.norm(p.x - lowest, axis=1))[: self.NEAR]
+            middle = t.x[t.mesh.conn].mean(axis=1)
+            self._elements = np.argsort(np.linalg.norm(middle - [lowest[0], lowest[1], 0.0], axis=1))[: self.NEAR]
+        touching = impact.surface.contacts(p.x)[impact.contact.depth > 0]
+        force = float(impact.force[2])
+        pressure, area = contact_pressure(force, touching)
+        of_particle, of_target = von_mises_of(p.stress()), von_mises_of(t.stress())
+        self.rows.append(
+            {
+                "time_ns": impact.time * 1e9, "force_mN": force * 1e3, "contact_um2": area * 1e12, "pressure_MPa": pressure / 1e6,
+                "particle_MPa": of_particle[self._points].mean() / 1e6, "target_MPa": of_target[self._elements].mean() / 1e6,
+                "particle_mean_MPa": np.average(of_particle, weights=p.mass) / 1e6, "particle_max_MPa": of_particle.max() / 1e6,
+                "pressure_target_MPa": -t.stress()[self._elements, :3].mean() / 1e6,
+            }
+        )  # fmt: skip
+
+
+def wave() -> None:
+    """Case A for 150 ns, watched closely: docs/tables/validation_wave.csv."""
+    path = page.TABLES / "validation_wave.csv"
+    if path.exists():
+        return
+    probe = WaveProbe()
+    text = scene_of("single_ni").replace('at = "rest"', 'time = "150 ns"')
+    shutil.rmtree(RUNS / "A-150ns", ignore_errors=True)  # a part of it could not be watched again
+    compute(Case("A-150ns", text), probe)
+    write(path, list(probe.rows[0]), probe.rows)
+    shutil.rmtree(RUNS / "A-150ns")
+
+
+def depth_profiles(result: Result) -> None:
+    """Fields of case A along the axis, at its end: docs/tables/validation_profiles.csv."""
+    names, rows = ("eps_p", "T", "von_mises", "stress"), []
+    for one in profiles(result, len(result.times("particle")) - 1, names, stage(result), 60e-6):
+        for k, depth in enumerate(one.depth):
+            if np.isfinite(one.values["T"][k]):
+                row = {
+                    "body": one.body,
+                    "depth_um": depth * 1e6,
+                    "eps_p": one.values["eps_p"][k],
+                    "T_K": one.values["T"][k],
+                }
+                row["von_mises_MPa"] = one.values["von_mises"][k] / 1e6
+                stress = one.values["stress"][k] / 1e6
+                rows.append(row | dict(zip(("xx_MPa", "yy_MPa", "zz_MPa"), stress[:3], strict=True)))
+    write(page.TABLES / "validation_profiles.csv", list(rows[0]), rows)
+
+
+def write(path: Path, columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
+    """Write a table; numbers to five digits."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        file.write("# remake: make validate (rows that are here are kept)\n")
+        writer = csv.DictWriter(file, columns, restval="")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{float(v):.5g}" if isinstance(v, float) else v for k, v in row.items()})
+
+
+def fill(path: Path, wanted: Sequence[Case]) -> None:
+    """Compute what a table does not have yet."""
+    rows: list[dict[str, Any]] = [dict(row) for row in page.read(path)]
+    have = {row["run"] for row in rows}
+    for case in wanted:
+        if case.name in have:
+            continue
+        try:
+            started = process_time()
+            result = compute(case)
+            # of both threads; what others have used of the machine is not in it
+            found = [row | {"run_cpu_s": process_time() - started} for row in rows_of(case, result)]
+            if case.name == "A":
+                depth_profiles(result)
+        except ColdsprayError as problem:
+            found = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": str(problem)[:200]}]
+        shown = (
+            "run",
+            "impact",
+            "flattening_own",
+            "flattening_total_own",
+            "flattening_end",
+            "axial_um_end",
+            "run_wall_s",
+            "failed",
+        )
+        for row in found:
+            print({name: row.get(name, "") for name in shown}, flush=True)
+        rows += found
+        write(path, COLUMNS, rows)
+        if not case.keep:
+            shutil.rmtree(RUNS / case.name, ignore_errors=True)
+
+
+def main() -> None:
+    """Fill the tables, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="*", choices=("cases", "spread", "draft", "wave", "trends", "shapes"))
+    parser.add_argument("--docs", action="store_true", help="run nothing, write the page from the tables")
+    a = parser.parse_args()
+    parts = () if a.docs else a.only or ("cases", "wave", "draft", "spread", "trends", "shapes")
+    main_table, trend_table = (page.TABLES / f"{name}.csv" for name in ("validation", "validation_trends"))
+    for part in parts:
+        if part == "wave":
+            wave()
+        elif part in ("trends", "shapes"):
+            fill(trend_table, list(trends() if part == "trends" else shapes()))
+        else:
+            fill(main_table, list({"cases": cases, "spread": spread, "draft": drafts}[part]()))
+    page.write_page()
+
+
+if __name__ == "__main__":
+    main()
