@@ -66,9 +66,10 @@ class Extremes:
             if kept["compression"] > limit:
                 shock, linear = "the fit of the shock equation of state", "what a linear equation of state is good for"
                 law = shock if mie_gruneisen else linear
+                GPa = pressure(metal, kept["compression"]) / 1e9
                 texts.append(
-                    f"{where} the volume went down by {kept['compression']:.1%}, {pressure(metal, kept['compression']) / 1e9:.3g} GPa, beyond"
-                    f" {law} ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
+                    f"{where} the volume went down by {kept['compression']:.1%}, {GPa:.3g} GPa, beyond {law}"
+                    f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
                 )
         return texts
 

@@ -91,7 +91,8 @@ def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) ->
         edges, length = _edges(x, t)
         pick = np.flatnonzero(length < short)
         pick = pick[np.argsort(length[pick])]
-        done = _collapse(x, t, *_around(t, len(x)), edges[pick], longest)
+        start, table = _around(t, len(x))
+        done = _collapse(x, t, start, table, edges[pick], longest)
         if done == 0:
             break
         t = t[t[:, 0] >= 0]
