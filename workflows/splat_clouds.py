@@ -82,8 +82,8 @@ def real() -> dict[str, Callable[[], dict[str, Any]]]:
     found |= {f"{m}{v}_greatest": impact(m, v, greatest=True) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
         found |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
-    for angle in (30, 45):
-        found |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
+    for angle, fast in ((30, 1000), (45, 750)):
+        found |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))}
     found["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt=90)
     for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
         found[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=offset)

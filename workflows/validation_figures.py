@@ -153,7 +153,8 @@ def draw_trends(rows: Sequence[dict[str, str]], path: Path) -> None:
             words = "full: " + columns[0][2] + ", dotted: " + columns[1][2]
             axes[down, 2].text(0.98, 0.03, words, transform=axes[down, 2].transAxes, ha="right", fontsize=8)
     axes[1, 0].legend(fontsize=8, loc="center right")
-    axes[0, 0].legend(fontsize=8, loc="lower right")
+    handle = [line for line in axes[0, 0].lines if line.get_label() == "target in proportion"]
+    axes[0, 0].legend(handles=handle, fontsize=8, loc="center left", bbox_to_anchor=(0.0, 0.67), frameon=False)
     for down, room in enumerate((0.12, 0.12, 0.10)):  # for the words at the top
         low, high = axes[down, 0].get_ylim()
         axes[down, 0].set_ylim(low, high + room * (high - low))
