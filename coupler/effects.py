@@ -1,8 +1,11 @@
 """Which physics a scene calls for: dimensionless numbers against thresholds, or what the user says."""
 
+import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 
 from . import units
 from .materials import Material
@@ -13,7 +16,7 @@ THRESHOLDS: dict[str, tuple[str, float]] = {
     "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.01),
     "plastic_heating": ("Taylor-Quinney coefficient", 0.0),
     "temperature_dependent_cp": ("relative change of cp", 0.01),
-    "temperature_dependent_k": ("relative change of k x diffusion length / size", 0.05),
+    "temperature_dependent_k": ("change of k x diffusion length / size", 0.05),
     "friction": ("friction coefficient", 0.0),
     "friction_heat": ("friction x heating / (T_m - T)", 0.01),
     "mie_gruneisen": ("v / c0", 0.03),
@@ -35,24 +38,18 @@ _WHY = {  # (why on, why off)
     "rate_hardening": ("the strain rate raises the flow stress", "the flow stress does not feel the rate"),
     "plastic_heating": ("temperature is a result", "no plastic work becomes heat"),
     "temperature_dependent_cp": ("heating changes cp", "cp stays nearly constant"),
-    "temperature_dependent_k": (
-        "heating changes k where heat is conducted",
-        "k stays nearly constant, or conducts little",
-    ),
+    "temperature_dependent_k": ("k changes where heat flows", "k stays, or conducts little"),
     "friction": ("the coefficient is above zero", "the coefficient is zero"),
     "friction_heat": ("rubbing warms the surfaces", "what rubbing could heat is too little"),
     "mie_gruneisen": ("pressures are in the shock range", "compression is small: linear is enough"),
     "thermal_expansion": ("heat raises the pressure", "heat hardly raises the pressure"),
     "adhesion": ("splats stick to what they lie on", "there is nothing that the scene bonds"),
-    "ahead_of_waves": ("elements no wave has reached are computed too", "elements sleep until a wave arrives"),
-    "particle_conduction": (
-        "heat goes from point to point of the particle",
-        "in the particle heat stays where it arises",
-    ),
+    "ahead_of_waves": ("elements are computed before waves arrive", "they sleep until a wave arrives"),
+    "particle_conduction": ("heat goes from point to point", "in the particle heat stays where it arises"),
     "interface_conduction": ("heat crosses the contact", "there is no time to cross the contact"),
-    "cooling": ("heat leaves the splat between impacts", "no pause, or too short a one to cool"),
+    "cooling": ("heat leaves the splat between impacts", "no pause, or too short a one"),
     "absorbing_boundaries": ("waves would come back from the sides", "no wave comes back in time"),
-    "conduction": ("heat crosses elements of the target, where it acts", "in the target heat stays in its element"),
+    "conduction": ("heat crosses elements of the target", "in the target heat stays in its element"),
 }
 
 
@@ -174,6 +171,39 @@ def numbers(situation: Situation) -> dict[str, float]:
         "interface_conduction": min(across, in_particle),  # what one side cannot take the other cannot give
         "cooling": math.sqrt(max(diffusivity(*body) for body in bodies) * situation.dwell) / situation.diameter,
     }
+
+
+@dataclass(frozen=True)
+class Influence:
+    """What leaving an effect out has changed in the measured case whose number is nearest, in percent: flattening, crater, mean
+    temperature and its 99th percentile; cost: share of the processor time."""
+
+    scene: str
+    flattening: float
+    crater: float
+    T_mean: float
+    T_p99: float
+    cost: float
+
+
+def expected(name: str, value: float) -> Influence | None:
+    """What to expect of leaving out an effect whose number is `value`; None where nothing was measured (docs/effects.md)."""
+    rows = [row for row in _measured() if row["effect"] == name]
+    if not rows:
+        return None
+
+    def far(row: dict[str, str]) -> float:
+        return abs(math.log(max(float(row["number"]), 1e-12) / max(value, 1e-12)))
+
+    nearest = min(rows, key=far)
+    numbers_of = ("flattening", "crater", "T_mean", "T_p99", "cost_share")
+    return Influence(nearest["scene"], *(float(nearest[column]) for column in numbers_of))
+
+
+@cache
+def _measured() -> list[dict[str, str]]:
+    text = files("coupler").joinpath("effects_study.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 
 def heating(material: Material, T: float, velocity: float) -> float:

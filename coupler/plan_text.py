@@ -2,7 +2,7 @@
 
 import math
 
-from . import estimates, units
+from . import effects, estimates, units
 from .plan import ImpactPlan, Plan
 from .scene import Scene
 
@@ -11,7 +11,7 @@ _MOST_SHAPES = 3
 
 
 def describe(plan: Plan) -> str:
-    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal."""
+    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal."""
     target, show = plan.target, units.rounded
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
@@ -46,8 +46,23 @@ def describe(plan: Plan) -> str:
             f"  {row.name:25} {'yes' if row.on else 'no':4} "
             f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
         )
+    lines += ["", *_influence(plan)]
     lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
     return "\n".join(lines)
+
+
+def _influence(plan: Plan) -> list[str]:
+    """What leaving out each effect would change, as measured in the case that comes nearest."""
+    head = f"  {'leaving it out changes, in %':29}flattening   crater   T mean   T 99 %   and saves   measured with"
+    lines = []
+    for row in plan.effects.rows:
+        found = effects.expected(row.name, row.value)
+        if found is not None:
+            changed = (found.flattening, found.crater, found.T_mean, found.T_p99)
+            flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
+            saved = f"{max(100.0 * found.cost, 0.0):.0f} %"
+            lines.append(f"  {row.name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
+    return [head, *lines] if lines else []
 
 
 def _impacts(plan: Plan) -> list[str]:

@@ -199,7 +199,7 @@ def test_the_balance_of_ranks() -> None:
     with pytest.raises(PlacementError, match="split or spread"):
         arrange(None, "sideways", 0.3)
     assert home_share(2, 0.0) == pytest.approx(0.5)
-    # pre and post halves, two ranks: the others' second half is as long as the home's with its own work
+    # the home is done with its points and its own work when the other is done with its points
     share, load = home_share(2, 0.2), 0.2
-    assert 0.5 * share + load == pytest.approx(0.5 * (1 - share))
+    assert share + load == pytest.approx(1 - share)
     assert home_share(4, 10.0) > 0

@@ -22,6 +22,8 @@ from coupler.errors import ColdsprayError
 from coupler.plan import plan
 
 STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
+PACKAGED, DOCS = Path("coupler/effects_study.csv"), Path("docs/effects.md")
+PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "T_mean", "T_p99", "cost_share"]
 MEASURES = {
     "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",
     "T_p99": "T_p99_K",
@@ -186,8 +188,56 @@ def main() -> None:
 
 
 def write(influence: Table, against: Table) -> None:
-    """Put the tables into docs/effects.md between their marks, and what `coldspray check` shows beside the package."""
-    pass
+    """Put the tables into docs/effects.md between their marks, and what `coldspray check` shows into the package."""
+    known = [row for row in influence.rows if not row.get("failed")]
+    with PACKAGED.open("w", newline="") as file:
+        file.write("# remake: python workflows/effects_study.py --docs\n")
+        writer = csv.DictWriter(file, PACKAGED_COLUMNS, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(known)
+    text = DOCS.read_text()
+    for mark, lines in (("study", _study_lines(known)), ("proof", _proof_lines(against.rows))):
+        before, _, rest = text.partition(f"<!-- {mark}: written by workflows/effects_study.py -->")
+        _, found, after = rest.partition(f"<!-- end of {mark} -->")
+        if not found:
+            raise SystemExit(f"{DOCS} has no place for the table: it needs marks for {mark}")
+        text = f"{before}<!-- {mark}: written by workflows/effects_study.py -->\n\n" + "\n".join(lines)
+        text += f"\n\n<!-- end of {mark} -->{after}"
+    DOCS.write_text(text)
+
+
+def _study_lines(rows: list[dict[str, str]]) -> list[str]:
+    lines = [
+        "| effect left out | scene | number | " + " | ".join(MEASURES) + " | cost |",
+        "|---" * (len(MEASURES) + 4) + "|",
+    ]
+    for effect in dict.fromkeys(row["effect"] for row in rows):
+        for row in sorted((r for r in rows if r["effect"] == effect), key=lambda r: float(r["number"])):
+            cells = [f"{float(row[name]):+.2f}" for name in MEASURES]
+            cells.append(f"{100 * float(row['cost_share']):.0f} %")
+            lines.append(f"| {effect} | {row['scene']} | {row['number']} | {' | '.join(cells)} |")
+    return lines
+
+
+def _proof_lines(rows: list[dict[str, str]]) -> list[str]:
+    head = "| scene | " + " | ".join(MEASURES) + " | CPU all, s | CPU auto, s | ratio | left out |"
+    lines = [head, "|---" * (len(MEASURES) + 5) + "|"]
+    for row in rows:
+        cells = [f"{float(row[name]):+.2f}" for name in MEASURES]
+        cells += [f"{float(row[name]):.1f}" for name in ("cpu_all_s", "cpu_auto_s")] + [
+            f"{float(row['ratio']):.2f}",
+            row["left_out"],
+        ]
+        lines.append(f"| {row['scene']} | {' | '.join(cells)} |")
+    if rows:
+        worst = max(abs(float(row[name])) for row in rows for name in MEASURES)
+        ratios = sorted(float(row["ratio"]) for row in rows)
+        median = ratios[len(ratios) // 2] if len(ratios) % 2 else 0.5 * sum(ratios[len(ratios) // 2 - 1 :][:2])
+        lines += [
+            "",
+            f"Largest change {worst:.2f} %; median ratio {median:.2f}, from {ratios[0]:.2f} to {ratios[-1]:.2f}.",
+        ]
+    return lines
 
 
 if __name__ == "__main__":

@@ -100,7 +100,9 @@ def spread(rows: Sequence[Row]) -> list[str]:
     """Cases A and B over the measured spread of impact velocities."""
     lines = []
     for letter, key in (("A", "Ni_25um"), ("B", "Ti_30um")):
-        runs = {float(row["speed_m_s"]): row for row in rows if row["run"].startswith((f"{letter}-4", f"{letter}-5"))}
+        runs = {
+            float(row["speed_m_s"]): row for row in rows if row["run"][:2] == f"{letter}-" and row["run"][2:].isdigit()
+        }
         runs |= {float(row["speed_m_s"]): row for row in rows if row["run"] == f"{letter}-draft"}
         for speed, row in sorted(runs.items()):
             measured, case = PAPER["experiment_spread"][key], PAPER["case"][letter]["flattening"]["experiment"][0]
