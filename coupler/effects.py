@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -10,25 +10,27 @@ from importlib.resources import files
 from . import units
 from .materials import Material
 
-# effect -> (the number that decides, its threshold); on when the number is above
+# effect -> (the number that decides, its threshold); on when the number is above. What the study's rows allow (`largest_threshold`,
+# docs/effects.md), rounded down to one digit.
 THRESHOLDS: dict[str, tuple[str, float]] = {
-    "thermal_softening": ("heating or preheat / (T_m - T)", 0.1),
-    "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.01),
+    "thermal_softening": ("heating or preheat / (T_m - T)", 0.006),
+    "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.0005),
     "plastic_heating": ("Taylor-Quinney coefficient", 0.0),
-    "temperature_dependent_cp": ("relative change of cp", 0.01),
-    "temperature_dependent_k": ("change of k x diffusion length / size", 0.05),
+    "temperature_dependent_cp": ("relative change of cp", 0.007),
+    "temperature_dependent_k": ("change of k x diffusion length / size", 0.04),
     "friction": ("friction coefficient", 0.0),
-    "friction_heat": ("friction x heating / (T_m - T)", 0.01),
-    "mie_gruneisen": ("v / c0", 0.03),
-    "thermal_expansion": ("Gamma0 rho cp heating / K", 0.003),
+    "friction_heat": ("friction x heating / (T_m - T)", 0.009),
+    "mie_gruneisen": ("v / c0", 0.02),
+    "thermal_expansion": ("Gamma0 rho cp heating / K", 0.005),
     "adhesion": ("splats that the scene bonds", 0.0),
     "absorbing_boundaries": ("time / wave's way to the side and back", 1.0),
     "ahead_of_waves": ("velocity ahead of the waves / largest", 1e-6),
-    "conduction": ("sqrt(alpha time) / element size", 0.2),
-    "particle_conduction": ("sqrt(alpha time) / spacing", 0.2),
-    "interface_conduction": ("sqrt(alpha time) / size, both", 0.2),
+    "conduction": ("sqrt(alpha time) / size x warming", 0.04),
+    "particle_conduction": ("sqrt(alpha time) / spacing", 0.007),
+    "interface_conduction": ("sqrt(alpha time) / size, both", 0.07),
     "cooling": ("sqrt(alpha dwell) / diameter", 0.05),
 }
+LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most, as the study's rows have it
 AHEAD_OF_WAVES = 1e-9  # velocities that computing elements asleep changes, of the largest: held by tests/test_fe.py
 NAMES = tuple(THRESHOLDS)
 _WHOLE = ("auto", "all", "none")
@@ -152,21 +154,22 @@ def numbers(situation: Situation) -> dict[str, float]:
     in_target = math.sqrt(diffusivity(*bodies[1]) * situation.end_time) / situation.element_size
     in_particle = math.sqrt(diffusivity(*bodies[0]) * duration) / situation.spacing
     across = math.sqrt(diffusivity(*bodies[1]) * duration) / situation.element_size
+    warm = max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies)
     k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
-        "thermal_softening": max(max(heating(m, T, v) / (m.T_m - T), _preheat(m, T)) for m, T in bodies),
+        "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
         "rate_hardening": max(m.C * math.log(max(rate / m.eps_dot_0, 1.0)) for m, _ in bodies),
         "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
         "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
         "temperature_dependent_k": k_change * max(in_target, in_particle),
         "friction": situation.friction,
-        "friction_heat": situation.friction * max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies),
+        "friction_heat": situation.friction * warm,
         "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
         "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
         "adhesion": float(situation.bonded),
         "ahead_of_waves": AHEAD_OF_WAVES,
-        "conduction": in_target,
+        "conduction": in_target * warm,
         "particle_conduction": in_particle,
         "interface_conduction": min(across, in_particle),  # what one side cannot take the other cannot give
         "cooling": math.sqrt(max(diffusivity(*body) for body in bodies) * situation.dwell) / situation.diameter,
@@ -175,29 +178,67 @@ def numbers(situation: Situation) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Influence:
-    """What leaving an effect out has changed in the measured case whose number is nearest, in percent: flattening, crater, mean
-    temperature and its 99th percentile; cost: share of the processor time."""
+    """What leaving an effect out has changed in the measured case that comes nearest, in percent: flattening, crater, mean
+    temperature and its 99th percentile (both in K); cost: share of a step's processor time, None where it was not measured."""
 
     scene: str
     flattening: float
     crater: float
     T_mean: float
     T_p99: float
-    cost: float
+    cost: float | None
 
 
-def expected(name: str, value: float) -> Influence | None:
-    """What to expect of leaving out an effect whose number is `value`; None where nothing was measured (docs/effects.md)."""
-    rows = [row for row in _measured() if row["effect"] == name]
-    if not rows:
+def expected(name: str, values: Mapping[str, float]) -> Influence | None:
+    """What to expect of leaving out an effect; None where nothing was measured (docs/effects.md).
+
+    values: the number of each effect, as in the rows of `Effects`. Nearest is the case whose own number comes nearest; where
+    several do, the one whose other numbers come nearest too.
+    """
+    cases = [row for row in _measured() if row["effect"] == name]
+    if not cases:
         return None
+    numbers_of: dict[str, dict[str, float]] = {}
+    for row in _measured():
+        numbers_of.setdefault(row["scene"], {})[row["effect"]] = float(row["number"])
 
     def far(row: dict[str, str]) -> float:
-        return abs(math.log(max(float(row["number"]), 1e-12) / max(value, 1e-12)))
+        others = numbers_of[row["scene"]]
+        return _apart(others[name], values[name]) + 0.1 * max(_apart(others[n], values[n]) for n in others)
 
-    nearest = min(rows, key=far)
-    numbers_of = ("flattening", "crater", "T_mean", "T_p99", "cost_share")
-    return Influence(nearest["scene"], *(float(nearest[column]) for column in numbers_of))
+    nearest = min(cases, key=far)
+    return Influence(
+        scene=nearest["scene"],
+        flattening=float(nearest["flattening"]),
+        crater=float(nearest["crater"]),
+        T_mean=float(nearest["T_mean"]),
+        T_p99=float(nearest["T_p99"]),
+        cost=float(nearest["cost_share"]) if nearest["cost_share"] else None,
+    )
+
+
+def largest_threshold(name: str) -> float | None:
+    """The largest threshold that what was measured allows; None for an effect without measured cases.
+
+    Of the cases that changed something by more than LEFT_OUT those count whose number is within twice the smallest: a straight
+    line from nothing at zero through each, the steepest of which reaches LEFT_OUT at what is returned. Influence grows at least in
+    proportion to the number, so that below it is less. Where no case changed more, the largest number measured.
+    """
+    cases = [(float(row["number"]), worst_change(row)) for row in _measured() if row["effect"] == name]
+    too_much = [(number, change) for number, change in cases if change > LEFT_OUT]
+    if not too_much:
+        return max((number for number, _ in cases), default=None)
+    least = min(number for number, _ in too_much)
+    return min(LEFT_OUT * number / change for number, change in too_much if number <= 2.0 * least)
+
+
+def worst_change(row: Mapping[str, str]) -> float:
+    """The largest change of any measure in a row of the study, in percent, without its sign."""
+    return max(abs(float(row[what])) for what in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
+
+
+def _apart(a: float, b: float) -> float:
+    return abs(math.log(max(a, 1e-12) / max(b, 1e-12)))
 
 
 @cache

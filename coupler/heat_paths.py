@@ -39,7 +39,7 @@ class HeatPaths:
             return rows, rows, np.zeros(0)
         elements = target.mesh.facet_element[facets].astype(np.int64)
         skin, inside = surface.positions(particle.x), surface.values(particle.x)[rows]
-        area = _vertex_areas(skin, surface.triangles)[rows]
+        area = vertex_areas(skin, surface.triangles)[rows]
         T_a, T_b = surface.values(particle.T)[rows], target.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         deep_b = 0.75 * target.volume[elements] / _facet_areas(target, facets)  # of a tetrahedron's centre
@@ -58,7 +58,7 @@ def _at(law: np.ndarray, name: str, T: np.ndarray) -> np.ndarray:
     return law[f"{name}_0"] + law[f"{name}_slope"] * (np.clip(T, T0, law[f"{name}_T1"]) - T0)
 
 
-def _vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """What each vertex stands for of a surface (m2): a third of the triangles around it."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0

@@ -10,8 +10,9 @@ _MOST_LINES = 12  # of the impacts
 _MOST_SHAPES = 3
 
 
-def describe(plan: Plan) -> str:
-    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal."""
+def describe(plan: Plan, outlook: str = "") -> str:
+    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
+    accuracy on this machine, in place of the plan's own."""
     target, show = plan.target, units.rounded
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
@@ -34,7 +35,7 @@ def describe(plan: Plan) -> str:
         f"  dt         about {show(plan.dt_estimate, 'ps')}",
         f"  steps      about {_round(plan.steps_estimate)}",
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
-        f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+        outlook or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
         f" the target and the contact cost {plan.home_load:.2g} of the particle",
         "",
@@ -54,15 +55,17 @@ def describe(plan: Plan) -> str:
 def _influence(plan: Plan) -> list[str]:
     """What leaving out each effect would change, as measured in the case that comes nearest."""
     head = f"  {'leaving it out changes, in %':29}flattening   crater   T mean   T 99 %   and saves   measured with"
+    values = {row.name: row.value for row in plan.effects.rows}
     lines = []
-    for row in plan.effects.rows:
-        found = effects.expected(row.name, row.value)
+    for name in values:
+        found = effects.expected(name, values)
         if found is not None:
             changed = (found.flattening, found.crater, found.T_mean, found.T_p99)
             flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
-            saved = f"{max(100.0 * found.cost, 0.0):.0f} %"
-            lines.append(f"  {row.name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
-    return [head, *lines] if lines else []
+            saved = "-" if found.cost is None else f"{max(100.0 * found.cost, 0.0):.0f} %"
+            lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
+    basis = "  of the case of docs/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
+    return [head, *lines, basis] if lines else []
 
 
 def _impacts(plan: Plan) -> list[str]:

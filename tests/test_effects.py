@@ -1,6 +1,7 @@
 """Each effect has its own switch and closed form; the numbers that decide; the range of the models."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,11 +9,12 @@ from conftest import elastic
 from test_scene import scene_with, several
 
 from coupler import constitutive as law
-from coupler import effects
+from coupler import effects, run
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.materials import material
 from coupler.plan import plan
+from coupler.plan_text import describe
 from coupler.validity import Extremes, greatest_compression, pressure
 
 
@@ -151,3 +153,107 @@ def test_the_law_without_effects_is_elastic_perfectly_plastic_but_for_hardening(
     )
     assert law.harden(record, 0.1, 1e-9, 1.0, 1e8, 1e8, 0.0, 0.0, 300.0)[2] == 300.0
     assert law.law_record(elastic())[0]["expansion"] == 1.0
+
+
+COARSE = {"resolution__spacing": "3.4 um"}  # 200 points
+WIDE = {"substrate__diameter": "800 um", "substrate__height": "400 um"}
+
+
+def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without effects nothing of them is built, and none of their code is called in a step; with all of them it is."""
+    from coupler.coupling import Impact
+    from coupler.deposition import build
+    from coupler.fe import explicit
+    from coupler.heat_paths import HeatPaths
+    from coupler.sph.heat import PointConduction
+
+    called: list[str] = []
+
+    def spy(owner: object, name: str) -> None:
+        original = getattr(owner, name)
+
+        def wrapper(*args: object) -> object:
+            called.append(name)
+            return original(*args)
+
+        monkeypatch.setattr(owner, name, wrapper)
+
+    for owner, name in ((PointConduction, "share"), (HeatPaths, "crossing"), (explicit.Conduction, "advance")):
+        spy(owner, name)
+    spy(explicit.Target, "warm")
+    awake = {}
+    for effects_of in ("none", "all"):
+        called.clear()
+        s = build(plan(scene_with(effects=effects_of, particle__velocity="1500 m/s", **COARSE, **WIDE)))
+        impact = Impact(s.particle, s.bodies, s.surface, s.contact, paths=s.paths)
+        for _ in range(3):
+            impact.advance()
+        assert set(called) == (set() if effects_of == "none" else {"share", "crossing", "advance", "warm"})
+        on = effects_of == "all"
+        assert (s.target.conduction is not None, bool(len(s.target.dashpot_nodes)), s.contact.friction > 0) == (on,) * 3
+        assert (s.contact.friction_heat > 0.0) == on
+        awake[effects_of] = s.target.active_elements / len(s.target.mesh.conn)
+        impact.particle.close()
+        impact.close()
+    assert awake["all"] == 1.0
+    assert awake["none"] < 0.95
+
+
+def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path) -> None:
+    scene = scene_with(effects=["auto", "-conduction"], particle__velocity="1200 m/s", end__time="6 ns", **COARSE)
+    summary = run(scene, tmp_path / "run", threads=1).summary
+    assert summary["effects"] == plan(scene).effects.active
+    rates = [text for text in summary["warnings"] if "strain rates went to" in text]
+    assert [text.split(":")[0] + text.split("in the")[1].split()[0] for text in rates] == [
+        "impact 1particle",
+        "impact 1target",
+    ]
+    assert all("beyond the 1e+04 1/s" in text for text in rates)
+
+
+def test_thresholds_keep_to_what_was_measured() -> None:
+    """No case of the study below a threshold has changed anything by more than a third of a percent."""
+    causal_or_of_either_kind = ("absorbing_boundaries", "friction", "plastic_heating")
+    held = []
+    for name, (_, threshold) in effects.THRESHOLDS.items():
+        allowed = effects.largest_threshold(name)
+        if allowed is None or name in causal_or_of_either_kind:
+            continue
+        held.append(name)
+        assert threshold <= allowed, (name, allowed)
+        for row in effects._measured():
+            if row["effect"] == name and float(row["number"]) <= threshold:
+                assert effects.worst_change(row) <= effects.LEFT_OUT, row
+    assert len(held) == 10
+    assert effects.largest_threshold("cooling") is None
+
+
+def test_what_to_expect_is_that_of_the_nearest_case() -> None:
+    copper = {
+        row.name: row.value
+        for row in plan(scene_with(particle__material="OFHC_Cu", substrate__material="OFHC_Cu")).effects.rows
+    }
+    found = effects.expected("particle_conduction", copper)
+    assert found is not None
+    assert "Cu" in found.scene
+    # friction has the same number everywhere: the other numbers tell the cases apart
+    slow = {
+        row.name: row.value
+        for row in plan(scene_with(particle__diameter="5 um", particle__velocity="190 m/s")).effects.rows
+    }
+    near = effects.expected("friction", slow)
+    assert near is not None
+    assert near.scene.startswith("slow")
+    assert effects.expected("cooling", slow) is None
+
+
+def test_check_prints_each_effect_and_what_leaving_it_out_would_change() -> None:
+    text = describe(plan(scene_with(effects=["auto", "-friction"])))
+    decided, expected = text.split("leaving it out changes")
+    for row in plan(scene_with()).effects.rows:
+        assert f"  {row.name} " in decided
+        assert f"= {row.value:.3g} " in decided
+        if effects.expected(row.name, {r.name: r.value for r in plan(scene_with()).effects.rows}):
+            assert f"  {row.name} " in expected
+    assert "friction                  no   friction coefficient = 0.5 > 0: as the scene says" in decided
+    assert "Ni on steel, 500 m/s" in expected

@@ -4,35 +4,40 @@
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the tables into docs/effects.md and coupler/effects_study.csv
 
-Rows that are there are not computed again. Costs are processor time of the loop, not wall time: other work on the machine
-disturbs them less, but it does. Runs of the proof alternate, everything on and auto, and of each the least of its repeats
-counts.
+Rows that are there are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
+of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.
 """
 
 import argparse
 import csv
-import shutil
+import json
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from coupler import Scene, run
-from coupler.effects import NAMES
+from coupler.coupling import Impact
+from coupler.deposition import build
+from coupler.effects import LEFT_OUT, NAMES, THRESHOLDS, largest_threshold, worst_change
 from coupler.errors import ColdsprayError
 from coupler.plan import plan
 
 STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
+COSTS, KERNELS = Path("docs/tables/effects_costs.csv"), Path("docs/tables/effects_kernels.csv")
 PACKAGED, DOCS = Path("coupler/effects_study.csv"), Path("docs/effects.md")
-PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "T_mean", "T_p99", "cost_share"]
+PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "diameter", "T_mean", "T_p99", "cost_share"]
 MEASURES = {
     "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",
     "T_p99": "T_p99_K",
 }  # fmt: skip
-EXACT = (
-    "ahead_of_waves",
-    "adhesion",
-    "absorbing_boundaries",
-)  # not of the law: adhesion is no small change, the others no physics
+BASE = ["all", "-ahead_of_waves"]  # what is left out of: the waves' elements change nothing (tests/test_fe.py)
+NEVER = ("ahead_of_waves", "adhesion", "cooling")  # of no meaning to a single impact
+CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
+EITHER = ("friction", "plastic_heating")  # a scene has them or not, whatever their size
+CAUSAL = ("absorbing_boundaries",)  # nothing can come back before the waves do
 
 
 def scene(
@@ -68,8 +73,19 @@ SCENES = {
     "hard on soft: Ni on Al, 400 m/s": scene("Ni", 25, 400, "Al"),
     "Cu on Cu, 500 m/s": scene("OFHC_Cu", 25, 500, "OFHC_Cu"),
     "rebound: Ni, 150 m/s": scene("Ni", 25, 150, "SS304"),
-    "large: Ni 200 um, 300 m/s": scene("Ni", 200, 300, "SS304"),
+    "large: Ni 190 um, 300 m/s": scene("Ni", 190, 300, "SS304"),
 }
+WARM = ("thermal_softening", "temperature_dependent_cp", "friction_heat", "mie_gruneisen", "thermal_expansion")
+FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
+ONLY = {
+    "preheated: Ni at 600 K, 400 m/s": WARM,
+    "Ti on Ti, 600 m/s": (*WARM, "particle_conduction"),
+    "soft on hard: Al on steel, 500 m/s": (*WARM, "particle_conduction", "interface_conduction"),
+    "hard on soft: Ni on Al, 400 m/s": (*WARM, "conduction", "interface_conduction"),
+    "Cu on Cu, 500 m/s": (*WARM, *FLOW),
+    "rebound: Ni, 150 m/s": ("thermal_softening", "mie_gruneisen", "thermal_expansion"),
+    "large: Ni 190 um, 300 m/s": FLOW,
+}  # what is left out of each scene; of the others everything
 PROOFS = SCENES | {
     "rod: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "rod"'),
     "hollow: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "hollow_sphere"'),
@@ -80,21 +96,49 @@ PROOFS = SCENES | {
 
 
 def compute(text: str, effects: Any) -> dict[str, float]:
-    """Run a scene with these effects; its measures, and the processor time of its loop (s)."""
-    import json
-
-    folder = Path("runs/effects_study")
-    shutil.rmtree(folder, ignore_errors=True)
-    marks: list[float] = []
+    """Run a scene with these effects; its measures and the processor time of all of it (s)."""
     made = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
     begun = time.process_time()
-    summary = run(made, folder, threads=1, probe=lambda impact: marks.append(time.process_time())).summary
+    with tempfile.TemporaryDirectory() as folder:
+        summary = run(made, Path(folder) / "run", threads=1).summary
     found = {name: float(summary[key]) for name, key in MEASURES.items()}
-    shutil.rmtree(folder)
-    cpu = (
-        marks[-1] - marks[0] if len(made.particles) == 1 else time.process_time() - begun
-    )  # pauses and splats are a part of it
+    cpu = time.process_time() - begun
     return found | {"cpu_s": cpu, "steps": float(summary["steps"]), "drift": float(summary["energy_drift"])}
+
+
+def in_turn(text: str, asked: dict[str, Any], crossings: float) -> dict[str, list[float]]:
+    """Processor time (s) of each ten steps of impacts of one scene that differ in their effects, until crossings x D/v.
+
+    They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
+    """
+    made, end = {}, 0.0
+    for name, effects in asked.items():
+        what = plan(Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study"))
+        s = build(what)
+        made[name] = Impact(s.particle, s.bodies, s.surface, s.contact, paths=s.paths)
+        end = crossings * what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
+    costs: dict[str, list[float]] = {name: [] for name in made}
+    going = dict(made)
+    while going:
+        for name, impact in list(going.items()):
+            start = time.process_time()
+            impact.advance()
+            costs[name].append(time.process_time() - start)
+            if impact.time >= end:
+                del going[name]
+    for impact in made.values():
+        impact.particle.close()
+        impact.close()
+    return {name: found[1:] for name, found in costs.items()}
+
+
+def least_of(rounds: int, text: str, asked: dict[str, Any], crossings: float) -> dict[str, list[float]]:
+    """`in_turn` several times: of each ten steps the least."""
+    least: dict[str, list[float]] = {}
+    for _ in range(rounds):
+        for name, costs in in_turn(text, asked, crossings).items():
+            least[name] = [min(pair) for pair in zip(least.get(name, costs), costs, strict=True)]
+    return least
 
 
 def changes(found: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
@@ -130,49 +174,61 @@ class Table:
 def study(table: Table) -> None:
     """Leave out one effect at a time."""
     for name, text in SCENES.items():
-        wanted = [effect for effect in NAMES if effect not in (*EXACT, "cooling") and not table.has(name, effect)]
+        wanted = [effect for effect in _asked(name) if not table.has(name, effect)]
         if not wanted:
             continue
-        numbers = {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).effects.rows}
-        base = ["all", *(f"-{effect}" for effect in EXACT)]
-        whole = compute(text, base)
+        numbers = _numbers(text)
+        whole = compute(text, BASE)
         for effect in wanted:
             try:
-                found = compute(text, [*base, f"-{effect}"])
+                found = compute(text, [*BASE, f"-{effect}"])
             except ColdsprayError as problem:
                 table.add({"scene": name, "effect": effect, "number": numbers[effect], "failed": str(problem)[:100]})
                 continue
-            cost = 1.0 - found["cpu_s"] / found["steps"] * whole["steps"] / whole["cpu_s"]
             row = {"scene": name, "effect": effect, "number": numbers[effect], **changes(found, whole)}
-            table.add({**row, "cost_share": cost, "steps": found["steps"], "drift": found["drift"], "failed": ""})
+            table.add({**row, "steps": found["steps"], "drift": found["drift"], "failed": ""})
 
 
-def proof(table: Table, repeats: int) -> None:
+def _numbers(text: str) -> dict[str, float]:
+    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).effects.rows}
+
+
+def _asked(scene_name: str) -> list[str]:
+    """The effects to leave out of a scene."""
+    if scene_name in ONLY:
+        return list(ONLY[scene_name])
+    return [effect for effect in NAMES if effect not in NEVER]
+
+
+def proof(table: Table, rounds: int) -> None:
     """Everything on against auto."""
+    asked = {"all": "all", "auto": "auto"}
     for name, text in PROOFS.items():
         if table.has(name):
             continue
-        made = plan(Scene.from_text(text, "effects_study")).effects
-        runs: dict[str, list[dict[str, float]]] = {"all": [], "auto": []}
-        for _ in range(repeats):
-            for which, found in runs.items():
-                found.append(compute(text, which))
-        cpu = {which: min(one["cpu_s"] for one in found) for which, found in runs.items()}
-        off = " ".join(effect for effect in NAMES if effect not in made.active)
+        scene = Scene.from_text(text, "effects_study")
+        left_out = " ".join(effect for effect in NAMES if effect not in plan(scene).effects.active)
+        single = len(scene.particles) == 1
+        runs = [{which: compute(text, which) for which in asked} for _ in range(1 if single else max(rounds, 2))]
+        if single:
+            cpu = {which: sum(costs) for which, costs in least_of(rounds, text, asked, CROSSINGS).items()}
+        else:  # pauses and splats are a part of it
+            cpu = {which: min(one[which]["cpu_s"] for one in runs) for which in asked}
+        found = runs[0]
         row = {
             "scene": name,
-            **changes(runs["auto"][0], runs["all"][0]),
+            **changes(found["auto"], found["all"]),
             "cpu_all_s": cpu["all"],
             "cpu_auto_s": cpu["auto"],
         }
-        table.add({**row, "ratio": cpu["all"] / cpu["auto"], "steps": runs["auto"][0]["steps"], "left_out": off})
+        table.add({**row, "ratio": cpu["all"] / cpu["auto"], "steps": found["auto"]["steps"], "left_out": left_out})
 
 
 def main() -> None:
     """Fill the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--proof", action="store_true", help="everything on against auto")
-    parser.add_argument("--repeats", type=int, default=2, help="of each run of the proof")
+    parser.add_argument("--rounds", type=int, default=1, help="of the proof's time measurement")
     parser.add_argument("--docs", action="store_true", help="write the tables that are there into the documents")
     a = parser.parse_args()
     influence = Table(STUDY, ("scene", "effect"), "python workflows/effects_study.py")
@@ -180,7 +236,7 @@ def main() -> None:
     if a.docs:
         write(influence, against)
     elif a.proof:
-        proof(against, a.repeats)
+        proof(against, a.rounds)
         write(influence, against)
     else:
         study(influence)
@@ -189,14 +245,22 @@ def main() -> None:
 
 def write(influence: Table, against: Table) -> None:
     """Put the tables into docs/effects.md between their marks, and what `coldspray check` shows into the package."""
-    known = [row for row in influence.rows if not row.get("failed")]
+    now = {name: _numbers(text) for name, text in SCENES.items()}  # as they are defined today
+    known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
+    costs = {row["effects"].removeprefix("without "): row["saves"] for row in _rows(COSTS)}
     with PACKAGED.open("w", newline="") as file:
         file.write("# remake: python workflows/effects_study.py --docs\n")
         writer = csv.DictWriter(file, PACKAGED_COLUMNS, extrasaction="ignore")
         writer.writeheader()
-        writer.writerows(known)
+        writer.writerows({**row, "cost_share": costs.get(row["effect"], "")} for row in known)
     text = DOCS.read_text()
-    for mark, lines in (("study", _study_lines(known)), ("proof", _proof_lines(against.rows))):
+    for mark, lines in (
+        ("thresholds", _threshold_lines(known)),
+        ("study", _study_lines(known)),
+        ("costs", _cost_lines(_rows(COSTS))),
+        ("kernels", _kernel_lines(_rows(KERNELS))),
+        ("proof", _proof_lines(against.rows)),
+    ):
         before, _, rest = text.partition(f"<!-- {mark}: written by workflows/effects_study.py -->")
         _, found, after = rest.partition(f"<!-- end of {mark} -->")
         if not found:
@@ -206,17 +270,59 @@ def write(influence: Table, against: Table) -> None:
     DOCS.write_text(text)
 
 
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    with path.open() as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def _threshold_lines(rows: list[dict[str, str]]) -> list[str]:
+    lines = [
+        "| effect | threshold | allowed by the line | the case that asks for most | its number | its largest change, % |",
+        "|---" * 6 + "|",
+    ]
+    for effect in NAMES:
+        cases = [row for row in rows if row["effect"] == effect and float(row["number"]) > 0.0]
+        if not cases or effect in (*EITHER, *CAUSAL):
+            continue
+        far = [row for row in cases if worst_change(row) > LEFT_OUT]
+        least = min((float(row["number"]) for row in far), default=0.0)
+        near = [row for row in far if float(row["number"]) <= 2.0 * least] or cases
+        most = max(near, key=lambda row: worst_change(row) / float(row["number"]))
+        allowed = largest_threshold(effect) or 0.0
+        lines.append(
+            f"| {effect} | {THRESHOLDS[effect][1]:g} | {allowed:.2g} | {most['scene']} | {most['number']} | {worst_change(most):.2f} |"
+        )
+    return lines
+
+
 def _study_lines(rows: list[dict[str, str]]) -> list[str]:
     lines = [
-        "| effect left out | scene | number | " + " | ".join(MEASURES) + " | cost |",
-        "|---" * (len(MEASURES) + 4) + "|",
+        "| effect left out | scene | number | " + " | ".join(MEASURES) + " |",
+        "|---" * (len(MEASURES) + 3) + "|",
     ]
     for effect in dict.fromkeys(row["effect"] for row in rows):
         for row in sorted((r for r in rows if r["effect"] == effect), key=lambda r: float(r["number"])):
             cells = [f"{float(row[name]):+.2f}" for name in MEASURES]
-            cells.append(f"{100 * float(row['cost_share']):.0f} %")
             lines.append(f"| {effect} | {row['scene']} | {row['number']} | {' | '.join(cells)} |")
     return lines
+
+
+def _cost_lines(rows: list[dict[str, str]]) -> list[str]:
+    lines = ["| effects | ms per step | saves |", "|---|---|---|"]
+    return lines + [
+        f"| {row['effects']} | {float(row['ms_per_step']):.2f} | {100 * float(row['saves']):.1f} % |" for row in rows
+    ]
+
+
+def _kernel_lines(rows: list[dict[str, str]]) -> list[str]:
+    columns = [f"{what}_{name}_ns" for what in ("element", "point") for name in ("on", "off", "cannot")]
+    heads = [f"{what}, {name}" for what in ("element", "point") for name in ("on", "off", "cannot be on")]
+    lines = ["| ns per step | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
+    return lines + [
+        f"| {row['effect']} | " + " | ".join(f"{float(row[name]):.0f}" for name in columns) + " |" for row in rows
+    ]
 
 
 def _proof_lines(rows: list[dict[str, str]]) -> list[str]:
