@@ -1,0 +1,282 @@
+"""Sweeps and maps: points and their scenes, failed and stopped ones, the interpolation and its errors, pictures."""
+
+import csv
+import json
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from made_up_run import write
+
+from coupler import cli, sweep
+from coupler.adhesion import critical_velocity
+from coupler.errors import SceneError, StoreError
+from coupler.maps import AXES, BAND, COLUMNS, interpolate, table, varying, write_table
+from coupler.materials import material
+from coupler.scene import Scene
+from coupler.sweep import Sweep
+
+ROOT = Path(__file__).parents[1]
+SHARED = {"preset": "draft", "substrate": {"material": "SS304"}}
+
+
+def points(**changed: Any) -> dict[str, Any]:
+    """A sweep of nickel as nested dicts, its points changed."""
+    plain = {"material": ["Ni"], "diameter": ["10 um", "25 um"], "velocity": ["400 m/s", "700 m/s"]}
+    return {"name": "few", "points": plain | changed, "scene": SHARED}
+
+
+def flattening(v: np.ndarray, D: np.ndarray) -> np.ndarray:
+    return 0.8 * np.tanh(v / 600.0) + 0.03 * np.log(D / 25e-6)
+
+
+def pretend(folder: Path, name: str, **measures: float) -> None:
+    """Leave behind what a finished run of a point leaves for a map."""
+    scene = Scene.load(folder / f"{name}.toml")
+    run = folder / name
+    run.mkdir()
+    (run / "scene.toml").write_text(scene.to_toml())
+    (run / "summary.json").write_text(json.dumps(measures))
+    (folder / f"{name}.json").write_text(json.dumps({"status": "done", "reason": "", "exit_code": 0}))
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sweep of 24 points of which one failed and one has not begun, with measures that are known."""
+    folder = tmp_path_factory.mktemp("sweep")
+    whole = Sweep.from_dict(
+        points(diameter=[f"{D} um" for D in (5, 12, 28, 60)], velocity=[f"{v} m/s" for v in (125, 250, 400, 600, 900, 1250)])
+    )  # fmt: skip
+    for number, name in enumerate(whole.points):
+        whole.write(folder, name)
+        p = Scene.load(folder / f"{name}.toml").particle
+        if number == 8:
+            (folder / f"{name}.json").write_text(
+                '{"status": "failed", "reason": "an inverted element", "exit_code": 3}'
+            )
+        elif number != 15:
+            f = float(flattening(np.array(p.velocity), np.array(p.diameter)))
+            pretend(folder, name, flattening_ratio=f, T_p99_K=300.0 + p.velocity**2 / 1200.0, rebound_velocity_m_s=20.0)
+    return folder
+
+
+def test_points_of_a_sweep() -> None:
+    few = Sweep.from_dict(points(material=["Ni", "Ti"], temperature=["300 K", "200 degC"]))
+    assert len(few.points) == 16
+    assert not few.refused
+    scene = Scene.from_text(few.points["Ti_25um_700ms_473.15K"])
+    assert (scene.particle.material, scene.preset) == ("Ti", "draft")
+    assert (scene.particle.diameter, scene.particle.velocity, scene.particle.temperature) == (25e-6, 700.0, 473.15)
+    assert (scene.substrate.diameter, scene.substrate.height) == (200e-6, 100e-6)
+    assert Scene.from_text(few.points["Ni_10um_400ms_300K"]).substrate.diameter == pytest.approx(80e-6, rel=1e-12)
+    held = Sweep.from_dict(points() | {"scene": {"substrate": {"material": "Al", "height": "70 um"}}})
+    assert Scene.from_text(held.points["Ni_25um_400ms_300K"]).substrate.height == 70e-6
+
+
+def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
+    wrong = points(diameter=["10", "25 m/s"], velocity="fast", temperture=["300 K"], substrate_height=-1)
+    wrong["scene"] = SHARED | {"particle": {"material": "Ti"}}
+    with pytest.raises(SceneError) as caught:
+        Sweep.from_dict(wrong, "mine.toml")
+    text = str(caught.value)
+    assert text.startswith("mine.toml: 6 problems")
+    for words in (
+        'points.diameter = "10" has no unit', 'points.diameter = "25 m/s" is a velocity', "points.velocity",
+        'points.temperture: unknown key (did you mean "temperature"?)', "points.substrate_height", "scene.particle.material",
+    ):  # fmt: skip
+        assert words in text
+    with pytest.raises(SceneError, match=r"no point can be computed; the first: preset.*did you mean .draft."):
+        Sweep.from_dict(points() | {"scene": SHARED | {"preset": "darft"}})
+    with pytest.raises(SceneError, match=r"absent\.toml"):
+        Sweep.load("absent.toml")
+
+
+def test_a_sweep_marks_what_fails_and_keeps_what_is_done(tmp_path) -> None:
+    """One point finished before, one that the program refuses (hotter than its metal stands): a real `coldspray run`."""
+    two = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"], temperature=["300 K", "1700 K"]))
+    good, bad = two.points
+    assert list(two.refused) == [bad]
+    two.write(tmp_path, good)
+    pretend(tmp_path, good, flattening_ratio=0.5)
+    said: list[str] = []
+    assert two.run(tmp_path, jobs=2, log=said.append) == tmp_path
+    rows = {row["point"]: row for row in table(tmp_path)}
+    assert (rows[good]["status"], rows[good]["flattening_ratio"]) == ("done", 0.5)
+    assert rows[bad]["status"] == "failed"
+    assert "must stay below 0.95 of the melting point of Ni" in rows[bad]["reason"]
+    assert (rows[bad]["velocity_m_s"], rows[bad]["temperature_K"]) == (400.0, 1700.0)
+    assert len(said) == 2
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
+    two.run(tmp_path, log=said.append)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")} == times
+
+
+@pytest.mark.parametrize(("number", "verdict"), [("TERM", None), ("INT", None), ("KILL", "killed by SIGKILL")])
+def test_a_point_that_is_stopped_is_no_failure(tmp_path, monkeypatch, number, verdict) -> None:
+    program = tmp_path / "program"
+    program.write_text(f"#!/bin/sh\nkill -{number} $$\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(sweep.sys, "executable", str(program))
+    scene = Sweep.from_dict(points()).write(tmp_path, "Ni_10um_400ms_300K")
+    status = scene.with_suffix(".json")
+    if verdict is None:
+        with pytest.raises(KeyboardInterrupt):
+            sweep.compute(scene, status)
+        assert not status.exists()
+    else:
+        assert sweep.compute(scene, status)["reason"] == verdict
+        assert json.loads(status.read_text())["status"] == "failed"
+
+
+def test_a_run_of_another_scene_is_not_gone_on_with(tmp_path) -> None:
+    few = Sweep.from_dict(points())
+    name = next(iter(few.points))
+    scene = few.write(tmp_path, name)
+    pretend(tmp_path, name)
+    assert sweep._begun(scene, tmp_path / name)
+    scene.write_text(few.points[name].replace("draft", "fine"))
+    assert not sweep._begun(scene, tmp_path / name)
+
+
+def test_the_table(finished, tmp_path) -> None:
+    rows = table(finished)
+    assert len(rows) == 24
+    status = [row["status"] for row in rows]
+    assert (status.count("done"), status.count("failed"), status.count("unfinished")) == (22, 1, 1)
+    assert next(row["reason"] for row in rows if row["status"] == "failed") == "an inverted element"
+    assert varying(rows) == AXES[:2]
+    row = next(row for row in rows if row["point"] == "Ni_28um_900ms_300K")
+    assert row["velocity_ratio"] == pytest.approx(900.0 / critical_velocity(material("Ni"), 300.0), rel=1e-12)
+    assert row["restitution"] == pytest.approx(20.0 / 900.0, rel=1e-12)
+    write_table(rows, tmp_path / "map.csv", "about")
+    with (tmp_path / "map.csv").open() as stream:
+        assert stream.readline() == "# about\n"
+        again = list(csv.DictReader(stream))
+    assert tuple(again[0]) == COLUMNS
+    assert [float(r["diameter_m"]) for r in again] == pytest.approx([r["diameter_m"] for r in rows], rel=1e-5)
+    with pytest.raises(StoreError, match="holds no points"):
+        table(tmp_path)
+
+
+def test_the_interpolation_finds_a_smooth_function(finished) -> None:
+    fit = interpolate(table(finished), "flattening_ratio")
+    v, D = np.meshgrid([180.0, 320.0, 500.0, 750.0, 1100.0], [8e-6, 18e-6, 40e-6])
+    mean, std = fit(v, D)
+    assert mean.shape == std.shape == v.shape
+    assert np.abs(mean - flattening(v, D)).max() < 0.01
+    assert fit.loo_rms < 0.02 < 0.2 < fit.spread
+    outside, _ = fit(2500.0, 25e-6), fit(500.0, 25e-6)
+    assert outside[1] > 3 * fit(500.0, 25e-6)[1]
+
+
+def test_leaving_one_out_is_what_it_says(finished) -> None:
+    """The closed form against fits that were really made without the point, with the same constants."""
+    from sklearn.gaussian_process import GaussianProcessRegressor
+
+    rng = np.random.default_rng(3)
+    rows = [dict(row) for row in table(finished) if row["status"] == "done"]
+    for row in rows:
+        row["flattening_ratio"] += 0.02 * rng.normal()
+    fit = interpolate(rows, "flattening_ratio")
+    x, y = fit._model.X_train_, fit._model.y_train_
+    off, inside = [], []
+    for i in range(len(y)):
+        others = np.arange(len(y)) != i
+        left = GaussianProcessRegressor(fit._model.kernel_, optimizer=None, alpha=fit._model.alpha).fit(
+            x[others], y[others]
+        )
+        mean, std = left.predict(x[i : i + 1], return_std=True)
+        off.append(float(y[i] - mean[0]))
+        inside.append(abs(off[-1]) <= BAND * float(std[0]))
+    same_velocity, left_out = fit._model.X_train_[:, 0], []
+    for value in np.unique(same_velocity)[1:-1]:
+        others = same_velocity != value
+        left = GaussianProcessRegressor(fit._model.kernel_, optimizer=None, alpha=fit._model.alpha).fit(
+            x[others], y[others]
+        )
+        left_out += list(y[~others] - left.predict(x[~others]))
+    assert fit.gap_rms["velocity_m_s"] == pytest.approx(fit.spread * np.sqrt(np.mean(np.square(left_out))), rel=1e-4)
+    assert fit.loo_rms == pytest.approx(fit.spread * np.sqrt(np.mean(np.square(off))), rel=1e-5)
+    assert fit.loo_inside == np.mean(inside)
+    assert 0.01 < fit.loo_rms < 0.05
+    assert fit.loo_inside > 0.8
+
+
+def test_too_little_for_a_map(finished) -> None:
+    rows = table(finished)
+    with pytest.raises(StoreError, match="needs at least 6"):
+        interpolate(rows[:5], "flattening_ratio")
+    with pytest.raises(StoreError, match="flatening is no column"):
+        interpolate(rows, "flatening")
+
+
+def test_the_command_draws_maps_with_their_points(finished, tmp_path, capsys) -> None:
+    from matplotlib.image import imread
+
+    assert cli.main(["map", str(finished), "--out", str(tmp_path), "--show", "flattening_ratio", "velocity_ratio"]) == 0
+    said = capsys.readouterr().out
+    assert "24 points: 22 done, 1 failed, 1 unfinished" in said
+    assert "failed: an inverted element" in said
+    assert "leaving one out" in said
+    assert (tmp_path / "map.csv").is_file()
+    picture = imread(tmp_path / "map_Ni_flattening_ratio.png")[..., :3]
+    left = picture[:, : picture.shape[1] // 2]
+    assert len(np.unique((255 * left).astype(int).reshape(-1, 3), axis=0)) > 50
+    orange = np.abs(picture - np.array([0xD5, 0x5E, 0x00]) / 255).max(axis=-1) < 0.02
+    assert orange.sum() > 20  # the points that are not done
+    assert (tmp_path / "map_Ni_velocity_ratio.png").is_file()
+    assert cli.main(["map", str(tmp_path / "absent")]) == 2
+    assert "is not a folder" in capsys.readouterr().err
+
+
+def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
+    """workflows/map_example.py over runs that were never computed, but for the drawing, which is tested above."""
+
+    def run(self: Sweep) -> Path:
+        for name in self.points:
+            self.write(tmp_path, name)
+            p = Scene.load(tmp_path / f"{name}.toml").particle
+            f = float(flattening(np.array(p.velocity), np.array(p.diameter)))
+            pretend(tmp_path, name, flattening_ratio=f, T_p99_K=400.0 + p.velocity, rebound_velocity_m_s=20.0)
+        looked_at = tmp_path / "Ni_20um_650ms_300K"
+        summary = json.loads((looked_at / "summary.json").read_text())
+        (looked_at / "summary.json").unlink()
+        write(looked_at, 1, 200, 20.0, (looked_at / "scene.toml").read_text(), summary)
+        return tmp_path
+
+    monkeypatch.setattr(Sweep, "run", run)
+    monkeypatch.setattr("coupler.map_command.draw", lambda rows, folder: [f"{len(rows)} rows drawn"])
+    runpy.run_path(str(ROOT / "workflows" / "map_example.py"))
+    said = capsys.readouterr().out
+    assert said.startswith("12 points, the first: Ni_10um_300ms_300K")
+    at = re.search(r"25 um at 550 m/s: ([0-9.]+) \+- ([0-9.]+)", said)
+    assert at is not None
+    assert float(at[1]) == pytest.approx(float(flattening(np.array(550.0), np.array(25e-6))), abs=0.02)
+    assert "20 um at 650 m/s: rebound 20 m/s" in said
+
+
+def test_snakemake_finds_what_is_left_to_do(finished, tmp_path) -> None:
+    """A dry run over a sweep of which all but one are done."""
+    pytest.importorskip("snakemake")
+    config = tmp_path / "few.toml"
+    config.write_text(
+        'name = "few"\nscene.preset = "draft"\nscene.substrate.material = "SS304"\n[points]\nmaterial = "Ni"\n'
+        'diameter = ["5 um", "12 um", "28 um", "60 um"]\n'
+        'velocity = ["125 m/s", "250 m/s", "400 m/s", "600 m/s", "900 m/s", "1250 m/s"]\n'
+    )
+    for path in finished.glob("*.json"):
+        path.touch()
+    done = subprocess.run(
+        [sys.executable, "-m", "snakemake", "-n", "-q", "rules", "-s", ROOT / "workflows" / "Snakefile", "-d", finished,
+         "--rerun-triggers", "mtime", "--config", f"map={config}", f"out={finished}"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    counts = dict(line.split() for line in said.splitlines() if len(line.split()) == 2 and line.split()[1].isdigit())
+    assert counts == {"point": "1", "draw": "1", "all": "1", "total": "3"}
