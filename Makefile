@@ -1,10 +1,14 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make test   format, lint, types and tests
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
-# make studies  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
+# make studies effects  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
+# make accuracy  what accuracy costs in time, into docs/accuracy.md and coupler/accuracy/bands.csv (an hour; rows that are there are kept)
+# make effects  what each effect changes and costs, and everything on against auto, into docs/effects.md (half an hour; rows that are there are kept)
 # make stability  hard scenes into docs/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
 # make fuzz   random scenes: each a result or a clear refusal; N=300 SEED=1 say how many and which
 # make validate  the paper's cases and trends into docs/validation.md (half an hour; runs that are in its tables are kept)
+# make maps   the nickel map of docs/maps.md, into runs/map_ni and docs (half an hour; points that are there are kept)
+# make docs   docs/ as a site, into docs/_build
 # make setup  system libraries and .venv; run and test do it themselves when it is needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -19,7 +23,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # The test of the report opens it in a browser.
 LIBRARIES += chromium
 
-.PHONY: setup run check test bench studies stability fuzz validate clean
+.PHONY: setup run check test bench studies effects accuracy stability fuzz validate maps docs clean
 
 setup: $(STAMP)
 
@@ -62,8 +66,11 @@ check: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
+# Files side by side, each file's tests in one process
+WORKERS ?= 2
+
 test: check
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile
 
 bench: setup
 	$(VENV)/bin/python workflows/bench.py
@@ -73,6 +80,14 @@ studies: setup
 	$(VENV)/bin/python workflows/taylor_bar.py
 	$(VENV)/bin/python workflows/taylor_bar_sph.py
 	$(VENV)/bin/python workflows/convergence.py --knobs
+
+accuracy: setup
+	$(VENV)/bin/python workflows/accuracy.py
+
+effects: setup
+	$(VENV)/bin/python workflows/effects_study.py
+	$(VENV)/bin/python workflows/effects_costs.py
+	$(VENV)/bin/python workflows/effects_study.py --proof
 
 stability: setup
 	$(VENV)/bin/python workflows/stability.py
@@ -85,7 +100,17 @@ fuzz: setup
 validate: setup
 	$(VENV)/bin/python workflows/validate.py
 
+maps: setup
+	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
+	cp runs/map_ni/map.csv docs/tables/map_ni.csv
+	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/map_ni_$$name.png; done
+
+docs: setup
+	$(VENV)/bin/python workflows/scene_page.py
+	$(VENV)/bin/sphinx-build -q -E -W --keep-going -b html docs docs/_build
+	@echo "site in docs/_build/index.html"
+
 # Keeps runs/: results are not ours to throw away.
 clean:
-	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache dist build
+	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache dist build docs/_build
 	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +

@@ -1,0 +1,65 @@
+"""The pages: the scene's keys are those of the models, formulas can be drawn, links lead somewhere."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.mathtext import MathTextParser
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+
+
+def loaded(path: Path) -> Any:
+    """A file outside the package, as a module."""
+    spec = importlib.util.spec_from_file_location(f"_{path.stem}_of_docs", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_of_the_scene_is_that_of_the_models() -> None:
+    scene_page = loaded(ROOT / "workflows" / "scene_page.py")
+    assert not scene_page.missing_words(), "workflows/scene_page.py has no words for these keys"
+    assert (DOCS / "scene.md").read_text() == scene_page.page(), "docs/scene.md is old: python workflows/scene_page.py"
+
+
+def test_the_page_knows_units_limits_and_defaults() -> None:
+    page = (DOCS / "scene.md").read_text()
+    for row in (
+        "| `diameter` | 1 um to 200 um | needed |",
+        "| `preset` | `draft` `standard` `fine` | `standard` |",
+        "| `friction` | a number from 0 to 2 | `0.5` |",
+        "| `standoff` | 1 mm to 500 mm | `30 mm` |",
+        "| `offset` | two of -5000 um to 5000 um | `0 um`, `0 um` |",
+    ):
+        assert row in page
+
+
+def test_formulas_can_be_drawn() -> None:
+    drawn = loaded(DOCS / "conf.py").drawn
+    text = (DOCS / "theory.md").read_text()
+    blocks = re.findall(r"\$\$(.+?)\$\$", text, re.DOTALL)
+    lines = set(re.findall(r"\$([^$\n]+)\$", re.sub(r"\$\$.+?\$\$", "", text, flags=re.DOTALL)))
+    assert len(blocks) > 10
+    assert len(lines) > 20
+    for formula in (*blocks, *lines):
+        MathTextParser("path").parse(f"${' '.join(formula.split())}$")  # what `drawn` begins with
+    assert drawn(blocks[0], 12).startswith("<img src=")
+    with pytest.raises(ValueError, match="Unknown symbol"):
+        drawn(r"\nosuchthing", 12)
+
+
+def test_every_page_is_in_the_site_and_every_link_leads_somewhere(tmp_path) -> None:
+    """The whole site but for the writing of HTML; with warnings as errors, as `make docs`."""
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-q", "-E", "-W", "--keep-going", "-b", "dummy", DOCS, tmp_path / "site"],
+        capture_output=True, text=True, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr

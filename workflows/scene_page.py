@@ -1,0 +1,292 @@
+"""Writes docs/scene.md, a scene key by key, from the models that read scenes: python workflows/scene_page.py [FILE]
+
+Types, units, limits and defaults are those of the models; only the words are kept here. `make docs` runs it first.
+"""
+
+import dataclasses
+import sys
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from coupler import effects, estimates, materials, nozzles, units
+from coupler.scene import Scene
+from coupler.scene_tables import Quantity, Section
+
+PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
+WORDS = {
+    "name": "of the run, and of its folder in `runs/`; the file's name unless said",
+    "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
+    "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
+    " ([effects](effects.md))",
+    "particle.material": "a name of the library or of `[materials.NAME]`",
+    "particle.shape": "all shapes have the volume of a sphere of `diameter`",
+    "particle.diameter": "of the sphere of equal volume",
+    "particle.velocity": "of impact; not needed with `[gas]`",
+    "particle.angle": "of flight, from the surface normal, in the plane of x and z",
+    "particle.tilt": "of the shape about y",
+    "particle.temperature": "at impact, uniform",
+    "particle.offset": "of the centre from the axis, x and y, at the start",
+    "particle.gap": "of the lowest point above what lies under it at the start; half a spacing unless said",
+    "particle.dwell": "pause after this impact, in which heat flows",
+    "gas.kind": "of gas",
+    "gas.pressure": "total, before the nozzle",
+    "gas.temperature": "total, before the nozzle",
+    "gas.nozzle": "a name of the library (`coldspray gas --list`) or of `[nozzles.NAME]`",
+    "gas.standoff": "from the nozzle's exit to the target",
+    "gas.ambient": "pressure around the jet",
+    "gas.powder_temperature": "of the powder when it is fed",
+    "gas.bow_shock": "whether a normal shock stops the jet before the target",
+    "gas.drag": "the law of drag",
+    "substrate.material": "a name of the library or of `[materials.NAME]`",
+    "substrate.diameter": "of the cylinder",
+    "substrate.height": "of the cylinder",
+    "substrate.temperature": "at the start, uniform",
+    "substrate.sides": "`absorbing` lets waves out, `free` and `fixed` send them back",
+    "substrate.bottom": "as `sides`",
+    "contact.friction": "Coulomb's coefficient",
+    "adhesion.kind": '`"tied"` for several particles and `"none"` for one, unless said',
+    "adhesion.criterion": "which of the nodes in contact are bonded",
+    "adhesion.threshold": "of plastic strain (a number), pressure (with unit) or velocity over the critical one (1 unless said)",
+    "adhesion.strength": "in tension, of a cohesive bond",
+    "adhesion.energy": "of fracture in tension, of a cohesive bond; 0 is brittle",
+    "adhesion.shear_strength": "in shear; that in tension unless said",
+    "adhesion.shear_energy": "in shear; that in tension unless said",
+    "splat.method": "where the surface of a finished splat comes from ([splats](splats.md))",
+    "splat.element_size": "edges of a splat's elements; the target's smallest unless said",
+    "resolution.spacing": "of the particle's points; by the preset unless said",
+    "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings unless said",
+    "resolution.growth": "of the edges, for each unit of distance from the impact",
+    "end.at": '`"rest"` unless `at` or `time` is said; `"greatest"` is the greatest deformation',
+    "end.time": "after the start of each impact; with `at`, whichever comes first",
+    "output.every": "simulated time between two written steps; diameter / velocity / 25 unless said",
+    "coating.material": "of all particles",
+    "coating.number": "of particles in all",
+    "coating.layers": "that they come in, with equal numbers",
+    "coating.radius": "of the disc about the axis that their centres fall on",
+    "coating.positions": "`even`: each as far as may be from those of its layer",
+    "coating.diameter": "median of a log-normal distribution, by number",
+    "coating.spread": "geometric standard deviation of the diameters; 1 is all equal",
+    "coating.smallest": "where the distribution is cut",
+    "coating.largest": "where the distribution is cut",
+    "coating.velocity": "one value, or pairs of a diameter and a value; from `[gas]` unless said",
+    "coating.velocity_spread": "standard deviation about the velocity, cut at two",
+    "coating.temperature": "one value, or pairs of a diameter and a value",
+    "coating.shapes": "shares of each shape, by number",
+    "coating.dwell": "pause after each impact, in which heat flows",
+    "coating.seed": "the same seed gives the same particles",
+}
+ABOUT = {
+    "particle": "One table `[particle]`, or `[[particle]]` several times: impacts one after another ([sequences](sequences.md)).",
+    "gas": "Optional: gives the velocity and temperature that the particle leaves out ([gas](gas.md)).",
+    "coating": "Optional, in place of `[[particle]]`: many particles drawn from a seed.",
+    "substrate": "The target, a cylinder whose top is the surface.",
+    "contact": "Between particle and target, and between bodies.",
+    "adhesion": "What holds splats to what they lie on ([contact and bonds](contact.md)).",
+    "splat": "How a finished particle becomes finite elements.",
+    "resolution": "Overrides of the preset.",
+    "end": "When an impact ends.",
+    "output": "What is written.",
+}
+MATERIAL = {
+    "rho": "density", "G": "shear modulus", "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
+    "Gamma0": "Grüneisen's parameter", "A": "Johnson-Cook", "B": "Johnson-Cook", "n": "Johnson-Cook", "C": "Johnson-Cook",
+    "m": "Johnson-Cook", "eps_dot_0": "Johnson-Cook: reference rate", "T_ref": "Johnson-Cook: no softening below",
+    "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
+    "thermal_expansion": "linear; for effects that a scene calls for", "sigma_TS": "tensile strength at 293 K, for critical velocities",
+    "cp": "specific heat: two pairs [T, cp], linear between", "k": "conductivity: two pairs [T, k], linear between",
+    "source": "where the numbers come from", "note": "what to know of them",
+}  # fmt: skip
+NOZZLE = {
+    "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
+    "diverging": "length of the second cone", "barrel": "length of a straight part behind",
+    "chamber": "length of a straight part before",
+    "injection": "where the powder is fed, from the throat, upstream negative; at the very start unless said",
+    "source": "where the numbers come from", "assumed": "what of this is not known",
+}  # fmt: skip
+
+
+def main(path: Path = PAGE) -> None:
+    """Write the page."""
+    path.write_text(page(), encoding="utf-8")
+
+
+def page() -> str:
+    """The page as Markdown."""
+    known = "; ".join(f"{name} `{'` `'.join(known)}`" for name, known in _units())
+    lines = [
+        "# A scene, key by key",
+        "",
+        "<!-- written by workflows/scene_page.py from coupler/scene_tables.py: change those -->",
+        "",
+        'A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is',
+        "wrong is said at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds",
+        "every default written out.",
+        "",
+        f"Units: {known}.",
+        "",
+    ]
+    top, tables = [], []
+    for name, info in Scene.model_fields.items():
+        key, model = info.alias or name, _section(info.annotation)
+        if model is not None:
+            tables.append((key, model))
+        elif name not in ("materials", "nozzles"):
+            top.append((key, info))
+    lines += ["## Before the first table", "", *_table("", top)]
+    for key, model in tables:
+        lines += [f"## `[{key}]`", "", ABOUT.get(key, _first(model)), ""]
+        lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
+    lines += [
+        "## `[materials.NAME]`",
+        "",
+        f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())}).",
+        "",
+        *_plain(materials.Material, materials._DEFAULTS, MATERIAL, _material_unit),
+        "## `[nozzles.NAME]`",
+        "",
+        f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md)).",
+        "",
+        *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else ""),
+        "## Effects",
+        "",
+        f"Names for `effects`: {', '.join(f'`{name}`' for name in effects.NAMES)}.",
+        "",
+    ]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def missing_words() -> list[str]:
+    """Keys of a scene that this file has no words for."""
+    keys = []
+    for name, info in Scene.model_fields.items():
+        model = _section(info.annotation)
+        above = info.alias or name
+        keys += [f"{above}.{key}" for key in model.model_fields] if model else [above]
+    keys = [key for key in keys if key not in WORDS and key not in ("materials", "nozzles")]
+    for kind, words in ((materials.Material, MATERIAL), (nozzles.Nozzle, NOZZLE)):
+        keys += [f"{kind.__name__}.{f.name}" for f in dataclasses.fields(kind) if f.name not in (*words, "name")]
+    return keys
+
+
+def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
+    lines = ["| key | takes | default | |", "|---|---|---|---|"]
+    for key, info in fields:
+        lines.append(
+            f"| `{key}` | {_takes(info)} | {'' if key == 'name' else _default(info)} | {WORDS.get(above + key, '')} |"
+        )
+    return [*lines, ""]
+
+
+def _plain(kind: Any, defaults: dict[str, Any], words: dict[str, str], unit_of: Any) -> list[str]:
+    lines = ["| key | unit | default | |", "|---|---|---|---|"]
+    for field in dataclasses.fields(kind):
+        if field.name != "name":
+            default = defaults.get(field.name, "needed")
+            shown = "" if default in (None, "") else f"{default:g}" if isinstance(default, float) else default
+            lines.append(f"| `{field.name}` | {unit_of(field.name)} | {shown} | {words.get(field.name, '')} |")
+    return [*lines, ""]
+
+
+def _material_unit(name: str) -> str:
+    limits = materials._LIMITS | materials._PAIR_LIMITS
+    return limits[name][0] if name in limits else ""
+
+
+def _units() -> list[tuple[str, list[str]]]:
+    used = {units.dimension_of(q.unit) for q in _quantities(Scene)}
+    return [(name, list(known)) for name, (_, known) in units._DIMENSIONS.items() if name in used]
+
+
+def _quantities(model: type) -> list[Quantity]:
+    found: list[Quantity] = []
+    for info in model.model_fields.values():  # type: ignore[attr-defined]
+        inner = _section(info.annotation)
+        found += _quantities(inner) if inner else [q for q in [_quantity(info)] if q]
+    return found
+
+
+def _section(annotation: Any) -> type[Section] | None:
+    """The model of a table, also of a list of tables or an optional one."""
+    for kind in (annotation, *typing.get_args(annotation)):
+        if isinstance(kind, type) and issubclass(kind, Section):
+            return kind
+    return None
+
+
+def _quantity(info: FieldInfo) -> Quantity | None:
+    """The unit and limits of a field, of each item of a tuple too, and of one that hangs on the size."""
+    inner = [item for arg in typing.get_args(info.annotation) for item in getattr(arg, "__metadata__", ())]
+    for item in (*info.metadata, *inner):
+        found = getattr(item, "of", item)
+        if isinstance(found, Quantity):
+            return found
+    return None
+
+
+def _takes(info: FieldInfo) -> str:
+    quantity = _quantity(info)
+    if quantity is not None:
+        text = f"{quantity.low} to {quantity.high}"
+        several = "or pairs" if any(hasattr(item, "of") for item in info.metadata) else ""
+        two = "two of " if typing.get_origin(info.annotation) is tuple and not several else ""
+        return f"{two}{text}{', ' + several if several else ''}"
+    words = _kinds(info.annotation)
+    limits = [
+        f"{sign} {_written(getattr(item, name), None)}"
+        for item in info.metadata
+        for kind, name, sign in ((Ge, "ge", "from"), (Gt, "gt", "above"), (Le, "le", "to"), (Lt, "lt", "below"))
+        if isinstance(item, kind)
+    ]
+    return " ".join([words, *limits])
+
+
+def _kinds(annotation: Any) -> str:
+    origin = typing.get_origin(annotation)
+    if origin is typing.Literal:
+        return " ".join(f"`{value}`" for value in typing.get_args(annotation))
+    if origin in (typing.Union, types.UnionType):
+        kinds = [_kinds(kind) for kind in typing.get_args(annotation) if kind is not type(None)]
+        return " or ".join(dict.fromkeys(kinds))
+    if origin is typing.Annotated:
+        return _kinds(typing.get_args(annotation)[0])
+    if origin is list:
+        return "a list of texts"
+    if origin is dict:
+        return "a table"
+    return {str: "a text", float: "a number", int: "a whole number", bool: "`true` `false`"}[annotation]
+
+
+def _default(info: FieldInfo) -> str:
+    if info.is_required():
+        return "needed"
+    value = info.get_default(call_default_factory=True)
+    quantity = _quantity(info)
+    if value is None or value is PydanticUndefined:
+        return ""
+    if isinstance(value, tuple):
+        return ", ".join(f"`{_written(item, quantity)}`" for item in value)
+    if isinstance(value, dict):
+        return "`{ " + ", ".join(f"{name} = {item:g}" for name, item in value.items()) + " }`"
+    return f"`{_written(value, quantity)}`"
+
+
+def _written(value: Any, quantity: Quantity | None) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if quantity is not None:
+        return units.rounded(value, quantity.unit, 8)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _first(model: type) -> str:
+    return (model.__doc__ or "").split("\n\n")[0].replace("\n", " ").strip()
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:]))
