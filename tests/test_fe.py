@@ -139,6 +139,19 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.75 * exact < sharp < exact
 
 
+def test_the_step_knows_of_elements_that_wake_while_it_is_kept() -> None:
+    """A flat element that sleeps does not set the step until the front will come to it."""
+    m = mesh.prepare(*mesh.box((1.0, 1.0, 12.0), 0.25), origin=(0.5, 0.5, 0.0))
+    t = Target(m, law_record(elastic()), 300.0, fixed=())
+    last = m.conn[-1]
+    t.x[last[0]] += 0.9 * (t.x[last[1:]].mean(axis=0) - t.x[last[0]])
+    assert t.active_elements < len(m.conn)
+    for enough in (0.0, 1.0):
+        now = t.stable_dt(enough)[0]
+        assert t.stable_dt(enough, 0.1 * now)[0] == pytest.approx(now, rel=0.1)
+        assert t.stable_dt(enough, 20.0 / t.wave_speed)[0] < 0.5 * now
+
+
 def test_the_sharper_step_is_stable_while_elements_flow(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that twists itself into plastic flow, stepped at the limit of the whole mesh: as at half the safe bound."""
     m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))

@@ -1,6 +1,6 @@
 """Clouds of points that must become meshes: real impacts and made-up hard ones, by each method, in one table.
 
-    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--out docs/tables/splats.csv]
+    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--out docs/tables/splats.csv] [--summary]
 
 Clouds that are in DIR already are not made again, rows that are in the table are kept: a run that was stopped goes on. Run
 it with OMP_NUM_THREADS=1: seconds are those of one core, the start of the mesher's process and its imports included.
@@ -82,12 +82,16 @@ def main() -> None:
     parser.add_argument("--methods", nargs="*", default=["auto", "paper"])
     parser.add_argument("--only", default="", help="clouds whose name contains this")
     parser.add_argument("--out", type=Path, default=Path("docs/tables/splats.csv"))
+    parser.add_argument("--summary", action="store_true", help="only print what the table says of both methods")
     a = parser.parse_args()
     a.clouds.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, str]] = []
     if a.out.exists():
         with a.out.open() as file:
             rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    if a.summary:
+        print(summary(rows))
+        return
     have = {(row["cloud"], row["asked"], float(row["size_over_spacing"])) for row in rows}
     for kind, makers in (("real", splat_clouds.real()), ("made up", splat_clouds.made_up())):
         for name, make in makers.items():
@@ -114,6 +118,39 @@ def main() -> None:
                     write(a.out, rows)
                     told = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
                     print(f"{name}:", *(rows[-1].get(k, "-")[:150] for k in told), flush=True)
+
+
+def summary(rows: list[dict[str, str]]) -> str:
+    """Both methods side by side, as a table in Markdown: medians over the clouds, with the worst in brackets."""
+    measures = {
+        "volume error before matching": ("volume_before", 100.0, "{:+.1f} %", max),
+        "width against the source": ("width", 100.0, "{:+.1f} %", max),
+        "points more than half a spacing outside": ("outside_half", 100.0, "{:.1f} %", max),
+        "farthest point outside, spacings": ("outside_max", 1.0, "{:.2f}", max),
+        "worst gamma": ("gamma_min", 1.0, "{:.2f}", min),
+        "mean gamma": ("gamma_mean", 1.0, "{:.2f}", min),
+        "least dihedral angle": ("dihedral_deg", 1.0, "{:.0f} deg", min),
+        "worst step length over edge": ("step_over_size", 1.0, "{:.3f}", min),
+        "tetrahedra over points": ("tets", 1.0, "{:.1f}", max),
+        "seconds of one core": ("cpu_s", 1.0, "{:.0f}", max),
+    }
+    both = [[row for row in rows if row["asked"] == method] for method in ("auto", "paper")]
+    lines = ["| | default | paper |", "|---|---|---|"]
+    counts = [
+        f"{sum(row['result'] == 'meshed' for row in some)} with all gates passed, "
+        f"{sum(not row['result'].startswith('failed') for row in some)} at all, of {len(some)}" for some in both
+    ]  # fmt: skip
+    lines.append("| meshed | " + " | ".join(counts) + " |")
+    for label, (name, factor, form, worst) in measures.items():
+        cells = []
+        for some in both:
+            values = [factor * float(row[name]) for row in some if row.get(name)]
+            if name == "tets":
+                values = [float(row["tets"]) / float(row["points"]) for row in some if row.get("tets")]
+            far = worst(values, key=abs) if worst is max else min(values)
+            cells.append(f"{form.format(float(np.median(values)))} ({form.format(far)})")
+        lines.append(f"| {label} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def write(out: Path, rows: list[dict[str, str]]) -> None:

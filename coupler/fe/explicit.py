@@ -124,20 +124,25 @@ class Target:
                 np.add.at(matrix, corners[:, i], share)
         return nodes, matrix[nodes]
 
+    def _awake(self, reach: float) -> tuple[int, int]:
+        """How many nodes and elements a front that has come to `reach` m has woken."""
+        elements = int(np.searchsorted(self.mesh.reach_element, reach))
+        last = self.mesh.conn[:elements].max() + 1 if elements else 0
+        return max(self.active_nodes, int(last)), elements
+
     def _wake(self, dt: float) -> None:
         """Let the front of what is computed run ahead of the waves."""
         self.reach += self.wave_speed * dt
-        self.active_elements = int(np.searchsorted(self.mesh.reach_element, self.reach))
-        last = self.mesh.conn[: self.active_elements].max() + 1 if self.active_elements else 0
-        self.active_nodes = max(self.active_nodes, int(last))
+        self.active_nodes, self.active_elements = self._awake(self.reach)
 
-    def stable_dt(self, enough: float = 0.0) -> tuple[float, int]:
+    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0) -> tuple[float, int]:
         """Largest stable time step (s, Courant factor and damping included) and the element with the smallest bound.
 
         The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
-        `fe.stability` finds for the whole mesh.
+        `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that wake until then count too.
         """
-        e = max(self.active_elements, 1)
+        n, e = self._awake(self.reach + self.wave_speed * ahead)
+        e = max(e, 1)
         bound, where = k.stable_dt(
             0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of
         )  # fmt: skip
@@ -145,7 +150,7 @@ class Target:
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
                 self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
-            dt = max(dt, self._highest.longest_step(self, bound))
+            dt = max(dt, self._highest.longest_step(self, bound, n, e))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
     def advance(self, dt: float) -> None:

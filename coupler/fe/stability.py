@@ -108,25 +108,34 @@ class HighestFrequency:
         self._dv, self._dp = np.zeros(elements), np.zeros(nodes)
         self._fe = np.zeros((elements, 4, 3))
         self._warm = False
+        self._known = 0  # nodes that had a part in the vector so far
 
     def state(self) -> dict[str, Any]:
-        return {"w": self._w.copy(), "warm": self._warm, "random": self._random.bit_generator.state}
+        return {
+            "w": self._w.copy(),
+            "warm": self._warm,
+            "known": self._known,
+            "random": self._random.bit_generator.state,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
-        self._w[:], self._warm = state["w"], state["warm"]
+        self._w[:], self._warm, self._known = state["w"], state["warm"], state["known"]
         self._random.bit_generator.state = state["random"]
 
-    def longest_step(self, t: object, bound: float) -> float:
-        """Stable step in s of a `Target` whose element bound is `bound` s, without damping."""
+    def longest_step(self, t: object, bound: float, n: int, m: int) -> float:
+        """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
         from .explicit import Target
 
         assert isinstance(t, Target)
-        n, m, mesh = t.active_nodes, t.active_elements, t.mesh
+        mesh = t.mesh
         w, f = self._w[:n], self._f
         size = float(np.sqrt(np.mean(w * w))) if self._warm else 0.0
         if not self._warm:
             w[:] = self._random.standard_normal((n, 3))
             size = 1.0
+        elif n > self._known:  # those that have woken since may have the fastest mode of all
+            w[self._known : n] = size * self._random.standard_normal((n - self._known, 3))
+        self._known = max(self._known, n)
         worst = np.argpartition(t.dt_of[:m], min(STIRRED, m - 1))[:STIRRED]
         near = np.unique(mesh.conn[worst])
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))

@@ -120,8 +120,9 @@ class Cloud:
         double = np.flatnonzero(pairs[0][:, 1] < 1e-4 * self.spacing)
         if len(double):
             i = int(double[0])
+            other = next(int(k) for k in pairs[1][i] if k != i)  # either of the two may be named first
             raise SplatError(
-                f"{len(double)} points lie on top of others (points {i} and {pairs[1][i, 1]} at one place): remove the doubles"
+                f"{len(double)} points lie on top of others (points {i} and {other} at one place): remove the doubles"
             )
 
 

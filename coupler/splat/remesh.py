@@ -20,36 +20,40 @@ def even(
     triangles: np.ndarray,
     size: float,
     settle: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    fixed: int = 0,
+    scale: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A closed surface (k,3) m, (m,3) with edges of about `size` m, of the same topology.
 
     settle(vertices, triangles) -> vertices puts them back on the true surface after each round; without it they stay where
-    relaxing along the surface leaves them.
+    relaxing along the surface leaves them. The first `fixed` vertices stay as they are, and so do the edges between them.
+    scale(places (e,3)) -> (e,): edges are to be so many times `size` there (default 1).
     """
     x, t = np.array(vertices, float), np.array(triangles, np.int64)
     edge = float(np.median(np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2)))
     while edge < 0.5 * SHORT * size:  # a fine surface is made coarse in steps, shortest edges first
         edge *= 1.6
-        x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size)
-        x, t = _flip_all(x, t)
-        x = relaxed(x, t)
+        x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size, fixed, scale)
+        x, t = _flip_all(x, t, fixed)
+        x = relaxed(x, t, fixed)
     for _ in range(ROUNDS):
-        x, t = _split_all(x, t, LONG * size)
-        x, t = _collapse_all(x, t, SHORT * size, LONG * size)
-        x, t = _flip_all(x, t)
-        x = relaxed(relaxed(x, t), t)
+        x, t = _split_all(x, t, LONG * size, fixed, scale)
+        x, t = _collapse_all(x, t, SHORT * size, LONG * size, fixed, scale)
+        x, t = _flip_all(x, t, fixed)
+        x = relaxed(relaxed(x, t, fixed), t, fixed)
         if settle is not None:
-            x = settle(x, t)
+            x[fixed:] = settle(x, t)[fixed:]
     return x, t
 
 
-def relaxed(x: np.ndarray, t: np.ndarray) -> np.ndarray:
+def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
     """Vertices (k,3) moved half-way to the mean of their neighbours, along the surface only."""
     total, count = np.zeros_like(x), np.bincount(t.ravel(), minlength=len(x))
     for a, b in ((0, 1), (1, 2), (2, 0)):  # of a closed surface each edge comes once either way: each neighbour once
         for i in range(3):
             total[:, i] += np.bincount(t[:, a], x[t[:, b], i], len(x))
     step = total / count[:, None] - x
+    step[:fixed] = 0.0
     normal = normals(x, t)
     return x + 0.5 * (step - np.einsum("ij,ij->i", step, normal)[:, None] * normal)
 
@@ -86,13 +90,24 @@ def _around(t, n):
     return start, table
 
 
-def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
+Scale = Callable[[np.ndarray], np.ndarray] | None
+
+
+def _scaled(x: np.ndarray, edges: np.ndarray, scale: Scale) -> np.ndarray:
+    """What `size` is multiplied with at the middle of each edge, (e,)."""
+    return np.ones(len(edges)) if scale is None else scale(0.5 * (x[edges[:, 0]] + x[edges[:, 1]]))
+
+
+def _collapse_all(
+    x: np.ndarray, t: np.ndarray, short: float, longest: float, fixed: int, scale: Scale
+) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(60):
         edges, length = _edges(x, t)
-        pick = np.flatnonzero(length < short)
+        wide = _scaled(x, edges, scale)
+        pick = np.flatnonzero((length < short * wide) & (edges >= fixed).any(axis=1))
         pick = pick[np.argsort(length[pick])]
         start, table = _around(t, len(x))
-        done = _collapse(x, t, start, table, edges[pick], longest)
+        done = _collapse(x, t, start, table, edges[pick], longest * wide[pick], fixed)
         if done == 0:
             break
         t = t[t[:, 0] >= 0]
@@ -120,8 +135,11 @@ def _turned(x, t, f, old, p):
 
 
 @njit(cache=True, nogil=True)
-def _collapse(x, t, start, table, edges, longest):
-    """Collapse edges, in their order, to their middles; x and t change in place, gone triangles are -1. Returns how many."""
+def _collapse(x, t, start, table, edges, longest, fixed):
+    """Collapse edges, in their order, to their middles, or to their first end where that is one of the first `fixed` vertices.
+
+    longest (e,): edges that a collapse may leave. x and t change in place, gone triangles are -1. Returns how many.
+    """
     n = len(x)
     locked = np.zeros(n, np.bool_)
     mark = np.full(n, -1)
@@ -145,7 +163,7 @@ def _collapse(x, t, start, table, edges, longest):
                     low = min(low, start[w + 1] - start[w])
         if shared != 2 or low < 4:
             continue
-        p = 0.5 * (x[u] + x[v])
+        p = x[u].copy() if u < fixed else 0.5 * (x[u] + x[v])
         good = True
         for old, other in ((u, v), (v, u)):
             for r in range(start[old], start[old + 1]):
@@ -156,7 +174,7 @@ def _collapse(x, t, start, table, edges, longest):
                     w = t[f, k]
                     if w != old:
                         d = x[w] - p
-                        good = good and np.dot(d, d) < longest * longest
+                        good = good and np.dot(d, d) < longest[e] * longest[e]
                 good = good and not _turned(x, t, f, old, p)
             if not good:
                 break
@@ -179,10 +197,10 @@ def _collapse(x, t, start, table, edges, longest):
     return done
 
 
-def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
+def _split_all(x: np.ndarray, t: np.ndarray, longest: float, fixed: int, scale: Scale) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(20):
         edges, length = _edges(x, t)
-        pick = np.flatnonzero(length > longest)
+        pick = np.flatnonzero((length > longest * _scaled(x, edges, scale)) & (edges >= fixed).any(axis=1))
         if len(pick) == 0:
             break
         pick = edges[pick[np.argsort(-length[pick])]]
@@ -220,9 +238,10 @@ def _split(x, t, start, table, edges):
     return np.concatenate((x, points[:done])), np.concatenate((t, faces[: 2 * done]))
 
 
-def _flip_all(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _flip_all(x: np.ndarray, t: np.ndarray, fixed: int) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(8):
         edges, _ = _edges(x, t)
+        edges = edges[(edges >= fixed).any(axis=1)]
         start, table = _around(t, len(x))
         if _flip(x, t, start, table, edges) == 0:
             break

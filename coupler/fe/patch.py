@@ -1,0 +1,253 @@
+"""A part of the mesh taken out and another put in its place: which part can be, and the seam.
+
+The elements of a patch form one solid whose boundary is one closed surface without pinched edges or corners. Some of its triangles
+are free surface of the body; the others, the cut, are faces that elements outside have too. A new mesh of the patch has
+the same cut, triangle by triangle.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from ..errors import SolverError
+from .assemble import Domain, _pressures, _yields
+from .heat import take_heat
+from .kernels import elastic_shear_energy
+from .mesh import TetMesh
+
+_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outwards of a positive tetrahedron
+ROUNDS = 12  # at most, to make a patch's boundary sound
+
+
+@dataclass(frozen=True)
+class Patch:
+    """elements (p,) of the mesh, ascending; nodes (k,) of its boundary, those of the cut first; cut: how many those are.
+
+    triangles (f,3): boundary, outwards, by position in `nodes`, those of the cut first; free: how many are not of the cut;
+    inner (i,): nodes that no element outside the patch has; name: the facet set that its free surface belongs to.
+    """
+
+    elements: np.ndarray
+    nodes: np.ndarray
+    cut: int
+    triangles: np.ndarray
+    free: int
+    inner: np.ndarray
+    name: str
+
+
+def boundary(conn: np.ndarray) -> np.ndarray:
+    """Triangles (k,3) that only one of the tetrahedra (m,4) has, outwards."""
+    faces = np.concatenate([conn[:, face] for face in _FACES]).astype(np.int64)
+    _, first, count = np.unique(_key(faces, int(conn.max()) + 1), return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]
+
+
+def _key(faces: np.ndarray, many: int) -> np.ndarray:
+    a, b, c = np.sort(faces, axis=1).astype(np.int64).T
+    return (a * many + b) * many + c
+
+
+def pinched(triangles: np.ndarray) -> np.ndarray:
+    """Nodes of a surface (k,3) where it is not one disc: of edges that more than two triangles have, and of corners alone."""
+    n, f = int(triangles.max()) + 1, len(triangles)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    low, high = edges.min(axis=1), edges.max(axis=1)
+    key = low * n + high
+    order = np.argsort(key, kind="stable")
+    values, count = np.unique(key, return_counts=True)
+    wrong = values[count != 2]
+    bad = np.concatenate([wrong // n, wrong % n])
+    # the corners of two triangles at a common edge belong to one fan: in a sound surface each node has one
+    flat, corner = triangles.ravel(), np.arange(3 * f).reshape(f, 3)
+    first, last = corner.T.ravel(), corner[:, [1, 2, 0]].T.ravel()
+    a, b = order[np.repeat(count == 2, count)].reshape(-1, 2).T
+    same = flat[first[a]] == flat[first[b]]
+    one = np.stack([first[a], np.where(same, first[b], last[b])], axis=1)
+    other = np.stack([last[a], np.where(same, last[b], first[b])], axis=1)
+    links = np.concatenate([one, other])
+    graph = coo_matrix((np.ones(len(links), np.int8), links.T), shape=(3 * f, 3 * f))
+    fans, which = connected_components(graph, directed=False)
+    owner = np.zeros(fans, np.int64)  # a node that is in no triangle has no fan
+    owner[which] = flat
+    twice = np.flatnonzero(np.bincount(owner, minlength=n) > 1)
+    return np.unique(np.concatenate([bad, twice])).astype(np.int64)
+
+
+def patch_of(mesh: TetMesh, wanted: np.ndarray, allowed: np.ndarray, seed: int) -> Patch | None:
+    """The part of the elements wanted (m,) bool that hangs together with the element `seed`, made sound with elements allowed
+    (m,) bool.
+
+    None where nothing sound is left, or where its free surface belongs to more than one facet set.
+    """
+    chosen = wanted & allowed
+    conn = mesh.conn
+    for turn in range(ROUNDS):
+        if not chosen[seed]:
+            return None
+        chosen = _part(conn, chosen, seed)
+        bad = pinched(boundary(conn[chosen]))
+        if len(bad) == 0:
+            break
+        touching = np.isin(conn, bad).any(axis=1)
+        grown = chosen | (touching & allowed)
+        chosen = grown if turn < ROUNDS // 2 and grown.sum() > chosen.sum() else chosen & ~touching
+    else:
+        return None
+    faces = boundary(conn[chosen])
+    many = len(mesh.points)
+    free = np.isin(_key(faces, many), _key(mesh.facets, many))
+    faces = np.concatenate([faces[~free], faces[free]])
+    count = int((~free).sum())
+    cut = np.unique(faces[:count])
+    others = np.setdiff1d(np.unique(faces[count:]), cut)
+    nodes = np.concatenate([cut, others])
+    place = np.zeros(many, np.int64)
+    place[nodes] = np.arange(len(nodes))
+    outside = np.zeros(many, bool)
+    outside[conn[~chosen]] = True
+    inner = np.unique(conn[chosen])
+    own = np.isin(_key(mesh.facets, many), _key(faces[count:], many))
+    names = [name for name, ids in mesh.sets.items() if own[ids].any()]
+    if len(names) != 1 or len(faces) == count:
+        return None
+    return Patch(
+        np.flatnonzero(chosen), nodes, len(cut), place[faces], len(faces) - count, inner[~outside[inner]], names[0]
+    )
+
+
+def _part(conn: np.ndarray, chosen: np.ndarray, seed: int) -> np.ndarray:
+    """Those of the chosen elements (m,) bool that hang together with one of them, `seed`, by faces."""
+    ids = np.flatnonzero(chosen)
+    faces = np.concatenate([conn[ids][:, face] for face in _FACES])
+    key = _key(faces, int(conn.max()) + 1)
+    element = np.tile(np.arange(len(ids)), 4)
+    order = np.argsort(key, kind="stable")
+    twin = np.flatnonzero(key[order][1:] == key[order][:-1])
+    pairs = element[order[twin]], element[order[twin + 1]]
+    graph = coo_matrix((np.ones(len(twin), np.int8), pairs), shape=(len(ids), len(ids)))
+    _, part = connected_components(graph, directed=False)
+    found = np.zeros(len(conn), bool)
+    found[ids[part == part[np.searchsorted(ids, seed)]]] = True
+    return found
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """What comes in a patch's place. points (n,3) m: those of the cut as they are, then new ones; tets (t,4).
+
+    V0 (t,) m3: reference volumes. nodes: v, energy of the new nodes; elements: s, eps_p, rate, heat, T of all new elements
+    (units as in `explicit.Target`).
+    """
+
+    points: np.ndarray
+    tets: np.ndarray
+    V0: np.ndarray
+    nodes: dict[str, np.ndarray]
+    elements: dict[str, np.ndarray]
+
+
+def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndarray, np.ndarray, np.ndarray]:
+    """The domain with a patch replaced; the new number of each node (n,) and facet (k,) of before, -1 where it is gone; and
+    (2,) J: the elastic energy that the new stresses lack, which has become heat in the patch, and what of it makes pressure.
+
+    What is outside keeps its numbers in order; the new comes after it: `merge` numbers it all outwards. Volumes of the nodes
+    of the cut are counted again, all else of theirs stays. Raises SolverError where the new mesh has not the same cut.
+    """
+    mesh, n = domain.mesh, len(domain.mesh.points)
+    gone = np.zeros(n, bool)
+    gone[patch.inner] = True
+    node = np.where(gone, -1, np.cumsum(~gone) - 1)
+    kept_nodes, added = int((~gone).sum()), len(new.points) - patch.cut
+    out = np.ones(len(mesh.conn), bool)
+    out[patch.elements] = False
+    number = np.concatenate([node[patch.nodes[: patch.cut]], kept_nodes + np.arange(added)])
+    tets = number[new.tets]
+    conn = np.concatenate([node[mesh.conn[out]], tets])
+
+    faces = boundary(conn)
+    many = kept_nodes + added
+    old = ~np.isin(_key(mesh.facets, n), _key(patch.nodes[patch.triangles[-patch.free :]], n))
+    stay = node[mesh.facets[old]]
+    fresh = faces[~np.isin(_key(faces, many), _key(stay, many))]
+    behind = np.isin(fresh, number).all(axis=1)
+    if len(stay) + len(fresh) != len(faces) or not behind.all():
+        raise SolverError("a remeshed patch does not meet the mesh round it: the target is kept as it was")
+    facet = np.where(old, np.cumsum(old) - 1, -1)
+    sets = {name: facet[ids][facet[ids] >= 0] for name, ids in mesh.sets.items()}
+    sets[patch.name] = np.concatenate([sets[patch.name], len(stay) + np.arange(len(fresh))])
+    facets = np.concatenate([stay, fresh]).astype(np.int32)
+
+    def put(values: np.ndarray, more: np.ndarray, which: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.concatenate([values[which], more]))
+
+    V0 = put(mesh.V0, new.V0, out)
+    B, V = _gradients(new.points[new.tets], new.V0)
+    law = domain.laws[domain.body[patch.elements[:1]]]
+    sigma_y = _yields(law, new.elements["eps_p"], new.elements["T"])
+    s = new.elements["s"]
+    equivalent = np.sqrt(1.5 * (np.sum(s[:, :3] ** 2, axis=1) + 2.0 * np.sum(s[:, 3:] ** 2, axis=1)))
+    s = s * np.minimum(1.0, sigma_y / np.maximum(equivalent, 1.0))[:, None]  # a mean of states may lie beyond yield
+    still = np.zeros((added, 3))
+    nodes = {
+        "x": new.points[patch.cut :],
+        "f": still,
+        "f_old": still,
+        "total": still,
+        "J": still[:, 0],
+        "p": still[:, 0],
+    }
+    elements = new.elements | {"s": s, "sigma_y": sigma_y, "volume": V, "fe": np.zeros((len(tets), 4, 3))}
+    lost, warmth = _made_up(domain, patch, elements, new.V0)
+    state = {name: put(domain.state[name], values, ~gone) for name, values in (nodes | new.nodes).items()}
+    state |= {name: put(domain.state[name], values, out) for name, values in elements.items()}
+    share = np.bincount(conn.ravel(), np.repeat(0.25 * V0, 4), many)
+    renewed_mesh = TetMesh(
+        points=put(mesh.points, new.points[patch.cut :], ~gone), conn=conn.astype(np.int32), B=put(mesh.B, B, out), V0=V0,
+        node_volume=share, facets=facets, facet_element=_behind(conn, facets), sets=sets, reach_node=np.zeros(many),
+        reach_element=np.zeros(len(conn)),
+    )  # fmt: skip
+    body = np.concatenate([domain.body[out], np.full(len(tets), domain.body[patch.elements[0]])]).astype(np.int32)
+    made = replace(domain, mesh=renewed_mesh, state=state, body=body)
+    touched = np.unique(tets)
+    now = np.bincount(conn.ravel(), np.repeat(0.25 * state["volume"], 4), many)
+    state["J"][touched] = (now / share)[touched]
+    state["p"][touched] = _pressures(law, state["J"][touched], state["energy"][touched])
+    return made, node, facet, np.array([lost, warmth])
+
+
+def _made_up(domain: Domain, patch: Patch, new: dict[str, np.ndarray], V0: np.ndarray) -> tuple[float, float]:
+    """Give the elastic energy of shear that a patch has lost to its new elements as heat: (that energy, what makes pressure), J."""
+    old, laws = patch.elements, domain.laws
+    of_old = np.full(len(old), domain.body[old[0]], np.int32)
+    of_new = np.full(len(V0), domain.body[old[0]], np.int32)
+    before = elastic_shear_energy(
+        0, len(old), domain.state["volume"][old], domain.mesh.V0[old], laws, of_old, domain.state["s"][old]
+    )
+    lost = float(before - elastic_shear_energy(0, len(V0), new["volume"], V0, laws, of_new, new["s"]))
+    T, heat, sigma_y = new["T"].copy(), new["heat"].copy(), new["sigma_y"].copy()
+    warmth = take_heat(0, len(V0), lost * V0 / V0.sum(), V0, laws, of_new, T, heat, sigma_y)
+    new |= {"T": T, "heat": heat, "sigma_y": sigma_y}
+    return lost, float(warmth)
+
+
+def _gradients(corner: np.ndarray, V0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Reference gradients (t,3,3) of nodes 1 to 3 and volumes now (t,) of tetrahedra (t,4,3) m whose reference shape is their
+    present one, shrunk or swollen to V0 m3. Raises SolverError for an inverted one."""
+    edge = corner[:, 1:] - corner[:, :1]
+    V = np.linalg.det(edge) / 6.0
+    if not V.min() > 0.0:
+        raise SolverError("a remeshed patch has an inverted tetrahedron: the target is kept as it was")
+    return np.swapaxes(np.linalg.inv(edge), 1, 2) * ((V / V0) ** (1.0 / 3.0))[:, None, None], V
+
+
+def _behind(conn: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """The element behind each facet (k,3)."""
+    many = int(conn.max()) + 1
+    faces = np.concatenate([conn[:, face] for face in _FACES])
+    key = _key(faces, many)
+    order = np.argsort(key, kind="stable")
+    found = order[np.searchsorted(key, _key(facets, many), sorter=order)]
+    return (found % len(conn)).astype(np.int32)

@@ -1,0 +1,202 @@
+"""Where an impact has distorted the target its mesh is made new: what is kept, and when nothing is done."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler import Scene, joining, run
+from coupler.bodies import Bodies
+from coupler.deposition import bodies_from, build_bodies
+from coupler.errors import SplatError
+from coupler.fe.patch import patch_of, pinched
+from coupler.materials import material
+from coupler.plan import plan
+from coupler.remeshing import Gate, crater_diameter, remeshed
+from coupler.splat import quality
+from coupler.splat.renew import closest, renewed_surface
+from coupler.splat.surface import open_or_double
+from coupler.tetrahedra import fill_apart
+
+SCENE = """
+[[particle]]
+material = "Ni"
+diameter = "25 um"
+velocity = "1000 m/s"
+[[particle]]
+material = "Ni"
+diameter = "25 um"
+velocity = "1000 m/s"
+[substrate]
+material = "SS304"
+diameter = "120 um"
+height = "60 um"
+[resolution]
+spacing = "3 um"
+element_size = "4.5 um"
+"""
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+class Seen(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def hit(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Bodies after a first impact at 1000 m/s, before they are joined."""
+    found: dict[str, Any] = {}
+
+    def look(what: Any, i: int, setting: Any, bodies: Bodies, *_: Any) -> None:
+        found.update(what=what, whole=bodies.whole())
+        raise Seen
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(joining, "join", look)
+        with pytest.raises(Seen):
+            run(Scene.from_text(SCENE, "remeshing"), Path(tmp_path_factory.mktemp("run")) / "out", threads=1)
+    return found
+
+
+def gate_of(what: Any) -> Gate:
+    return Gate.of(what.impacts[1].spacing, what.impacts[1].material.wave_speed)
+
+
+@pytest.fixture(scope="module")
+def cured(hit: dict[str, Any]) -> tuple[Bodies, Bodies, dict[str, Any]]:
+    old = bodies_from(hit["what"], hit["whole"])
+    new, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
+    return old, new, report
+
+
+def test_a_distorted_crater_is_remeshed(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+    old, new, report = cured
+    before, after = report["before"], report["after"]
+    assert report["remeshed"]
+    assert new is not old
+    assert before["step_s"] < report["gate_step_s"] or before["quality"] < report["gate_quality"]
+    assert after["step_s"] > 1.5 * before["step_s"]
+    assert after["quality"] > 2.0 * before["quality"]
+    mesh = new.target.mesh
+    assert quality.volumes(new.target.x, mesh.conn).min() > 0.0
+    assert open_or_double(mesh.facets.astype(np.int64)) == ""
+    assert np.all(np.diff(mesh.reach_element) >= 0)
+    behind = mesh.conn[mesh.facet_element]
+    assert all(np.isin(facet, tet).all() for facet, tet in zip(mesh.facets, behind, strict=True))
+    assert sum(len(ids) for ids in mesh.sets.values()) == len(mesh.facets)
+
+
+def test_what_is_conserved(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+    old, new, report = cured
+    before, after = report["before"], report["after"]
+    for name in ("mass_kg", "energy_J", "mass_eps_p_kg"):
+        assert after[name] == pytest.approx(before[name], rel=1e-12), name
+    # stresses made smooth hold less: what they have lost is heat now
+    lost = sum(patch["smoothed_J"] for patch in report["patches"])
+    warmer = material("SS304").cp_at(600.0) * (after["mass_temperature_kg_K"] - before["mass_temperature_kg_K"])
+    assert warmer == pytest.approx(lost, rel=0.25)
+    assert after["volume_m3"] == pytest.approx(before["volume_m3"], rel=1e-10)
+    mass, speed = old.target.mass, np.linalg.norm(old.target.v, axis=1)
+    for name, size in (
+        ("momentum_N_s", mass @ speed),
+        ("angular_momentum_N_m_s", mass @ (speed * np.linalg.norm(old.target.x, axis=1))),
+    ):
+        np.testing.assert_allclose(after[name], before[name], atol=1e-12 * size)
+    assert after["kinetic_J"] == pytest.approx(before["kinetic_J"], rel=0.02)
+    # the measured shape: a coarse crater loses a little of its lowest and highest node
+    assert after["crater_depth_m"] == pytest.approx(before["crater_depth_m"], rel=0.1)
+    assert after["crater_diameter_m"] == pytest.approx(before["crater_diameter_m"], rel=0.03)
+    assert new.target.eps_p.min() >= 0.0
+    assert np.all(new.target.mass > 0.0)
+
+
+def test_outside_the_patch_nothing_moves(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+    old, new, _ = cured
+    far = old.target.mesh.sets["bottom"]
+    was = {tuple(x) for x in old.target.x[np.unique(old.target.mesh.facets[far])]}
+    is_now = {tuple(x) for x in new.target.x[np.unique(new.target.mesh.facets[new.target.mesh.sets["bottom"]])]}
+    assert was == is_now
+    both = {tuple(x): J for x, J in zip(old.target.x, old.target.J, strict=True)}
+    same = [both[tuple(x)] == J for x, J in zip(new.target.x, new.target.J, strict=True) if tuple(x) in both]
+    assert np.mean(same) > 0.5  # all but the nodes of the cut
+
+
+def test_the_books_and_the_rest(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+    """The remeshed target comes to rest without a jolt, its books closed over the steps to it."""
+    _, new, report = cured  # last of those that use it, for it goes on
+    t, kinetic_0 = new.target, 0.5 * 8906.0 * np.pi / 6 * (25e-6) ** 3 * 1e6
+    assert abs(sum(patch["smoothed_J"] for patch in report["patches"])) < 0.01 * kinetic_0
+    t.rest()
+    held, work = t.elastic() + t.sums[0] + t.sums[1], t.internal_work
+    settled = new.settle(kinetic_0)
+    assert settled["jolt"] < 0.005
+    # what the forces inside have taken up is what is stored and dissipated there
+    gained = t.elastic() + t.sums[0] + t.sums[1] - held
+    assert gained == pytest.approx(t.internal_work - work, abs=0.002 * kinetic_0)
+
+
+def test_where_nothing_is_distorted_nothing_is_done(hit: dict[str, Any]) -> None:
+    what = plan(Scene.from_text(SCENE, "remeshing"))
+    fresh = build_bodies(what)
+    same, report = remeshed(fresh, gate_of(what), ORIGIN)
+    assert same is fresh
+    assert not report["remeshed"]
+    # nor where the gate lets pass what the impact has left
+    old = bodies_from(hit["what"], hit["whole"])
+    same, report = remeshed(old, Gate(step=1e-15, quality=0.0), ORIGIN)
+    assert same is old
+    assert not report["remeshed"]
+
+
+def test_a_mesher_that_fails_leaves_the_target(hit: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    def no(*_: Any, **__: Any) -> None:
+        raise SplatError("gmsh was ended by SIGSEGV")
+
+    monkeypatch.setattr("coupler.remeshing.fill_apart", no)
+    old = bodies_from(hit["what"], hit["whole"])
+    same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
+    assert same is old
+    assert not report["remeshed"]
+    assert all("SIGSEGV" in why for patch in report["patches"] for why in patch["failed"])
+
+
+def test_a_patch_that_would_touch_what_is_held_is_none(hit: dict[str, Any]) -> None:
+    mesh = hit["whole"]["mesh"]
+    old = bodies_from(hit["what"], hit["whole"]).target.mesh
+    allowed = np.zeros(len(mesh["conn"]), bool)
+    assert patch_of(old, ~allowed, allowed, 0) is None
+
+
+def test_pinched_surfaces_are_seen() -> None:
+    one = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+    assert len(pinched(one)) == 0
+    at_a_corner = np.concatenate([one, np.where(one == 0, 0, one + 3)])
+    assert pinched(at_a_corner).tolist() == [0]
+    at_an_edge = np.concatenate([one, np.where(one <= 1, one, one + 2)])
+    assert set(pinched(at_an_edge)) >= {0, 1}
+
+
+def test_the_closest_point_of_a_triangle() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    x = np.array([[0.2, 0.2, 1.0], [-1, -1, 0], [0.5, -1, 2], [1, 1, 0], [3, -0.1, 1]])
+    wanted = np.array([[0.2, 0.2, 0], [0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [1, 0, 0]])
+    np.testing.assert_allclose(closest(x, np.broadcast_to(corners, (5, 3, 3))), wanted, atol=1e-15)
+
+
+def test_crater_diameter_of_a_cone() -> None:
+    """A cone of depth 1 and radius 2: deeper than d it has the radius 2 (1 - d)."""
+    phi = np.linspace(0.0, 2.0 * np.pi, 721)
+    rim = np.stack([2.0 * np.cos(phi), 2.0 * np.sin(phi), 0.0 * phi], axis=1)
+    tip = np.broadcast_to([0.0, 0.0, -1.0], rim[1:].shape)
+    cone = np.stack([tip, rim[:-1], rim[1:]], axis=1)
+    assert crater_diameter(cone, 0.25) == pytest.approx(3.0, rel=1e-4)
+    assert crater_diameter(cone, 2.0) == 0.0
+
+
+def test_an_open_surface_is_refused() -> None:
+    x, t = np.eye(4, 3), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3]])
+    with pytest.raises(SplatError, match="not closed"):
+        renewed_surface(x, t, 0, 3, 0.5)
+    with pytest.raises(SplatError):
+        fill_apart([(x, t)], 0.5, time_limit=60.0)

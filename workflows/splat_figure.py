@@ -1,0 +1,88 @@
+"""docs/splats.png: what the default and the paper's way make of three clouds of the battery, cut open.
+
+    python workflows/splat_figure.py [--clouds DIR]
+
+Clouds that are not in DIR yet are made (see splat_battery.py).
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import splat_battery
+import splat_clouds
+
+from coupler.errors import SplatError
+from coupler.splat.convert import convert
+
+CLOUDS = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, made up"}
+
+
+def section(axes: Any, points: np.ndarray, tets: np.ndarray, values: np.ndarray, most: float) -> Any:
+    """Draw the cut of tetrahedra with the plane y = 0, coloured by their values (m,)."""
+    from matplotlib.collections import PolyCollection
+
+    y = points[:, 1]
+    crossed = np.flatnonzero((y[tets].min(axis=1) < 0.0) & (y[tets].max(axis=1) > 0.0))
+    polygons = []
+    for tet in tets[crossed]:
+        ends = np.array([(a, b) for a in tet for b in tet if y[a] < 0.0 <= y[b]])
+        share = (y[ends[:, 0]] / (y[ends[:, 0]] - y[ends[:, 1]]))[:, None]
+        corners = ((1.0 - share) * points[ends[:, 0]] + share * points[ends[:, 1]])[:, [0, 2]] * 1e6
+        off = corners - corners.mean(axis=0)
+        polygons.append(corners[np.argsort(np.arctan2(off[:, 1], off[:, 0]))])
+    drawn = PolyCollection(polygons, array=values[crossed], cmap="viridis", edgecolors="k", linewidths=0.3)
+    drawn.set_clim(0.0, most)
+    return axes.add_collection(drawn)
+
+
+def main() -> None:
+    """Make the picture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
+    parser.add_argument("--out", type=Path, default=Path("docs/splats.png"))
+    a = parser.parse_args()
+    a.clouds.mkdir(parents=True, exist_ok=True)
+    figure, axes = plt.subplots(3, len(CLOUDS), figsize=(12.0, 6.4), constrained_layout=True)
+    for column, (name, label) in zip(axes.T, CLOUDS.items(), strict=True):
+        path = a.clouds / f"{name}.npz"
+        if not path.exists():
+            np.savez_compressed(path, **(splat_clouds.real() | splat_clouds.made_up())[name]())
+        cloud = splat_battery.load(path)
+        assert cloud.eps_p is not None
+        most = float(np.percentile(cloud.eps_p, 99))
+        near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing
+        at = cloud.x[near] * 1e6
+        column[0].scatter(at[:, 0], at[:, 2], s=9, c=cloud.eps_p[near], cmap="viridis", vmin=0.0, vmax=most)
+        column[0].set_title(f"{label}: {len(cloud.x)} points", fontsize=9)
+        for panel, method in zip(column[1:], ("auto", "paper"), strict=True):
+            try:
+                splat = convert(cloud, splat_battery.SIZE_OVER_SPACING * cloud.spacing, method)
+            except SplatError:
+                panel.text(0.5, 0.5, "no mesh", ha="center", va="center", transform=panel.transAxes)
+                continue
+            for body in splat.bodies:
+                assert body.eps_p is not None
+                drawn = section(panel, body.points, body.tets, body.eps_p, most)
+            r = splat.report
+            told = f"{r['tets']} tets, gamma {r['gamma_min']:.2f}, volume {r['volume_error_before']:+.1%}"
+            panel.set_title(f"{r['method']}: {told}", fontsize=7.5)
+        low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
+        for panel in column:
+            panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[2], high[2]))
+        column[2].set_xlabel("x (µm)")
+    for panel, label in zip(axes[:, 0], ("points at y = 0", "default", "the paper's way"), strict=True):
+        panel.set_ylabel(f"{label}\nz (µm)")
+    figure.colorbar(drawn, ax=axes[:, -1], label="plastic strain, to the 99th percentile", shrink=0.7)
+    figure.savefig(a.out, dpi=100)
+
+
+if __name__ == "__main__":
+    main()
