@@ -8,7 +8,6 @@ from .adhesion import Adhesion
 from .effects import Effects, Situation
 from .materials import Material
 from .scene import Scene
-from .scene_tables import Particle
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
@@ -19,8 +18,9 @@ NEAR_MELTING = 0.9  # of the melting point
 class ImpactPlan:
     """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
-    that many. Times in s: end_time, the longest it may take; expected; rate_filter, the strain rate's smoothing; dwell,
-    the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at end_time at the latest."""
+    that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
+    rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
+    end_time at the latest."""
 
     material: Material
     shape: str
@@ -34,6 +34,7 @@ class ImpactPlan:
     points: int
     end_time: float
     expected: float
+    dt_expected: float
     rate_filter: float
     output_every: float
     dwell: float
@@ -75,10 +76,15 @@ class Plan:
     dt_estimate: float
     steps_estimate: int
     memory_bytes: float
-    wall_estimate: float
+    cost: estimates.Cost
     home_load: float
     preset: str
     warnings: tuple[str, ...]
+
+    @property
+    def wall_estimate(self) -> float:
+        """Time of all on one core of the machine that the constants of `estimates` were fitted on, s."""
+        return self.cost.whole
 
     @property
     def impact(self) -> ImpactPlan:
@@ -108,11 +114,11 @@ class Plan:
 
 def plan(scene: Scene) -> Plan:
     """Decide everything about a checked scene. Raises SceneError if it names a material that is not there."""
-    impacts = tuple(_impact(scene, particle) for particle in scene.particles)
+    impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.material(scene.substrate.material)
     decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
     target = _target(scene, base, decided)
-    dt = [estimates.CFL * i.spacing / i.material.wave_speed for i in impacts]
+    dt = [i.dt_expected for i in impacts]
     steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
     # every impact but the first finds the splats of those before it among the target's elements
     elements = [target.elements_estimate]
@@ -134,18 +140,39 @@ def plan(scene: Scene) -> Plan:
         dt_estimate=min(dt),
         steps_estimate=sum(steps),
         memory_bytes=estimates.memory(scene.points, elements[-1]),
-        wall_estimate=sum(estimates.wall_time(*cost) for cost in costs) + conversions,
+        cost=estimates.Cost(
+            steps=sum(estimates.step_time(n, E) for n, _, E in costs),
+            points=sum(estimates.point_time(n, N) for n, N, _ in costs),
+            rest=estimates.run_time(elements[0]) + conversions,
+        ),
         home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
         warnings=tuple(_warnings(scene, impacts, base, decided)),
     )
 
 
-def _impact(scene: Scene, particle: Particle) -> ImpactPlan:
+def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
+    """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), whether a
+    splat."""
+    at = scene.particles[i].offset
+    for earlier in reversed(scene.particles[:i]):
+        if math.dist(earlier.offset, at) < earlier.diameter / 2:
+            return scene.material(earlier.material), earlier.temperature, True
+    return scene.material(scene.substrate.material), scene.substrate.temperature, False
+
+
+def _impact(scene: Scene, i: int) -> ImpactPlan:
+    particle = scene.particles[i]
     D, v, cap = particle.diameter, particle.velocity, scene.end_time_of(particle)
     end_at = scene.end.at or "time"
+    material, (base, T, on_splat) = scene.material(particle.material), _under(scene, i)
+    damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
+    points = particle.volume / scene.spacing**3
+    tall = particle.form.height(particle.tilt) / D
+    height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
+    dt = estimates.time_step(scene.spacing, material.wave_speed, damage, points, particle.angle, tall)
     return ImpactPlan(
-        material=scene.material(particle.material),
+        material=material,
         shape=particle.shape,
         tilt=particle.tilt,
         diameter=D,
@@ -156,7 +183,8 @@ def _impact(scene: Scene, particle: Particle) -> ImpactPlan:
         spacing=scene.spacing,
         points=scene.points_of(particle),
         end_time=cap,
-        expected=estimates.expected_time(cap, particle.height, v, end_at),
+        expected=estimates.expected_time(cap, height, v, end_at, damage, points, particle.angle),
+        dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
         output_every=scene.output_every_of(particle),
         dwell=particle.dwell,
@@ -199,7 +227,7 @@ def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -
                 spacing=impact.spacing,
                 duration=impact.end_time,
                 dwell=impact.dwell,
-                bonded=len(impacts) > 1 and scene.adhesion_law.kind != "none",
+                bonded=scene.adhesion_law.kind != "none",
             )
         )
         left -= impact.end_time
@@ -258,8 +286,9 @@ def _listed(labels: list[str]) -> str:
     return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
 
 
-def describe(plan: Plan) -> str:
-    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal."""
+def describe(plan: Plan, outlook: str = "") -> str:
+    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
+    accuracy on this machine, in place of the plan's own."""
     from .plan_text import describe as text  # there, because it needs the plan above
 
-    return text(plan)
+    return text(plan, outlook)

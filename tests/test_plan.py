@@ -41,8 +41,9 @@ def test_each_impact_is_planned():
     assert second.velocity == pytest.approx((125.0, 0.0, -250 * math.cos(math.pi / 6)))
     assert second.rate_filter == pytest.approx(2 * third.rate_filter)
     assert second.output_every == pytest.approx(2 * third.output_every)
-    assert second.expected == pytest.approx(2 * third.expected)
-    assert third.expected < plan(several({}, {})).impacts[1].expected < third.end_time
+    again = plan(several({}, {})).impacts[1]  # of the same spacing, but on a splat of nickel and at 500 m/s
+    assert third.expected < again.expected < second.expected < second.end_time
+    assert again.dt_expected < second.dt_expected
     assert made.end_time == pytest.approx(sum(i.end_time for i in made.impacts))
     assert made.rate_filter == first.rate_filter
     assert made.target.centre == (2e-6, 0.0)
@@ -61,7 +62,9 @@ def test_cost_grows_with_the_splats_that_join():
     one, two, three = (plan(several(*[{}] * n)) for n in (1, 2, 3))
     splat = one.scene.splat_elements_of(one.scene.particle)
     assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
-    assert (two.steps_estimate, three.steps_estimate) == (2 * one.steps_estimate, 3 * one.steps_estimate)
+    later = two.steps_estimate - one.steps_estimate  # on a splat: smaller steps, and another metal under it
+    assert later > one.steps_estimate
+    assert three.steps_estimate == two.steps_estimate + later
     added = [two.wall_estimate - one.wall_estimate, three.wall_estimate - two.wall_estimate]
     assert one.wall_estimate < added[0] < added[1]
     assert one.home_load < two.home_load < three.home_load
@@ -112,7 +115,9 @@ def test_conduction_where_heat_crosses_an_element_of_the_target():
     assert not plan(scene_with(end__time="10 ns")).effects.on("conduction")  # steel
     copper = plan(scene_with(substrate__material="OFHC_Cu"))
     length = math.sqrt(effects.diffusivity(copper.target.material, 300) * copper.end_time)
-    assert row(copper, "conduction").value == pytest.approx(length / copper.target.element_size)
+    bodies = (copper.impact.material, copper.target.material)
+    warming = max(effects.heating(m, 300.0, 500.0) / (m.T_m - 300.0) for m in bodies)
+    assert row(copper, "conduction").value == pytest.approx(warming * length / copper.target.element_size)
     assert copper.effects.on("conduction")
 
 

@@ -1,0 +1,371 @@
+"""Accuracy against time: the ladder, what is fitted to it, bands and choices, the pace of a machine, the command."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_scene import scene_with, several
+
+from coupler import cli, estimates
+from coupler.accuracy import bands, command, draw, fit, ladder, pace
+from coupler.errors import ColdsprayError, SolverError, StoreError
+from coupler.plan import plan
+from coupler.scene import Scene
+
+MEASURED = {
+    "flattening_ratio": (0.57, -0.2), "flattening_ratio_total": (0.38, -0.4), "crater_depth_m": (5e-6, 0.6),
+    "splat_diameter_m": (35e-6, -0.5), "eps_p_mean": (0.7, -1.2), "eps_p_p99": (2.8, -3.0), "eps_p_max": (4.5, -5.0),
+    "T_mean_K": (107.0, -0.5), "T_p99_K": (330.0, -2.0), "T_max_K": (360.0, -3.0), "rebound_velocity_m_s": (27.0, 4.0),
+}  # fmt: skip
+ORDER = 1.25
+
+
+def row(setting: ladder.Setting, failed: str = "", off: float = 0.0) -> dict[str, str]:
+    """A rung whose measures go with h^ORDER; off: a share by which its setting moves all of them."""
+    h = setting.points ** (-1 / 3)
+    found = {name: limit * (1.0 + slope * h**ORDER + off) + (300.0 if name.startswith("T_") else 0.0)
+             for name, (limit, slope) in MEASURED.items()}  # fmt: skip
+    told = {"axis": setting.axis, "setting": setting.name, "points": setting.points, "points_used": setting.points}
+    told |= {"elements": 5000, "steps": 500, "dt_mean_s": 1e-10, "sim_time_s": 5e-8, "cpu_s": 0.005 * setting.points}
+    told |= {"cpu_loop_s": 1.0, "wall_s": 2.0, "numerical_dissipation": 0.05, "energy_drift": 0.001, "failed": failed}
+    measures = dict.fromkeys(found, "") if failed else found
+    return {name: str((told | measures)[name]) for name in ladder.COLUMNS}
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[dict[str, str]]:
+    rungs = ladder.settings()
+    off = {"viscosity": 0.02, "contact stiffness": -0.01}
+    return [row(r, "crushed flat" if r.name == "2 dt" else "", off.get(r.axis, 0.0)) for r in rungs]
+
+
+def test_the_rungs_vary_one_thing_at_a_time():
+    rungs = ladder.settings()
+    assert {r.axis for r in rungs} == {"points", "reference", "effects", *ladder.KNOBS}
+    assert len({r.key for r in rungs}) == len(rungs)
+    assert rungs[-1].axis == "reference"
+    assert all(r.points < rungs[-1].points for r in rungs[:-1])
+    scene = scene_with(preset="draft", resolution__spacing="2 um")
+    by_name = {r.name: ladder.scene_at(scene, r) for r in rungs}
+    assert by_name["3500 points"].points == 3500
+    assert by_name["3500 points"].element_size == pytest.approx(1.7 * by_name["3500 points"].spacing)
+    assert by_name["2.5 spacings"].element_size == pytest.approx(2.5 * by_name["2.5 spacings"].spacing)
+    assert by_name["effects none"].effects == "none"
+    assert by_name["3500 points"].particles == scene.particles
+    assert {r.axis for r in ladder.settings(knobs_at=None)} == {"points", "reference"}
+
+
+def test_a_reference_that_is_no_finer_is_refused():
+    with pytest.raises(StoreError, match="--reference 5000 has to be finer"):
+        ladder.settings(reference=5000)
+    with pytest.raises(StoreError, match="more than 700"):
+        ladder.settings((300,), 600, 700)
+
+
+def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatch):
+    rungs, computed = ladder.settings((1000, 1200), 2000, 1000), []
+
+    def compute(scene, rung, folder, progress=None):
+        computed.append(rung.key)
+        if rung.key == ("viscosity", "Q1 0", "1000") and computed.count(rung.key) == 1:
+            raise KeyboardInterrupt
+        return row(rung, "crushed flat" if rung.name == "2 dt" else "") | {"cpu_s": 1.0}
+
+    monkeypatch.setattr(ladder, "compute", compute)
+    monkeypatch.setattr(ladder, "_warm_up", lambda out, say: None)
+    path, said = tmp_path / "accuracy.csv", []
+    for expected in (KeyboardInterrupt, None):
+        table = ladder.Table(path, "made by a test")
+        if expected:
+            with pytest.raises(expected):
+                ladder.climb(scene_with(), tmp_path, rungs, table, lambda: None, said.append)
+        else:
+            ladder.climb(scene_with(), tmp_path, rungs, table, lambda: None, said.append)
+    assert computed == [r.key for r in rungs[: computed.index(rungs[7].key)]] + [
+        r.key for r in rungs[computed.index(rungs[7].key) :] for _ in range(1 + (r.name == "Q1 0"))
+    ]
+    found = ladder.read(path)
+    assert [(r["axis"], r["setting"], r["points"]) for r in found] == [r.key for r in rungs]
+    assert [r["failed"] for r in found if r["setting"] == "2 dt"] == ["crushed flat"]
+    assert any("crushed flat" in text for text in said)
+    coarse = ladder.settings((300,), 600, 300)
+    ladder.climb(scene_with(), tmp_path, coarse, ladder.Table(path, ""), lambda: None, said.append)
+    (refused,) = (r for r in ladder.read(path) if (r["setting"], r["points"]) == ("2.5 spacings", "300"))
+    assert "too coarse for the crater" in refused["failed"]  # not a scene, and a row all the same
+    path.write_text("points,flattening\n1,2\n")
+    with pytest.raises(StoreError, match="no table of a ladder"):
+        ladder.Table(path, "")
+
+
+def test_a_folder_keeps_to_its_scene(tmp_path):
+    command.same_scene(scene_with(), tmp_path / "a")
+    command.same_scene(scene_with(), tmp_path / "a")
+    with pytest.raises(StoreError, match="the ladder of another scene"):
+        command.same_scene(scene_with(particle__velocity="501 m/s"), tmp_path / "a")
+
+
+def test_orders_and_limits_that_are_there_are_found(rows):
+    found = {m: fit.order([fit.resolutions(rows, m, 300.0)]) for m in MEASURED}
+    assert all(one["order"] == one["fitted"] == pytest.approx(ORDER, abs=0.03) for one in found.values())
+    best = fit.reference(rows)
+    assert best is not None
+    off = dict(zip((r["setting"] for r, _ in fit.errors(rows, "crater_depth_m", 300.0)),
+                   (e for _, e in fit.errors(rows, "crater_depth_m", 300.0)), strict=True))  # fmt: skip
+    coarse, fine = (n ** (-ORDER / 3) for n in (1000, ladder.REFERENCE))
+    exact = 100 * 0.6 * (coarse - fine) / (1 + 0.6 * fine)
+    assert off["1000 points"] == pytest.approx(exact)
+    assert "2 dt" not in off
+    with pytest.raises(ValueError, match="4 resolutions"):
+        fit.order([fit.resolutions(rows[:2], "crater_depth_m", 300.0)])
+    h = np.array([500.0, 1000, 2000, 4000, 8000]) ** (-1 / 3)
+    assert fit.order([(h, -np.log(h))])["fitted"] == fit.ORDERS[0]
+    scatter = fit.order([(h, np.array([1.0, 1.02, 0.99, 1.01, 1.0]))])  # tells no order: the usual one is taken
+    assert (scatter["order"], scatter["low"], scatter["high"]) == (fit.USUAL, fit.ORDERS[0], fit.ORDERS[-1])
+
+
+def test_what_is_packaged_says_slopes_and_knobs(rows):
+    found = {
+        r["measure"]: r for r in fit.packaged({"a case": ({"speed": 500.0, "temperature": 300.0, "impacts": 1}, rows)})
+    }
+    assert not {"eps_p_max", "T_max_K"} & set(found)  # local maxima do not converge
+    crater, h = found["crater_depth_m"], ladder.REFERENCE ** (-ORDER / 3)
+    assert crater["limit"] == pytest.approx(1 / (1 + 0.6 * h), rel=1e-3)
+    assert crater["slope"] == pytest.approx(0.6 / (1 + 0.6 * h), rel=0.05)
+    assert crater["scatter"] < 1e-4
+    assert crater["viscosity"] == pytest.approx(0.01 / (1 + 0.6 * h), rel=0.01)
+    assert crater["dt"] == pytest.approx(0.0, abs=1e-9)
+    assert crater["knobs_at"] == ladder.KNOBS_AT
+
+
+def test_bands_narrow_with_points_and_say_what_they_rest_on():
+    for measure in bands.WORDS:
+        wide, narrow = (bands.band(measure, bands.Kind(n, 500.0)) for n in (1000, 16000))
+        assert wide is not None
+        assert narrow is not None
+        assert 0.0 < narrow.share < wide.share
+        assert "at 500 m/s" in wide.why
+    assert bands.band("T_max_K", bands.Kind(1000, 500.0)) is None
+    crater = [bands.band("crater_depth_m", bands.Kind(1000, v)) for v in (500.0, 750.0, 1000.0, 1250.0)]
+    shares = [one.share for one in crater if one is not None]
+    assert shares[1] == pytest.approx((shares[0] + shares[2]) / 2)
+    assert shares[3] == shares[2]
+    assert crater[3] is not None
+    assert "1250 m/s is outside the table: a guess" in crater[3].why
+    rod = bands.band("crater_depth_m", bands.Kind(1000, 500.0, plain=False))
+    assert rod is not None
+    assert "no such shape or angle" in rod.why
+    pile = bands.band("crater_depth_m", bands.Kind(1000, 600.0, impacts=3))
+    alone = bands.band("crater_depth_m", bands.Kind(1000, 600.0))
+    assert pile is not None
+    assert alone is not None
+    assert pile.share >= alone.share
+
+
+def test_bands_of_a_summary_are_in_the_measures_own_units():
+    kind = bands.Kind(5000, 500.0)
+    found = bands.of_summary({"crater_depth_m": 5e-6, "T_mean_K": 400.0, "T_max_K": 900.0, "nodes": 7}, kind, 300.0)
+    assert set(found) == {"crater_depth_m", "T_mean_K"}
+    of_crater, of_rise = (bands.band(m, kind) for m in ("crater_depth_m", "T_mean_K"))
+    assert of_crater is not None
+    assert of_rise is not None
+    assert found["crater_depth_m"]["half_width"] == pytest.approx(5e-6 * of_crater.share)
+    assert found["T_mean_K"]["half_width"] == pytest.approx(100.0 * of_rise.share)  # of the rise
+
+
+def test_points_for_an_accuracy_are_just_enough():
+    kind = bands.Kind(5000, 500.0)
+    asked = bands.worst(kind)[1]
+    points = bands.points_for(asked, kind)
+    assert points == pytest.approx(5000, rel=0.05)
+    assert bands.worst(bands.Kind(points, 500.0))[1] <= asked
+    with pytest.raises(bands.AccuracyError, match=r"--accuracy 0\.01% cannot be had: with 64000 points the"):
+        bands.points_for(1e-4, kind)
+    assert bands.points_for(1.0, kind) == bands.LEAST
+
+
+@pytest.fixture
+def known_pace(monkeypatch):
+    monkeypatch.setattr(command, "here", lambda recalibrate=False: pace.Pace(1.0, 1.0, "as the constants are"))
+
+
+@pytest.mark.usefixtures("known_pace")
+def test_within_takes_the_finest_there_is_time_for():
+    scene = scene_with()
+    made, said = command.chosen(scene, "60s", None)
+    assert 50.0 < plan(made).wall_estimate <= 60.0
+    assert f"{made.points} points" in said
+    assert made.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.spacing)
+    assert command.chosen(scene, "5 min", None)[0].points > made.points
+    with pytest.raises(bands.AccuracyError, match=r"--within 0\.5s is too short: at 300 points"):
+        command.chosen(scene, "0.5s", None)
+
+
+@pytest.mark.usefixtures("known_pace")
+def test_accuracy_chooses_the_coarsest_that_will_do():
+    asked = 100 * bands.worst(bands.Kind(3000, 500.0))[1]
+    made, said = command.chosen(scene_with(), None, f"{asked:.6f}%")
+    assert made.points == pytest.approx(3000, rel=0.05)
+    assert "shape within" in said
+    with pytest.raises(bands.AccuracyError, match="more than --within 3s"):
+        command.chosen(scene_with(), "3s", f"{asked:.6f}%")
+    unlike, _ = command.chosen(several({}, {"diameter": "15 um"}), None, "90%")
+    assert unlike.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
+    pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
+    assert pile.points_of(pile.particles[-1]) >= 0.95 * bands.points_for(asked / 100, bands.Kind(1, 500.0, 2))
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (["--within", "soon"], "--within 'soon' is no time"),
+        (["--within", "0s"], "is no time"),
+        (["--accuracy", "2"], "--accuracy '2' is no uncertainty"),
+        (["--accuracy", "0%"], "is no uncertainty"),
+        (["--accuracy", "0.001%"], "cannot be had"),
+    ],
+)
+def test_what_cannot_be_chosen_is_one_clear_message(options, complaint, tmp_path, capsys):
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_with().to_toml())
+    assert cli.main(["run", str(path), "--out", str(tmp_path / "run"), *options]) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_pace_is_timed_once_and_remembered(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLDSPRAY_CACHE", str(tmp_path))
+    times = iter([(2.0, 1.5), (3.0, 1.25)])
+    monkeypatch.setattr(pace, "measure", lambda: next(times))
+    said: list[str] = []
+    first, second = (pace.of_this_machine(say=said.append) for _ in range(2))
+    assert (first.steps, first.points) == (second.steps, second.points) == (2.0, 1.5)
+    assert len(said) == 1
+    assert pace.of_this_machine(anew=True).steps == 3.0
+    path = tmp_path / "pace.json"
+    assert list(json.loads(path.read_text())) == [pace.machine()]
+
+    def fails():
+        raise SolverError("it broke")
+
+    monkeypatch.setattr(pace, "measure", fails)
+    assert pace.of_this_machine().steps == 3.0
+    path.write_text('{"x": ')
+    broken = pace.of_this_machine()
+    assert (broken.steps, broken.points) == (1.0, 1.0)
+    assert "timing this one failed (it broke)" in broken.said
+
+
+def test_the_factors_carry_the_constants_to_another_machine(monkeypatch):
+    disturbed = iter([1.5, 1.0, 1.0, 3.0])  # of each size the faster run counts
+
+    def timed(text):
+        N, E = (300, 4000) if pace.SIZES[0][0] in text else (3000, 8000)
+        own = estimates.SECONDS_PER_STEP + estimates.SECONDS_PER_ELEMENT * E
+        return N, E, (2.5 * own + 1.4 * estimates.SECONDS_PER_POINT * N) * next(disturbed)
+
+    monkeypatch.setattr(pace, "_timed", timed)
+    steps, points = pace.measure()
+    assert (steps, points) == (pytest.approx(2.5), pytest.approx(1.4))
+    what = plan(scene_with())
+    cost, found = what.cost, pace.Pace(steps, points, "").seconds(what)
+    steps_and_points = 2.5 * cost.steps + 1.4 * cost.points
+    assert steps_and_points + 1.4 * cost.rest < found < steps_and_points + 2.5 * cost.rest
+    assert pace.Pace(2.0, 2.0, "").seconds(what) == pytest.approx(2.0 * what.wall_estimate)
+
+
+@pytest.mark.usefixtures("known_pace")
+def test_check_foretells_time_and_accuracy(tmp_path, capsys):
+    path = tmp_path / "scene.toml"
+    path.write_text(scene_with().to_toml())
+    assert cli.main(["check", str(path)]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"wall time  about \d+ s on one core here", text)
+    assert re.search(r"accuracy   \+- .*flattening [\d.]+ %", text)
+    assert "local maxima do not converge" in text
+    first = text.splitlines().index(next(line for line in text.splitlines() if "wall time" in line))
+    assert max(map(len, text.splitlines()[first : first + 5])) <= 120
+
+
+def test_diagram_and_page_hide_nothing(rows, tmp_path):
+    picture, page = draw.write(rows, tmp_path, "a <case>", 300.0)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    text = page.read_text()
+    assert "a &lt;case&gt;" in text
+    for said in (
+        "crushed flat",
+        "2 dt",
+        "1000 points (draft)",
+        "5000 points (standard)",
+        "16000 points (fine)",
+        "local maxima",
+    ):
+        assert said in text
+    assert "<script src" not in text
+    assert '<link rel="stylesheet' not in text
+    figure = draw.diagram(rows, "a case", 300.0)
+    assert len(figure.axes) == len(draw.DRAWN)
+    assert all(panel.get_xscale() == panel.get_yscale() == "log" for panel in figure.axes)
+    assert any("draft" in text.get_text() for text in figure.axes[0].texts)
+    assert draw.order_of(rows, "crater_depth_m", 300.0).startswith("order 1.2")
+
+
+SMALL = """
+[particle]
+material = "Ni"
+diameter = "10 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+diameter = "60 um"
+height = "30 um"
+[end]
+time = "3 ns"
+"""
+
+
+@pytest.fixture(scope="module")
+def climbed(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("ladder")
+    (folder / "small.toml").write_text(SMALL)
+    how = ["--points", "200", "300", "--reference", "400", "--knobs-at", "0", "--quiet"]
+    assert cli.main(["accuracy", str(folder / "small.toml"), "--out", str(folder / "out"), *how]) == 0
+    return folder / "out"
+
+
+def test_the_command_computes_a_ladder(climbed):
+    found = ladder.read(climbed / "accuracy.csv")
+    assert [r["points"] for r in found] == ["200", "300", "400"]
+    assert not any(r["failed"] for r in found)
+    assert all(0.0 < float(r["cpu_loop_s"]) < float(r["cpu_s"]) for r in found)
+    assert all(float(r["flattening_ratio_total"]) > 0.0 for r in found)
+    assert (climbed / "accuracy.png").is_file()
+    assert (climbed / "accuracy.html").is_file()
+    assert not list((climbed / "runs").glob("*points*"))
+
+
+def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
+    def breaks(*_, **__):
+        raise SolverError("it broke\nin two lines")
+
+    monkeypatch.setattr("coupler.deposition.run", breaks)
+    scene = Scene.from_text(SMALL, "small")
+    found = ladder.compute(scene, ladder.Setting("dt", "2 dt", 300), tmp_path / "run")
+    assert found["failed"] == "it broke in two lines"
+    assert "flattening_ratio" not in found
+    assert issubclass(bands.AccuracyError, ColdsprayError)
+
+
+def test_a_run_carries_its_bands(climbed):
+    from coupler import run
+
+    scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.Setting("points", "", 200))
+    summary = run(scene, climbed / "one", threads=1).summary
+    found = bands.of_summary(summary, bands.Kind(summary["points"], 500.0), 300.0)
+    assert summary["bands"].keys() == found.keys()
+    crater = summary["bands"]["crater_depth_m"]
+    assert crater["half_width"] == pytest.approx(found["crater_depth_m"]["half_width"])
+    assert crater["why"]

@@ -1,0 +1,216 @@
+"""How well `coldspray check` foretells time: ten scenes that nothing was fitted on, twice, and the fits themselves.
+
+    python workflows/pace.py            # the scenes, each run in one thread: docs/tables/pace.csv
+    python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/estimates.py to docs/tables and prints them
+
+The machine is timed anew before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
+start of the program and the loading of compiled kernels. Rows that are there are kept.
+"""
+
+import argparse
+import csv
+import math
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from coupler import estimates, run
+from coupler.accuracy import ladder, pace
+from coupler.materials import material
+from coupler.plan import plan
+from coupler.scene import Scene
+
+TABLES = Path("docs/tables")
+OUT = TABLES / "pace.csv"
+TIMED = 4
+COLUMNS = (
+    "round",
+    "scene",
+    "points",
+    "steps_said",
+    "steps",
+    "said_s",
+    "took_s",
+    "off_percent",
+    "pace_steps",
+    "pace_points",
+)
+
+
+def scene(particles: list[dict[str, Any]], on: str, preset: str = "draft", **more: Any) -> dict[str, Any]:
+    """A scene as nested dicts; diameters um, velocities m/s, temperatures K, angles deg."""
+    units = {"diameter": "um", "velocity": "m/s", "temperature": "K", "angle": "deg", "tilt": "deg"}
+    tables = [{k: f"{v} {units[k]}" if k in units else v for k, v in p.items()} for p in particles]
+    wide = max(float(p["diameter"]) for p in particles)
+    base = {"material": on, "diameter": f"{8 * wide} um", "height": f"{4 * wide} um"}
+    return {"particle": tables, "substrate": base, "preset": preset, **more}
+
+
+def p(material: str, diameter: float, velocity: float, **more: Any) -> dict[str, Any]:
+    return {"material": material, "diameter": diameter, "velocity": velocity, **more}
+
+
+FIRST = {
+    "Cu 20 um on SS304, 450 m/s": scene([p("OFHC_Cu", 20, 450)], "SS304"),
+    "Al 35 um on Cu, 650 m/s": scene([p("Al", 35, 650)], "OFHC_Cu"),
+    "SS304 15 um at 500 K on Ti, 800 m/s": scene([p("SS304", 15, 800, temperature=500)], "Ti"),
+    "Ti 45 um on Al, 350 m/s": scene([p("Ti", 45, 350)], "Al"),
+    "Ni 30 um on Cu at 25 degrees, 600 m/s": scene([p("Ni", 30, 600, angle=25)], "OFHC_Cu"),
+    "42CrMo4 25 um on SS304, 700 m/s": scene([p("42CrMo4", 25, 700)], "SS304"),
+    "Ti 25 um on Ti, 650 m/s, standard": scene([p("Ti", 25, 650)], "Ti", "standard"),
+    "Ni 25 um on Ti to greatest deformation": scene([p("Ni", 25, 550)], "Ti", end={"at": "greatest"}),
+    "Ti 30 um flake on SS304, 400 m/s": scene([p("Ti", 30, 400, shape="flake")], "SS304"),
+    "Ti 25 um on a splat of Ti, 500 m/s": scene([p("Ti", 25, 500), p("Ti", 25, 500)], "SS304"),
+}
+SECOND = {
+    "Cu 30 um on Al, 400 m/s": scene([p("OFHC_Cu", 30, 400)], "Al"),
+    "Al 25 um on Al, 600 m/s": scene([p("Al", 25, 600)], "Al"),
+    "SS304 40 um on SS304, 650 m/s": scene([p("SS304", 40, 650)], "SS304"),
+    "Ti 20 um at 600 K on SS304, 600 m/s": scene([p("Ti", 20, 600, temperature=600)], "SS304"),
+    "Ni 15 um on Al, 700 m/s": scene([p("Ni", 15, 700)], "Al"),
+    "42CrMo4 30 um on Al, 450 m/s": scene([p("42CrMo4", 30, 450)], "Al"),
+    "Ni 40 um on Cu, 400 m/s": scene([p("Ni", 40, 400)], "OFHC_Cu"),
+    "Ti 35 um on SS304 to greatest deformation, 600 m/s": scene([p("Ti", 35, 600)], "SS304", end={"at": "greatest"}),
+    "Ni 25 um oblate on SS304, 550 m/s": scene([p("Ni", 25, 550, shape="oblate")], "SS304"),
+    "Ti 30 um on Ti at 15 degrees, 500 m/s": scene([p("Ti", 30, 500, angle=15)], "Ti"),
+}
+SCENES = {**FIRST, **SECOND}
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def judge(name: str, here: pace.Pace) -> dict[str, Any]:
+    """Estimate, run, compare."""
+    made = Scene.from_dict({**SCENES[name], "name": "pace"})
+    what = plan(made)
+    with tempfile.TemporaryDirectory() as place:
+        before = ladder.spent()
+        summary = run(made, Path(place) / "run", threads=1).summary
+        took = ladder.spent() - before
+    said = here.seconds(what)
+    return {
+        "round": 1 if name in FIRST else 2, "scene": name, "points": made.points,
+        "steps_said": what.steps_estimate, "steps": summary["steps"],
+        "said_s": round(said, 2), "took_s": round(took, 2),
+        "off_percent": round(100 * (said / took - 1), 1),
+        "pace_steps": round(here.steps, 3), "pace_points": round(here.points, 3),
+    }  # fmt: skip
+
+
+def terms(
+    first: Any, base: Any, T: float, T_base: float, v: float, D: float, points: float, angle: float
+) -> list[float]:
+    d = estimates.damage_numbers((first, base), (T, T_base), v, D)
+    return [1.0, math.log(d[0]), math.log(d[1]), math.log(points / 1000.0), math.sin(angle) ** 2]
+
+
+def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Terms (n, 5), ln(time to rest v / height) (n,), ln(c dt / spacing) (n,) of the single impacts in docs/tables."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    import stability
+
+    found = []
+    battery = stability.battery()
+    for row in read(TABLES / "stability.csv"):
+        if row["scene"] not in battery or row["rescues"] != "0" or row["verdict"] != "passes":
+            continue
+        made = Scene.from_dict(battery[row["scene"]], "battery")
+        one = made.particle
+        odd = "friction" in row["scene"] or "elements" in row["scene"] or one.shape != "sphere"
+        if odd or len(made.particles) > 1 or made.end.time:
+            continue
+        first, base = material(one.material), material(made.substrate.material)
+        end, points = float(row["end ns"]) * 1e-9, one.volume / made.spacing**3
+        row_terms = terms(
+            first, base, one.temperature, made.substrate.temperature, one.velocity, one.diameter, points, one.angle
+        )
+        cfl = end / int(row["steps"]) * first.wave_speed / made.spacing
+        found.append((row_terms, math.log(end * one.velocity / one.diameter), math.log(cfl)))
+    singles = [
+        (r["material"], float(r["diameter_um"]), float(r["speed_m_s"]), float(r["temperature_K"]), r["points"], r["steps"], r["dt_ps"])
+        for name in ("validation", "validation_trends") for r in read(TABLES / f"{name}.csv")
+        if r["impact"] == "1" and r["steps"] and "shape" not in r["run"]
+    ]  # fmt: skip
+    knobs = {"kernel_radius": 0.75, "Q1": 0.06, "hourglass": 1.0, "courant": 0.4, "contact_stiffness": 1.0}
+    for r in read(TABLES / "convergence_ni500.csv"):
+        if not r["failed"] and r["lattice"] == "fcc" and all(float(r[k]) == v for k, v in knobs.items()):
+            singles.append(("Ni", 25.0, 500.0, 300.0, r["points"], r["steps"], r["dt_mean_ps"]))
+    for name, D, v, T, points, steps, dt in singles:
+        first, time = material(name), int(steps) * float(dt) * 1e-12
+        spacing = estimates.spacing(estimates.sphere_volume(D * 1e-6), int(points))
+        row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, float(points), 0.0)
+        found.append(
+            (row_terms, math.log(time * v / (D * 1e-6)), math.log(float(dt) * 1e-12 * first.wave_speed / spacing))
+        )
+    F, rest, cfl = zip(*found, strict=True)
+    return np.array(F), np.array(rest), np.array(cfl)
+
+
+def fit() -> None:
+    """Print the constants for coupler/estimates.py."""
+    from scipy.optimize import least_squares
+
+    F, rest, cfl = impacts()
+    k = np.linalg.lstsq(F, rest, rcond=None)[0]
+    print(f"{len(F)} impacts\nREST_FIT = {tuple(float(round(x, 3)) for x in k)}  # rms {np.std(rest - F @ k):.1%}")
+
+    def model(k: np.ndarray) -> np.ndarray:
+        return -np.log(1.0 / estimates.CFL_AT_REST + np.exp(np.clip(F @ k, -20.0, 20.0)))
+
+    start = np.array([0.0, 0.5, 0.0, 0.0, 0.0])
+    best = least_squares(
+        lambda k: model(k) - cfl, start, loss="soft_l1", f_scale=0.1
+    ).x  # a few impacts defy any such law
+    off = np.abs(cfl - model(best))
+    print(f"CFL_FIT = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
+          f"{np.percentile(off, 90):.1%}")  # fmt: skip
+    rows = [
+        r
+        for path in sorted(TABLES.glob("accuracy_*.csv"))
+        if "triple" not in path.name
+        for r in read(path)
+        if not r["failed"]
+    ]
+    N, E, n, loop, whole = (
+        np.array([float(r[c]) for r in rows]) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s")
+    )
+    A = np.stack([N, E, np.ones_like(N)], axis=1)
+    weight = n / loop  # relative errors
+    cost = np.linalg.lstsq(A * weight[:, None], np.ones_like(N), rcond=None)[0]
+    print("SECONDS_PER_POINT, _ELEMENT, _STEP =", cost, f"rms {np.std(A @ cost * weight):.1%}")
+    rest_of = np.linalg.lstsq(np.stack([np.ones_like(E), E], axis=1), whole - loop, rcond=None)[0]
+    print("a run but its loop, s: constant, per element =", rest_of)
+
+
+def main() -> None:
+    """Judge the ten scenes, or fit."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--fit", action="store_true", help="fit the constants and run nothing")
+    if parser.parse_args().fit:
+        fit()
+        return
+    rows: list[dict[str, Any]] = list(read(OUT)) if OUT.exists() else []
+    here = None
+    for number, name in enumerate(name for name in SCENES if not any(row["scene"] == name for row in rows)):
+        if here is None or number % TIMED == 0:
+            here = pace.Pace(*pace.measure(), "")
+        rows.append(judge(name, here))
+        print(rows[-1], flush=True)
+        with OUT.open("w", newline="") as file:
+            file.write("# remake: python workflows/pace.py (rows that are here are kept)\n")
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    for number in ("1", "2"):
+        off = [abs(float(row["off_percent"])) for row in rows if str(row["round"]) == number]
+        print(f"round {number}: {sum(x <= 30 for x in off)} of {len(off)} within 30 %")
+
+
+if __name__ == "__main__":
+    main()
