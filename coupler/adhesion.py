@@ -122,6 +122,12 @@ class Adhesion:
         threshold = 1.0 if self.threshold is None else self.threshold
         return np.broadcast_to(np.asarray(value) >= threshold, (nodes,)).copy()
 
+    @property
+    def in_impact(self) -> bool:
+        """Whether bonds act from the greatest deformation on, while the particle rebounds: where they may break, or where the
+        contact decides which there are. Others hold what has come to rest."""
+        return self.kind == "cohesive" or (self.kind == "tied" and self.criterion in ("plastic_strain", "pressure"))
+
     def law(self) -> dict[str, float]:
         """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""
         names = ("strength", "energy", "shear_strength", "shear_energy")

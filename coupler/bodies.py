@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from .adhesion import Adhesion
 from .contact.bodies import BodyContact
@@ -48,9 +49,14 @@ class Bodies:
         return Surfaces.of(mesh.facets, mesh.facet_element, self.body)
 
     def reachable(self) -> np.ndarray:
-        """Facets (ids) that a particle can hit: the substrate's top and the splats', less what is buried between them."""
+        """Facets (ids) that a particle can hit: the substrate's top and sides and the splats', less what is buried between them.
+
+        Without the sides a point that slides over the rim would lie behind the top for good, and be pulled back by it.
+        """
         sets = self.target.mesh.sets
-        ids = np.concatenate([sets["top"], *(sets[name] for name in sorted(sets) if name.startswith("splat"))])
+        ids = np.concatenate(
+            [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith("splat"))]
+        )
         return np.setdiff1d(ids, self.buried)
 
     # ---- in the loop ---------------------------------------------------------------------------------------------
@@ -69,9 +75,9 @@ class Bodies:
         if self.bond is not None:
             self.bond.forces(t.x, t.f_ext)
 
-    def stable_dt(self, enough: float) -> float:
-        """Stable step (s) of the target and of the springs between its bodies."""
-        dt = self.target.stable_dt(enough)[0]
+    def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
+        """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
+        dt = self.target.stable_dt(enough, ahead)[0]
         if self.contact is not None:
             dt = self.contact.stable_dt(self.target.mass, dt)
         if self.bond is not None:
@@ -143,10 +149,17 @@ class Bodies:
     # ---- between impacts -----------------------------------------------------------------------------------------
 
     def joined(
-        self, splats: list[BodyState], adhesion: Adhesion, size: float, origin: tuple[float, float, float], ratio: float
+        self,
+        splats: list[BodyState],
+        adhesion: Adhesion,
+        size: float,
+        origin: tuple[float, float, float],
+        ratio: float,
+        where: np.ndarray | None = None,
     ) -> "Bodies":
         """These bodies and finished splats, bonded where `adhesion` says, numbered outwards from origin (m). size: of elements, m;
-        ratio: velocity of the impact over the critical one.
+        ratio: velocity of the impact over the critical one; where (k,3) m: the places at which the impact has left it bonded, in
+        place of the criterion.
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
         equilibrium: see `settle`. Raises SolverError when a splat cannot be put in place.
@@ -166,6 +179,8 @@ class Bodies:
             found = interface(surfaces, x, body, NEAR * size)
             buried.append(_covered(found, surfaces, x, body, NEAR * size))
             chosen = _bonded(found, surfaces, new.target, adhesion, ratio)
+            if where is not None:
+                chosen = _near(x[found.nodes], where, size)
             if chosen.any():
                 K = float(new.target.laws["K"].min())
                 stiffness = penalty(K, surfaces.spacing(x, body))
@@ -282,7 +297,7 @@ class Bodies:
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
         step = t.stable_dt(1.0)[0]
         self.search(2.0 * fastest * 10 * step + 1e-3 * float(np.cbrt(t.mesh.V0[0])))
-        return 0.9 * self.stable_dt(1.0)
+        return 0.9 * self.stable_dt(1.0, 10 * step)
 
     def _step(self, dt: float) -> None:
         self.target.advance(dt)
@@ -334,13 +349,26 @@ def _bonded(found: Interface, surfaces: Surfaces, target: Target, adhesion: Adhe
     return adhesion.bonded(n, strain, pressure, ratio)
 
 
+def _near(points: np.ndarray, places: np.ndarray, distance: float) -> np.ndarray:
+    """Mask (n,) of points (n,3) m no farther than `distance` m from one of the places (k,3) m."""
+    if len(places) == 0:
+        return np.zeros(len(points), bool)
+    return cKDTree(places).query(points)[0] <= distance
+
+
 def _covered(found: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:
-    """Facets of a body and of those before it that lie on each other: with all their nodes, or with a node of the body on them."""
-    covered = [np.unique(found.facet)]
+    """Facets of a body and of those before it that lie on each other, with all their nodes and all facets around these.
+
+    So those that stick out from under a rim stay, and a ring inside of it: at the edge of a hole in a surface a point before it may
+    seem to be deep behind it, because the facet that it is before is missing.
+    """
+    covered = []
     for one, others in ((body, None), *((b, (body,)) for b in range(body))):
         nodes = found.nodes if others is None else interface(surfaces, x, one, tolerance, others).nodes
         own = surfaces.facets_of(one)
-        covered.append(own[np.isin(surfaces.facets[own], nodes).all(axis=1)])
+        corners = surfaces.facets[own]
+        rim = np.unique(corners[~np.isin(corners, nodes).all(axis=1)])
+        covered.append(own[~np.isin(corners, rim).any(axis=1)])
     return np.concatenate(covered)
 
 

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from . import gas_command, mesh_command
+from . import coating_command, gas_command, map_command, mesh_command
+from .accuracy import command as accuracy_command
 from .errors import ColdsprayError, speaks
 
 if TYPE_CHECKING:
@@ -74,11 +75,13 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
     check.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
+    check.add_argument("--recalibrate", action="store_true", help="time this machine anew for the estimate")
     check.set_defaults(command=_check)
     run = commands.add_parser("run", help="compute a scene")
     run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
     run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     run.add_argument("--force", action="store_true", help="overwrite a finished run")
+    accuracy_command.add_to_run(run)
     run.set_defaults(command=_run)
     report = commands.add_parser("report", help="write all about a run as one HTML page")
     report.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
@@ -101,6 +104,12 @@ def _parser() -> argparse.ArgumentParser:
     for computing in (run, resume):
         computing.add_argument("--quiet", action="store_true", help="print errors only")
         computing.add_argument(
+            "--threads",
+            type=int,
+            metavar="N",
+            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)",
+        )
+        computing.add_argument(
             "--placement",
             metavar="HOW",
             help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
@@ -115,6 +124,9 @@ def _parser() -> argparse.ArgumentParser:
         )
     gas_command.add(commands)
     mesh_command.add(commands)
+    coating_command.add(commands)
+    accuracy_command.add(commands)
+    map_command.add(commands)
     return parser
 
 
@@ -130,7 +142,9 @@ def _check(arguments: argparse.Namespace) -> int:
     from .plan import describe, plan
     from .scene import Scene
 
-    print(describe(plan(Scene.load(arguments.scene))))
+    what = plan(Scene.load(arguments.scene))
+    outlook = accuracy_command.outlook(what, accuracy_command.here(arguments.recalibrate))
+    print(describe(what, outlook))
     return 0
 
 
@@ -139,6 +153,10 @@ def _run(arguments: argparse.Namespace) -> int:
 
     scene = Scene.load(arguments.scene)
     out = arguments.out or Path("runs") / scene.name
+    if arguments.within or arguments.accuracy:
+        scene, said = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
+        if not arguments.quiet and speaks():
+            print(said)
 
     def work(**how: Any) -> "Result":
         from .deposition import run
@@ -165,6 +183,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     how: dict[str, Any] = {"progress": progress, "checkpoint_every": arguments.checkpoint}
     if arguments.placement:
         how["placement"] = arguments.placement
+    if arguments.threads is not None:
+        how["threads"] = max(arguments.threads, 1)
     try:
         result = work(**how)
     except KeyboardInterrupt as interrupt:

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from .adhesion import Adhesion
+from .contact.hold import REACH, STIFFNESS, Hold
 from .errors import SolverError
-from .heat_paths import HeatPaths
+from .heat_paths import HeatPaths, vertex_areas
 
 CHUNK = 10  # steps between two agreements on dt; a stale dt at a Courant factor of 0.9 is known to blow up after more
 
@@ -36,7 +38,7 @@ class Ledger:
         self.rows: dict[str, float] = {}
         self.before = self._take_stock(particle, bodies, contact)
 
-    def _take_stock(self, particle: Any, bodies: Any, contact: Any) -> dict[str, float]:
+    def _take_stock(self, particle: Any, bodies: Any, contact: Any, hold: Any = None) -> dict[str, float]:
         r: dict[str, float] = {}
         target = bodies.target
         r["kinetic_particle"], r["kinetic_target"] = particle.kinetic(), target.kinetic()
@@ -47,11 +49,15 @@ class Ledger:
         r["numerical_target"] = float(target.sums[1])
         r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat
         r["boundary"], r["bodies"] = target.absorbed, bodies.energy
+        r["bond"] = hold.energy if hold is not None else 0.0
         return r
 
-    def close(self, particle: Any, bodies: Any, contact: Any) -> dict[str, float]:
-        """Take stock. Returns the energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum)."""
-        r, target = self._take_stock(particle, bodies, contact), bodies.target
+    def close(self, particle: Any, bodies: Any, contact: Any, hold: Any = None) -> dict[str, float]:
+        """Take stock. hold: what holds a particle that has bonded (`contact.hold.Hold`).
+
+        Returns the energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum).
+        """
+        r, target = self._take_stock(particle, bodies, contact, hold), bodies.target
         total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
         for name in r:
             if "kinetic" not in name:
@@ -75,7 +81,7 @@ class Ledger:
 
 _STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
-    "numerical_target", "contact", "friction", "boundary", "bodies",
+    "numerical_target", "contact", "friction", "boundary", "bodies", "bond",
 )  # fmt: skip
 
 
@@ -106,6 +112,7 @@ class Impact:
         self.force = np.zeros(3)  # on the particle, N
         self.deepest = 0.0  # largest penetration so far, m
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
+        self.hold: Hold | None = None  # what has bonded of the particle
         self.dt_factor = 1.0  # on the step agreed on: a rescue lowers it
 
     def close(self) -> None:
@@ -132,6 +139,8 @@ class Impact:
         s.contacts(p.x, rows, self._x)
         s.contacts(p.v, rows, self._v)
         self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
+        if self.hold is not None:
+            self.hold.forces(self._x, t.x, self._forces, t.f_ext)
         s.spread(self._forces, rows, p.f_ext)
         t.finish()
         self._left -= 1
@@ -144,7 +153,10 @@ class Impact:
             "particle": self.particle.stable_dt(),
             "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
         }
-        bounds["target"] = self.bodies.stable_dt(min(bounds.values()))
+        if self.hold is not None:
+            bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
+        least = min(bounds.values())
+        bounds["target"] = self.bodies.stable_dt(least, CHUNK * least)
         who = min(bounds, key=lambda name: bounds[name])
         self.limits[who] += CHUNK
         return self.dt_factor * bounds[who]
@@ -162,6 +174,8 @@ class Impact:
             steps = max(1, int(np.ceil((until - self.time) / dt - 1e-9)))
             dt = (until - self.time) / steps
         self.contact.search(self.surface.contacts(self.particle.x), self.target.x, 1.5 * fastest * steps * dt)
+        if self.hold is not None:
+            self.contact.rows = np.union1d(self.contact.rows, self.hold.rows)
         self._forces[:] = 0.0
         self._left, self._ahead = steps, None
         self.particle.run(steps, dt, self._begin, self._meet, self.surface.support(self.contact.rows))
@@ -177,6 +191,7 @@ class Impact:
             "particle": self.particle.state(), "bodies": self.bodies.state(), "contact": self.contact.state(),
             "ledger": self.ledger.state(), "time": self.time, "force": self.force, "deepest": self.deepest,
             "limits": self.limits, "dt_factor": self.dt_factor,
+            "hold": self.hold.state() if self.hold is not None else None,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -185,6 +200,25 @@ class Impact:
             getattr(self, name).restore(state[name])
         for name in ("time", "force", "deepest", "limits", "dt_factor"):
             setattr(self, name, state[name])
+        self.hold = Hold.from_state(state["hold"]) if state["hold"] is not None else None
+
+    def bond(self, adhesion: Adhesion, velocity_ratio: float) -> None:
+        """Hold the particle where its surface touches now and the criterion is met; of both sides the larger strain counts.
+
+        velocity_ratio: of the impact to the critical velocity. Raises SolverError where strength and energy make no bond.
+        """
+        p, t, s = self.particle, self.target, self.surface
+        rows, facets = self.contact.touching(s.weights.shape[0], REACH * p.spacing)
+        if len(rows) == 0:
+            return
+        strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
+        stiffness = STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
+        area = vertex_areas(s.positions(p.x), s.triangles)[rows]
+        pressure = self.contact.stiffness * self.contact.depth[rows] / area
+        chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
+        if chosen.any():
+            rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
+            self.hold = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **adhesion.law())
 
     def _share_heat(self, time: float) -> None:
         """Friction heat becomes temperature, of points and of the elements behind facets; heat flows for `time` s."""

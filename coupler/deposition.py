@@ -177,6 +177,7 @@ class _Lead:
     def _impact(self, i: int, bodies: Any, store: Any, inside: dict[str, Any] | None) -> Any:
         """Impact i on the bodies; the bodies that the next one meets."""
         from .joining import join
+        from .outcome import outcome
         from .rescue import numerics_of
         from .running import Running
 
@@ -204,12 +205,12 @@ class _Lead:
             running.go(
                 lambda now: self._save(setting.bodies, store, {"impact": now, **known}), how.checkpoint_every, how.probe
             )
-            bodies = setting.bodies
-            self.records.append(running.summary(self.wall - started))
+            bodies, hold = setting.bodies, running.impact.hold
+            self.records.append(running.summary(self.wall - started) | outcome(self.what, i, setting.particle, hold))
             self.skin = setting.surface.positions(setting.particle.x)
             if i + 1 == len(self.what.impacts):
                 return bodies
-            bodies, report = join(self.what, i, setting, bodies, self.log)
+            bodies, report = join(self.what, i, setting, bodies, self.log, hold)
             self.joins.append(report)
         finally:
             setting.particle.close()
@@ -221,6 +222,7 @@ class _Lead:
     def _summary(self, bodies: Any) -> dict[str, Any]:
         """The last impact's measures, what all of them took, and each of them in the list `impacts`."""
         from .joining import splats_at_end
+        from .outcome import deposition_efficiency
 
         splats_at_end(self.what, self.records, self.joins, bodies, self.skin)
         last = self.records[-1]
@@ -231,6 +233,7 @@ class _Lead:
             "steps": sum(record["steps"] for record in self.records),
             "rescues": [rescue for record in self.records for rescue in record["rescues"]],
             "warnings": list(dict.fromkeys(text for record in self.records for text in record["warnings"])),
+            "deposition_efficiency": deposition_efficiency(self.records),
         }
         return {**last, **whole, "impacts": self.records, "joins": self.joins}
 

@@ -6,26 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from . import adhesion
 from .bodies import NEAR, Bodies
 from .constitutive import sound_speed
 from .contact.surfaces import interface
-from .errors import ColdsprayError, SolverError
+from .errors import SolverError
 from .fe.assemble import BodyState
 from .fe.cooling import Links, cool, together
+from .outcome import rebounds, velocity_ratio
 from .plan import Plan
+from .remeshing import Gate, remeshed
 from .splat.carry import shape_measures
 
-REBOUND = 1.0  # m/s upwards: a splat that nothing holds leaves with more
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
 JOLT = 0.005  # of an impact's kinetic energy: more must not be set free after a splat has joined
 
 
-def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], None]) -> tuple[Bodies, dict[str, Any]]:
+def join(
+    what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], None], hold: Any = None
+) -> tuple[Bodies, dict[str, Any]]:
     """The bodies that impact i + 1 meets, and what it took to make them.
 
-    setting: of the finished impact i (`deposition.Setting`). A splat that is not bonded and moves away has rebounded and does
-    not join. Raises SplatError when it cannot be meshed, SolverError when it does not come to rest.
+    setting: of the finished impact i (`deposition.Setting`); hold: what held its particle (`contact.hold.Hold`). A particle that is
+    not bonded and moves away has rebounded and does not join. Raises SplatError when it cannot be meshed, SolverError when it does
+    not come to rest.
     """
     from .splat.convert import convert
 
@@ -36,8 +39,16 @@ def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], 
     kinetic_0 = 0.5 * float(team.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(team.momentum()[2] / team.mass.sum())
     report: dict[str, Any] = {"impact": i + 1, "adhesion": what.adhesion.kind, "velocity_z_m_s": upwards}
-    if what.adhesion.kind == "none" and upwards > REBOUND:
-        log(f"splat {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+    report["velocity_ratio"] = ratio = velocity_ratio(what, i)
+    bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
+    if report["remeshing"]["remeshed"]:
+        old, made = report["remeshing"]["before"], report["remeshing"]["after"]
+        log(
+            f"impact {i + 1} has distorted the target: remeshed, its step is {made['step_s'] * 1e12:.0f} ps instead of"
+            f" {old['step_s'] * 1e12:.0f}"
+        )
+    if rebounds(what, i, upwards, hold):
+        log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         new = bodies.renumbered(origin)
         report |= {"rebounded": True, "bodies": 0, **new.settle(kinetic_0)}
         return _paused(what, i, new, origin, kinetic_0, report), report
@@ -58,15 +69,10 @@ def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], 
         for b in splat.bodies
     ]  # fmt: skip
     report["meshing_s"] = clock.perf_counter() - started
-    try:
-        ratio = float(np.linalg.norm(p.velocity)) / adhesion.critical_velocity(p.material, p.temperature)
-    except ColdsprayError:
-        if what.adhesion.criterion == "velocity" and what.adhesion.kind != "none":
-            raise
-        ratio = float("nan")
-    new = bodies.joined(states, what.adhesion, what.splat_element_size, origin, ratio)
+    where = hold_places(setting, hold) if what.adhesion.in_impact else None
+    new = bodies.joined(states, what.adhesion, what.splat_element_size, origin, ratio, where)
     report |= {
-        "velocity_ratio": ratio, "bonds": len(new.bond) if new.bond is not None else 0,
+        "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
     report |= new.settle(kinetic_0)
@@ -78,6 +84,11 @@ def join(what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], 
             " try a finer preset, or another [splat] method"
         )
     return _paused(what, i, new, origin, kinetic_0, report), report
+
+
+def hold_places(setting: Any, hold: Any) -> np.ndarray:
+    """Where the particle is still held, (k,3) m: its new body is bonded there and nowhere else."""
+    return setting.surface.contacts(setting.particle.x)[hold.rows[hold.whole]] if hold is not None else np.zeros((0, 3))
 
 
 def _paused(

@@ -13,6 +13,7 @@ import numpy as np
 
 from .coupling import Impact, Watch, check_books
 from .errors import SolverError
+from .outcome import velocity_ratio
 from .plan import Plan
 from .rescue import SOUND, Rescuer
 from .validity import Extremes
@@ -21,6 +22,7 @@ DRIFT_BOUND = 0.02  # of the initial kinetic energy: beyond it a run is not call
 DRIFT_ALARM = 2.0 * DRIFT_BOUND  # on the way, where some of it may come back
 MOMENTUM_BOUND = 1e-6
 DISSIPATION_BOUND = -0.01  # a scheme that gives energy away is unstable
+DISSIPATION_ALARM = 0.2  # beyond it what the schemes take is no longer small beside plastic work: said in the warnings
 # fields written without a change of name, and how they read in ParaView's order of tensors, xx yy zz xy yz xz
 _VTK_ORDER = [0, 1, 2, 5, 3, 4]
 
@@ -73,6 +75,7 @@ class Running:
         self.impact = Impact(setting.particle, setting.bodies, setting.surface, setting.contact, threads, setting.paths)
         self.rescuer = Rescuer(numerics or {})
         self.extremes = Extremes()
+        self.over_rim = False  # matter of the particle beside the substrate, below its surface
         crossing = self.mine.diameter / float(np.linalg.norm(self.mine.velocity))
         self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing)
         self.greatest: dict[str, float] | None = None
@@ -88,7 +91,7 @@ class Running:
         return {
             "impact": self.impact.state(), "watch": self.watch.state(), "greatest": self.greatest,
             "next_output": self.next_output, "next_row": self.next_row, "looped": self.looped,
-            "rescues": self.rescuer.state(), "extremes": self.extremes.state(),
+            "rescues": self.rescuer.state(), "extremes": self.extremes.state(), "over_rim": self.over_rim,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -97,7 +100,7 @@ class Running:
         self.watch.restore(state["watch"])
         self.rescuer.restore(state["rescues"])
         self.extremes.restore(state["extremes"])
-        for name in ("greatest", "next_output", "next_row", "looped"):
+        for name in ("greatest", "next_output", "next_row", "looped", "over_rim"):
             setattr(self, name, state[name])
 
     def go(
@@ -141,6 +144,8 @@ class Running:
         sinking = -float(particle.momentum()[2] / particle.mass.sum())
         over = self.watch.look(impact.time, sinking, float(impact.force[2]))
         if self.watch.turned is not None and self.greatest is None:
+            if self.what.adhesion.in_impact:
+                impact.bond(self.what.adhesion, velocity_ratio(self.what, self.i))
             self.greatest = self._measure()
             self._write()
         if over or impact.time >= self.next_row:
@@ -156,7 +161,7 @@ class Running:
     def _keep(self) -> None:
         """Remember this state for a rescue, if its books are sound."""
         ledger, setting = self.impact.ledger, self.setting
-        books = ledger.close(setting.particle, setting.bodies, setting.contact)
+        books = ledger.close(setting.particle, setting.bodies, setting.contact, self.impact.hold)
         given_away = books["numerical_particle"] / ledger.kinetic_0
         if abs(books["drift"]) < SOUND * DRIFT_BOUND and given_away > SOUND * DISSIPATION_BOUND:
             state = {"running": self.state(), "fe": setting.target.fe, "store": self.store.state()}
@@ -190,7 +195,7 @@ class Running:
         from .measures import crater_depth
 
         impact, particle, target = self.impact, self.setting.particle, self.setting.target
-        books = impact.ledger.close(particle, self.setting.bodies, self.setting.contact)
+        books = impact.ledger.close(particle, self.setting.bodies, self.setting.contact, impact.hold)
         skin = self.setting.surface.positions(particle.x)
         row = {
             "time": self.before + impact.time,
@@ -209,6 +214,9 @@ class Running:
         row["stretch_min"] = particle.stretch_min
         self.store.record(row)
         self.extremes.note(particle, target)
+        substrate = self.what.target
+        beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
+        self.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         self.next_row = impact.time + self.row_every
         if not np.isfinite(books["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
@@ -233,6 +241,7 @@ class Running:
         e = self.setting.target
         stress = e.stress()
         cells = {"stress": stress[:, _VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": e.eps_p, "T": e.T}
+        cells["body"] = self.setting.bodies.body  # 0 the substrate, then the splats as they joined
         self.store.write("target", t, e.x, e.mesh.conn, {"velocity": e.velocity()}, cells)
         self.next_output = self.impact.time + self.mine.output_every
 
@@ -248,7 +257,33 @@ class Running:
     def _beyond(self) -> list[str]:
         """Where the impact left the range that its models were fitted in."""
         metals = {"particle": self.mine.material, "target": self.what.target.material}
-        return self.extremes.warnings(self.i + 1, metals, self.what.effects.on("mie_gruneisen"))
+        beyond = self.extremes.warnings(self.i + 1, metals, self.what.effects.on("mie_gruneisen"))
+        if self.over_rim:
+            beyond.append(
+                f"impact {self.i + 1}: the particle went over the rim of the substrate ({self.what.target.diameter * 1e6:.4g} um wide),"
+                " which a real one does not have there: make substrate.diameter larger"
+            )
+        eaten = self._eaten()
+        if eaten > DISSIPATION_ALARM:
+            beyond.append(
+                f"impact {self.i + 1}: viscosity and hourglass control took {eaten:.0%} of the kinetic energy, more than"
+                f" {DISSIPATION_ALARM:.0%}: they shape the splat beside the metal's own strength, try a finer preset"
+            )
+        return beyond
+
+    def _eaten(self) -> float:
+        """Share of the initial kinetic energy that the schemes of both domains have dissipated."""
+        ledger = self.impact.ledger
+        return (ledger.rows["numerical_particle"] + ledger.rows["numerical_target"]) / ledger.kinetic_0
+
+    def _bands(self, end: dict[str, float]) -> dict[str, Any]:
+        """How far each measure may be off at this resolution, and what drives it."""
+        from .accuracy.bands import Kind, of_summary
+
+        mine, sideways = self.mine, bool(self.mine.velocity[0] or self.mine.velocity[1])
+        speed, plain = float(np.linalg.norm(mine.velocity)), mine.shape == "sphere" and not sideways
+        values = end | {"rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0)}
+        return of_summary(values, Kind(self.setting.particle.n, speed, self.i + 1, plain), mine.temperature)
 
     def _molten(self) -> list[str]:
         """What is to be said of matter above its melting point: there is no latent heat and no liquid in the law."""
@@ -285,7 +320,7 @@ class Running:
             "rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0),
             "energy_drift": books["drift"],
             "momentum_error": books["momentum_error"],
-            "numerical_dissipation": (books["numerical_particle"] + books["numerical_target"]) / kinetic_0,
+            "numerical_dissipation": self._eaten(),
             "penetration_max_m": impact.deepest,
             "points": particle.n,
             "elements": len(target.mesh.conn),
@@ -310,6 +345,7 @@ class Running:
             "effects": self.what.effects.active,
             "warnings": [*self.what.warnings, *self._beyond(), *self._molten(), *map(str, self.rescuer.made)],
             "rescues": self.rescuer.state(),
+            "bands": self._bands(end),
             "version": __version__,
         }
 

@@ -20,6 +20,7 @@ from .materials import Material
 from .scene_tables import SHAPES as SHAPES
 from .scene_tables import (
     AdhesionTable,
+    Coating,
     Contact,
     End,
     GasConditions,
@@ -45,6 +46,7 @@ class Scene(Section):
     preset: Literal["draft", "standard", "fine"] = "standard"
     effects: str | list[str] = "auto"
     particles: list[Particle] = Field(alias="particle")
+    coating: Coating | None = None
     gas: GasConditions | None = None
     substrate: Substrate
     contact: Contact = Contact(friction=0.5)

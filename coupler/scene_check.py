@@ -13,11 +13,14 @@ from .adhesion import critical_velocity
 from .errors import ColdsprayError, SceneError
 from .materials import Material
 from .scene import Scene, safe_name
-from .scene_tables import Particle, Quantity, Substrate
+from .scene_tables import BySize, Particle, Quantity, Substrate
 
 _EXAMPLES = {  # what a required field looks like; stands in for a faulty one while others are checked
     "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
     "substrate": {"material": "SS304"},
+}
+_COATING_EXAMPLE = {
+    "coating": {"material": "Ni", "number": "40", "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
 }
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 _EXTENT = ("diameter", "shape", "tilt")
@@ -38,6 +41,10 @@ def checked(data: Mapping[str, Any], source: str) -> Scene:
         given["materials"] = tables = {}
     catalogue, material_problems = materials.from_scene(tables)
     given.setdefault("name", safe_name(source))
+    if "coating" in given:
+        from .scene_coating import expand
+
+        problems += expand(given)
     if "gas" in given or "nozzles" in given:
         from .scene_gas import fill
 
@@ -209,7 +216,9 @@ def _without(given: dict[str, Any], faulty: list[tuple[int | str, ...]]) -> Scen
             table, *inner = table[int(inner[0])], *inner[1:]
             if inner and isinstance(table, dict):
                 table.pop(inner[0], None)
-        elif section in ("gas", "nozzles") or not inner:  # what those two say of the particle is in it already
+        elif (
+            section in ("gas", "nozzles", "coating") or not inner
+        ):  # what those two say of the particle is in it already
             mended.pop(str(section), None)
         elif isinstance(table, dict):
             table.pop(inner[0], None)
@@ -250,7 +259,7 @@ def _in_words(entry: Any, several: bool) -> str:
     if kind == "missing":
         if field in _EXAMPLES:
             return f"{field}: missing; add a table [{field}]"
-        example = (_EXAMPLES | _GAS_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
+        example = (_EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
         return f'{field}: missing; add for example {loc[-1]} = "{example}"'
     start = f"{field} = {_shown(entry['input'])}"
     if kind == "literal_error":
@@ -259,7 +268,7 @@ def _in_words(entry: Any, several: bool) -> str:
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
-        if loc == ("particle",):  # a whole list is no answer to what is wrong with it
+        if loc in (("particle",), ("coating",)):  # a whole table is no answer to what is wrong with it
             return f"{field} {text}"
         return f"{start} {text}" if text.startswith(("is ", "has ", "needs ", "would ")) else f"{start}: {text}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
@@ -306,7 +315,7 @@ def to_toml(scene: Scene) -> str:
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
     tables: list[tuple[str, BaseModel | None]] = [(head, particle) for particle in scene.particles]
-    for section in ("gas", "substrate", "contact", "adhesion", "splat", "resolution", "end", "output"):
+    for section in ("coating", "gas", "substrate", "contact", "adhesion", "splat", "resolution", "end", "output"):
         tables.append((f"[{section}]", getattr(scene, section)))
     for head, table in tables:
         if table is None:
@@ -314,6 +323,8 @@ def to_toml(scene: Scene) -> str:
         lines += ["", head]
         if head == "[gas]":
             lines.append("# takes effect again once the particle's velocity and temperature above are deleted")
+        if head == "[coating]":
+            lines.append("# takes effect again once the tables [[particle]] above are deleted: they are made of it")
         derived = _derived(scene, head, table)
         for field in type(table).model_fields:
             value = getattr(table, field)
@@ -330,6 +341,12 @@ def to_toml(scene: Scene) -> str:
 
 def _written(table: BaseModel, field: str, value: Any) -> str:
     """A value as the scene says it."""
+    by_size = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize)), None)
+    if by_size is not None:
+        pairs = [[units.show(size, "um"), units.show(number, by_size.of.unit)] for size, number in value]
+        return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
     quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
     if field == "offset":
         return json.dumps([units.show(x, "um") for x in value])

@@ -11,6 +11,7 @@ from pydantic import (
     GetCoreSchemaHandler,
     StrictBool,
     StrictFloat,
+    StrictInt,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -50,6 +51,35 @@ class Quantity:
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
+
+
+@dataclass(frozen=True)
+class BySize:
+    """A quantity that hangs on the particle's diameter: one text, or pairs of texts [diameter, value], linear between them.
+
+    Inside: pairs (diameter m, value), ascending; one text is the one pair (0.0, value). of: what the values are.
+    """
+
+    of: Quantity
+
+    def read(self, value: object) -> tuple[tuple[float, float], ...]:
+        """Raises units.UnitError or ValueError with what is wrong."""
+        if not isinstance(value, list | tuple):
+            return ((0.0, self.of.read(value)),)
+        if not value or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
+            raise ValueError('needs one value, or pairs of a diameter and a value, such as [["18 um", "610 m/s"]]')
+        pairs = tuple(sorted((_Diameter.read(size), self.of.read(number)) for size, number in value))
+        if len({size for size, _ in pairs}) < len(pairs):
+            raise ValueError("has a diameter twice")
+        return pairs
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+
+_Diameter = Quantity("um", "1 um", "200 um")
+_Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
+_Kelvin = Quantity("K", "100 K", "5000 K")
 
 
 class Section(BaseModel):
@@ -102,6 +132,55 @@ class Particle(Section):
     def height(self) -> float:
         """Its extent across the target, m, but no less than the diameter of the sphere of equal volume."""
         return max(self.diameter, self.form.height(self.tilt))
+
+
+class Coating(Section):
+    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.scene_coating` makes these of it. SI units.
+
+    number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
+    places that are "random" or "even" (each as far as may be from those of its layer). diameter: the median of a log-normal
+    distribution by number, spread: its geometric standard deviation, smallest and largest: where it is cut. velocity,
+    temperature: one value or by size, from [gas] where there is none; velocity_spread (m/s): standard deviation about it,
+    cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt.
+    """
+
+    material: str
+    number: StrictInt = Field(ge=1, le=500)
+    layers: StrictInt = Field(1, ge=1, le=100)
+    radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
+    positions: Literal["random", "even"] = "random"
+    diameter: Annotated[float, _Diameter]
+    spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
+    smallest: Annotated[float | None, _Diameter] = None
+    largest: Annotated[float | None, _Diameter] = None
+    velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Velocity)] = None
+    velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
+    temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
+    shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
+    dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    seed: StrictInt = Field(1, ge=0, le=2**31)
+
+    @field_validator("shapes")
+    @classmethod
+    def _shares(cls, value: dict[str, float]) -> dict[str, float]:
+        unknown = [name for name in value if name not in SHAPES]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r:.20} is not one of {', '.join(SHAPES)}{units.nearest(unknown[0], SHAPES)}")
+        shares = list(value.values())
+        if not all(math.isfinite(share) and share >= 0.0 for share in shares) or not sum(shares) > 0.0:
+            raise ValueError(
+                "needs shares of zero or more, not all of them zero, such as { sphere = 0.8, oblate = 0.2 }"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Coating":
+        low, high = self.smallest, self.largest
+        if (low is not None and low > self.diameter) or (high is not None and high < self.diameter):
+            raise ValueError("needs smallest <= diameter <= largest")
+        if self.number % self.layers:
+            raise ValueError(f"needs layers that divide number = {self.number}: each has as many particles")
+        return self
 
 
 class GasConditions(Section):

@@ -1,5 +1,7 @@
 """Bodies and materials that several tests use."""
 
+import json
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +21,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def update_golden(request: pytest.FixtureRequest) -> bool:
     """Whether goldens are to be written, not compared with."""
     return bool(request.config.getoption("--update-golden"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _a_machine_that_is_timed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """`check` finds this machine's pace known: tests neither wait for it nor touch the user's cache."""
+    from coupler.accuracy import pace
+
+    folder = tmp_path_factory.mktemp("cache")
+    (folder / "pace.json").write_text(json.dumps({pace.machine(): {"steps": 1.0, "points": 1.0, "date": "2026-01-01"}}))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLDSPRAY_CACHE", str(folder))
+        yield
 
 
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:

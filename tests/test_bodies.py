@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from blocks import Blocks
+from blocks import Blocks, cubes
 from scipy.spatial.transform import Rotation
 
 from coupler.constitutive import law_record
@@ -264,3 +264,25 @@ def test_positions_that_are_no_numbers_are_refused() -> None:
         contact.search(x, 0.1)
     with pytest.raises(SolverError, match="no numbers"):
         interface(b.surfaces, x, 1, 0.1)
+
+
+def test_an_overlap_that_did_not_come_from_a_motion_sets_no_energy_free() -> None:
+    """Nodes that are found deep in another body, as at the folds of splats, meet nothing until they have been outside."""
+    b = cubes(1.0)
+    contact, t, above = b.touch(), b.target, b.nodes(1)
+    spacing = b.surfaces.spacing(t.x, 1)
+    placed = t.x.copy()
+
+    def energy_at(depth: float) -> float:
+        t.x[:] = placed
+        t.x[above, 2] -= depth * spacing
+        contact.search(t.x, 0.05 * spacing)
+        contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
+        return contact.penalty_energy
+
+    assert energy_at(0.3) == 0.0
+    assert contact.deepest == 0.0
+    energy_at(-0.05)
+    seen = [energy_at(depth) for depth in (0.05, 0.14, 0.2)]
+    assert 0.0 < seen[0] < seen[1] < seen[2]
+    assert energy_at(0.4) == 0.0

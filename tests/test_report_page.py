@@ -109,7 +109,7 @@ def test_a_run_of_several_impacts(finished, tmp_path):
     assert "impact 1" in table
     assert "impact 2" in table
     assert rows(table)["flattening, above surface"] == ["0.5", "0.4", ""]
-    assert rows(table)["velocity z"] == ["", "3", "m/s"]
+    assert rows(table)["mean velocity upwards"] == ["", "3", "m/s"]
 
 
 def test_an_unfinished_run_says_so(finished, tmp_path):
@@ -324,7 +324,9 @@ def test_a_browser_shows_a_real_run(tmp_path):
     result = run(Scene.from_text(NI, "coarse"), tmp_path / "run")
     page = write_report(result)
     read_ = rows(page.read_text(encoding="utf-8"))
-    assert float(read_["flattening, above surface"][-2]) == pytest.approx(result.flattening_ratio, rel=1e-3)
+    value, band = read_["flattening, above surface"][-2].split(" ± ")
+    assert float(value) == pytest.approx(result.flattening_ratio, abs=5e-4)
+    assert float(band) == pytest.approx(result.summary["bands"]["flattening_ratio"]["half_width"], rel=0.05)
     with shown(page, tmp_path / "profile") as browser:
         assert (browser.requests, browser.complaints) == ([page.as_uri()], [])
         assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 10

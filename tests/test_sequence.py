@@ -121,7 +121,7 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
     # the facets between them can no longer be hit
     reachable = new.target.mesh.facets[new.reachable()]
     low = new.target.x[reachable].mean(axis=1)
-    under = (np.abs(low[:, :2]) < 7e-6).all(axis=1) & (low[:, 2] < 1e-6)
+    under = (np.abs(low[:, :2]) < 3e-6).all(axis=1) & (low[:, 2] < 1e-6)  # a ring inside the rim stays
     assert not under.any()
 
 

@@ -237,7 +237,7 @@ def test_the_judge_sees_each_fault() -> None:
         "points": 400, "eps_p_max": 2.0, "target_eps_p_max": 1.0, "T_max_K": 900.0, "target_T_max_K": 900.0, "material": "Ni",
     }  # fmt: skip
     about = {"steps": 10, "sim_time_s": 5e-8, "flattening_ratio": 0.5, "rescues": [], "warnings": []}
-    melting = {"Ni": 1726.0, "target": 1673.0}
+    melting = {"Ni": 1726.0, "substrate": 1673.0}
 
     def wrong(seen: stability.Watching | None = None, warnings: tuple[str, ...] = (), **bad: float) -> list[str]:
         summary = about | {"impacts": [good, good | bad], "warnings": list(warnings)}
@@ -246,7 +246,7 @@ def test_the_judge_sees_each_fault() -> None:
     assert wrong() == []
     for name, value in {
         "energy_drift": -0.011, "momentum_error": 1e-5, "numerical_dissipation": 0.25, "penetration_max_m": 6e-7, "T_max_K": 1800.0,
-        "target_T_max_K": 1700.0,
+        "target_T_max_K": 1730.0,
     }.items():  # fmt: skip
         assert len(wrong(**{name: value})) == 1, name
     assert len(wrong(numerical_dissipation=-0.02)) == 1
@@ -266,18 +266,29 @@ def test_hard_scenes_of_the_battery(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(reason="open: see docs/stability.md, not settled"))
-        if "rigid motion" in name
-        else name
-        for name in stability.SPECIAL
-    ],
-)
+@pytest.mark.parametrize("name", list(stability.SPECIAL))
 def test_special_cases_of_the_battery(name: str, tmp_path: Path) -> None:
     row, wrong = stability.SPECIAL[name](tmp_path)
     assert wrong == [], row
+
+
+@pytest.mark.slow
+def test_matter_that_slides_over_the_rim_is_not_pulled_back(tmp_path: Path) -> None:
+    """Its points were taken to be behind the top, 0.75 of a spacing deep, and thrown back at 550 m/s."""
+    one = stability.particle("Cu", velocity=1300, angle=75)
+    said = stability.scene(one, points=210, substrate={"diameter": "75 um"}, end={"time": "44 ns"})
+    outermost = []
+
+    def probe(impact: Any) -> None:
+        x, v, mass = impact.particle.x, impact.particle.v, impact.particle.mass
+        outside = np.hypot(x[:, 0], x[:, 1]) > 38e-6
+        if outside.any():
+            outermost.append(float(mass[outside] @ v[outside, 0] / mass[outside].sum()))
+
+    summary = run(Scene.from_dict(said, "rim"), tmp_path / "out", probe=probe, threads=1).summary
+    assert min(outermost) > 0.0
+    assert summary["penetration_max_m"] < 0.5 * summary["spacing_m"]
+    assert sum("over the rim" in text for text in summary["warnings"]) == 1
 
 
 def test_random_scenes_are_made_from_their_seed() -> None:

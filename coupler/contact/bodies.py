@@ -10,6 +10,8 @@ from .bond import Bond
 from .penalty import STIFFNESS, PointContact
 from .surfaces import Surfaces
 
+JUMP = 0.1  # spacings in one step: bodies move by far less against each other
+
 
 @dataclass
 class _Side:
@@ -67,8 +69,9 @@ class BodyContact:
         area = float(np.linalg.norm(s.vectors(x, s.facets_of(body)), axis=1).sum()) / len(nodes)
         softer = min(self.bulk_modulus[b] for b in (body, *partners))
         contact = PointContact(
-            len(nodes), s.facets[ids], spacing, area, softer, self.friction, self.share[body], self.factor, ids
-        )
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, self.share[body], self.factor, ids,
+            jump=JUMP,
+        )  # fmt: skip
         return _Side(nodes, ids, contact, ids[:0])
 
     @property
@@ -178,11 +181,12 @@ class BodyContact:
 
         For when a body has been joined: friction springs and books go on. Heat must have been fetched before.
         """
-        springs = np.zeros((len(self._held), 3))
+        springs, depth = np.zeros((len(self._held), 3)), np.zeros(len(self._held))
         for side in before._sides:
-            springs[node[side.nodes]] = side.contact.spring
+            springs[node[side.nodes]], depth[node[side.nodes]] = side.contact.spring, side.contact.depth
         for side in self._sides:
-            side.contact.spring[:], side.contact.friction_heat = springs[side.nodes], 0.0
+            side.contact.spring[:], side.contact.depth[:] = springs[side.nodes], depth[side.nodes]
+            side.contact.friction_heat = 0.0
         if self._sides:
             self._sides[0].contact.friction_heat = before.friction_heat
         self.lost = before.lost

@@ -29,10 +29,12 @@ class PointContact:
         factor: float = STIFFNESS,
         facet_ids: np.ndarray | None = None,
         reach: float = 0.0,
+        jump: float = np.inf,
     ):
         """facets (k,3) node indices, outward; facet_ids (k,): what the target calls them; spacing m of the
         particle; area m2 of a point; bulk_modulus Pa; share of friction heat that the points' side gets; reach m:
-        how far before the surface a point is held.
+        how far before the surface a point is held; jump: spacings that a point may come in from one step to the next: one
+        that is found deeper has not come in through this surface, and meets nothing until it is outside again.
         """
         self.facets = np.ascontiguousarray(facets, np.int64)
         self.facet_ids = np.arange(len(facets)) if facet_ids is None else facet_ids
@@ -54,6 +56,7 @@ class PointContact:
         self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
         self._nearest, self._foot, self._gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
         self._capacity = 64 * points
+        self._margin, self._jump = np.inf, jump * spacing
 
     @property
     def penalty_energy(self) -> float:
@@ -86,6 +89,7 @@ class PointContact:
         if not (np.isfinite(xp).all() and np.isfinite(x[self.facets]).all()):
             raise SolverError("positions are no longer numbers: try a smaller time step or more points")
         margin = self.reach + 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
+        self._margin = margin
         k.facet_boxes(x, self.facets, np.arange(len(self.facets)), self._corners, self._low, self._high)
         low, high = k.bounds(xp, xp)
         self._ids = np.flatnonzero(np.all((self._low <= high + margin) & (self._high >= low - margin), axis=1))
@@ -109,9 +113,16 @@ class PointContact:
         self.depth[:] = 0.0
         self.depth[self.rows] = touched
 
-    def touching(self, first: int) -> tuple[np.ndarray, np.ndarray]:
-        """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,)."""
-        rows = np.flatnonzero(self.depth[:first] > 0.0)
+    def touching(self, first: int, within: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,).
+
+        within: m; those that lie so near count too, as they do that chatter.
+        """
+        if within > 0.0:
+            rows = self.rows[self.rows < first]
+            rows = rows[self._gap[rows] < self.reach + within]
+        else:
+            rows = np.flatnonzero(self.depth[:first] > 0.0)
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
@@ -123,6 +134,9 @@ class PointContact:
         k.closest_facets(
             xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self._gap
         )  # fmt: skip
+        # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
+        deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
+        self._nearest[rows[self._gap[rows] < -deepest]] = -1
         k.note(rows, xp, self._gap, self.reach + shift, self._seen, self._room)
 
     def forces(self, dt: float, xp, vp, x, v, f_point, f_node) -> None:

@@ -1,0 +1,175 @@
+"""A particle that bonds in its impact is held while it rebounds; one that does not leaves, and the run goes on without it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler import Result, Scene, run
+from coupler.adhesion import Adhesion
+from coupler.constitutive import law_record
+from coupler.contact.hold import Hold
+from coupler.contact.penalty import PointContact
+from coupler.deposition import resume
+from coupler.materials import material
+from coupler.outcome import deposition_efficiency
+from coupler.plan import plan
+from tests.test_resume import Enough
+from tests.test_sequence import block, substrate
+
+ONE = """
+[[particle]]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+diameter = "100 um"
+height = "50 um"
+[resolution]
+spacing = "3.2 um"
+element_size = "5.5 um"
+"""
+STRONG = '[adhesion]\nkind = "cohesive"\nstrength = "462 MPa"\nenergy = "150 J/m2"\n'
+WEAK = STRONG.replace("150 J/m2", "8 J/m2")
+
+
+def patch(pull: float, energy: float = np.inf) -> tuple[Hold, np.ndarray, np.ndarray]:
+    """Four points on a square of two facets, 1 um across, the points pulled off by `pull` m after they were bonded."""
+    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5.0]]) * 1e-6
+    facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
+    xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
+    law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
+    hold = Hold(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law)
+    return hold, xp + np.array([0.0, 0.0, pull]), x
+
+
+def test_a_hold_pulls_back_and_gives_as_much_to_the_facets() -> None:
+    hold, xp, x = patch(1e-9)
+    f, g = np.zeros_like(xp), np.zeros_like(x)
+    hold.forces(xp, x, f, g)
+    np.testing.assert_allclose(f[1:, 2], -1e17 * 1e-9 * 0.25e-12, rtol=1e-9)
+    assert not f[0].any()
+    assert not g[4].any()
+    np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-18)
+    np.testing.assert_allclose(np.cross(xp, f).sum(axis=0) + np.cross(x, g).sum(axis=0), 0.0, atol=1e-22)
+    assert hold.energy == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
+    assert hold.whole.all()
+
+
+def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
+    hold, xp, x = patch(0.0, energy=10.0)
+    f, g = np.zeros_like(xp), np.zeros_like(x)
+    for _ in range(300):
+        xp[:, 2] += 2e-10  # to 60 nm: the last opening is 2 G / strength = 50 nm
+        hold.forces(xp, x, f, g)
+    assert not hold.whole.any()
+    assert hold.energy == pytest.approx(10.0 * 1e-12, rel=5e-3)
+    assert hold.area == (pytest.approx(1e-12), 0.0)
+    again = Hold.from_state(hold.state())
+    np.testing.assert_array_equal(again.rows, hold.rows)
+    assert again.energy == hold.energy
+
+
+def test_its_step_is_that_of_a_mass_on_a_spring() -> None:
+    hold, _, _ = patch(0.0)
+    mass = 1e-15
+    dt = hold.stable_dt(1.0 / mass, np.full(5, 1e3))
+    # each point on one spring of k a; Gershgorin counts the foot's side too
+    assert dt == pytest.approx(0.9 * 2.0 / np.sqrt(2.0 * 1e17 * 0.25e-12 / mass))
+
+
+def test_who_is_held_in_the_impact() -> None:
+    assert Adhesion(kind="cohesive", strength=1e8, energy=1.0).in_impact
+    assert Adhesion(kind="tied", criterion="pressure", threshold=1e9).in_impact
+    assert not Adhesion(kind="tied").in_impact
+    assert not Adhesion(kind="tied", criterion="velocity").in_impact
+    # the law is kept also for one particle alone
+    assert plan(Scene.from_text(ONE + STRONG, "one")).adhesion.kind == "cohesive"
+
+
+def test_a_point_above_the_surface_is_not_deep_below_a_steep_facet() -> None:
+    """Its box comes near, its plane has the point behind it, nearer facets are no candidates: no contact, however deep it looks."""
+    x = np.array([[0.0, 0.0, 0.0], [-4e-6, 0.0, 7e-6], [-4e-6, 2e-6, 1e-6]])
+    contact = PointContact(1, np.array([[0, 1, 2]]), 2.4e-6, 1e-12, 1e11, 0.0)
+    p = np.array([[0.0, 1.0e-6, 7.5e-6]])
+    contact.search(p, x, 0.0)
+    f, g = np.zeros((1, 3)), np.zeros((3, 3))
+    contact.rows = np.array([0])
+    contact.forces(1e-12, p, np.zeros((1, 3)), x, np.zeros((3, 3)), f, g)
+    assert not f.any()
+    assert contact.penalty_energy == 0.0
+
+
+def test_no_hole_around_a_splat() -> None:
+    """What sticks out from under a joined body can still be hit: a particle beside it must not fall through."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    new = substrate().joined(
+        [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0
+    )
+    mesh = new.target.mesh
+    beyond = np.abs(new.target.x[:, :2]).max(axis=1) > 10.1e-6
+    top = mesh.sets["top"]
+    out = top[beyond[mesh.facets[top]].any(axis=1)]
+    assert np.isin(out, new.reachable()).all()
+    assert len(new.buried) > 0
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
+    place = tmp_path_factory.mktemp("bonding")
+    return {
+        name: run(Scene.from_text(ONE + law, name), place / name) for name, law in (("strong", STRONG), ("weak", WEAK))
+    }
+
+
+def test_strong_bonds_hold_and_weak_ones_do_not(runs: dict[str, Result]) -> None:
+    strong, weak = runs["strong"].summary, runs["weak"].summary
+    assert not strong["rebounded"]
+    assert strong["restitution"] == 0.0
+    assert strong["bonded_area_end_m2"] > 0.5 * strong["bonded_area_m2"]
+    assert weak["rebounded"]
+    assert weak["restitution"] == pytest.approx(weak["velocity_z_m_s"] / 500.0)
+    assert weak["restitution"] > 0.02
+    assert weak["bonded_area_end_m2"] == 0.0
+    # what tearing off has cost is the fracture energy of what was bonded
+    spent = weak["energies"]["bond"] * weak["kinetic_energy_0_J"]
+    assert spent == pytest.approx(8.0 * weak["bonded_area_m2"], rel=0.02)
+    for summary in (strong, weak):
+        assert abs(summary["energy_drift"]) < 5e-3
+        assert summary["momentum_error"] < 1e-10
+    assert weak["deposition_efficiency"] == 0.0
+    assert strong["deposition_efficiency"] == 1.0
+
+
+def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_path: Path) -> None:
+    def probe(impact: Any) -> None:
+        if impact.hold is not None and impact.time > 45e-9:
+            raise Enough
+
+    with pytest.raises(Enough):
+        run(Scene.from_text(ONE + STRONG, "strong"), tmp_path / "out", probe=probe, checkpoint_every=0.0)
+    again = resume(tmp_path / "out").summary
+    for name in ("bonded_area_end_m2", "height_m", "energy_drift", "velocity_z_m_s"):
+        assert again[name] == pytest.approx(runs["strong"].summary[name], rel=1e-9)
+
+
+def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
+    second = ONE.replace(
+        "[substrate]", '[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "500 m/s"\n[substrate]'
+    )
+    result = run(
+        Scene.from_text(second + '[adhesion]\nkind = "tied"\ncriterion = "velocity"\n', "two"), tmp_path / "two"
+    )
+    s = result.summary
+    assert [impact["rebounded"] for impact in s["impacts"]] == [True, True]
+    assert s["joins"][0]["bodies"] == 0
+    assert s["deposition_efficiency"] == 0.0
+    assert s["impacts"][1]["crater_depth_m"] > s["impacts"][0]["crater_depth_m"]
+    assert int(result.fields(-1, "target").data["body"].max()) == 0
+
+
+def test_efficiency_is_a_share_of_mass() -> None:
+    records = [{"particle_mass_kg": 3.0, "rebounded": False}, {"particle_mass_kg": 1.0, "rebounded": True}]
+    assert deposition_efficiency(records) == 0.75

@@ -1,0 +1,180 @@
+"""A coating: particles from a seed, and what is measured of made-up bodies whose thickness, roughness and voids are known."""
+
+import numpy as np
+import pytest
+
+from coupler import Scene
+from coupler.coating import Columns, Splats, over_depth, per_layer, roughness
+from coupler.errors import SceneError
+from coupler.fe import mesh as meshes
+from coupler.result import Fields
+
+COATING = """
+preset = "draft"
+[coating]
+material = "Ni"
+number = 40
+layers = 4
+radius = "36 um"
+diameter = "22 um"
+spread = 1.16
+smallest = "18 um"
+largest = "27 um"
+velocity = [["18 um", "610 m/s"], ["25 um", "500 m/s"]]
+velocity_spread = "20 m/s"
+temperature = "400 K"
+shapes = { sphere = 0.5, oblate = 0.5 }
+seed = 3
+[substrate]
+material = "SS304"
+"""
+
+
+def test_particles_come_from_the_seed_and_keep_to_the_table() -> None:
+    scene = Scene.from_text(COATING, "coating")
+    again = Scene.from_text(COATING, "coating")
+    assert scene.particles == again.particles
+    assert scene.particles != Scene.from_text(COATING.replace("seed = 3", "seed = 4"), "coating").particles
+    assert len(scene.particles) == 40
+    D = np.array([p.diameter for p in scene.particles])
+    assert 18e-6 <= D.min() < D.max() <= 27e-6
+    assert np.median(D) == pytest.approx(22e-6, rel=0.06)
+    for p in scene.particles:
+        table = np.interp(p.diameter, [18e-6, 25e-6], [610.0, 500.0])
+        assert abs(p.velocity - table) <= 40.1  # cut at two deviations
+        assert np.hypot(*p.offset) <= 36.01e-6
+        assert p.temperature == 400.0
+        assert (p.tilt == 0.0) == (p.shape == "sphere")
+    assert 10 <= sum(p.shape == "oblate" for p in scene.particles) <= 30
+    first = scene.particles[0]
+    # what is written out is the same scene: a run can be resumed from it
+    assert Scene.from_text(scene.to_toml(), "coating") == scene
+    assert first.diameter == pytest.approx(18.44e-6, rel=0.5)
+
+
+def test_even_places_keep_apart() -> None:
+    def nearest(text: str) -> float:
+        sites = np.array([p.offset for p in Scene.from_text(text, "c").particles])[:10]
+        apart = np.linalg.norm(sites[:, None] - sites, axis=2) + np.eye(10)
+        return float(apart.min())
+
+    even = COATING.replace('diameter = "22 um"', 'diameter = "22 um"\npositions = "even"')
+    assert nearest(even) > 2.0 * nearest(COATING)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("layers = 4", "layers = 3", "layers that divide number = 40"),
+        ('smallest = "18 um"', 'smallest = "24 um"', "smallest <= diameter <= largest"),
+        ("number = 40", "number = 0", "coating.number"),
+        ("{ sphere = 0.5, oblate = 0.5 }", "{ cube = 1.0 }", "coating.shapes"),
+        ('[["18 um", "610 m/s"], ["25 um", "500 m/s"]]', '[["18 um"]]', "pairs of a diameter and a value"),
+        ('velocity = [["18 um", "610 m/s"], ["25 um", "500 m/s"]]', "", "coating.velocity: missing"),
+        ('radius = "36 um"', 'radius = "300 um"', "offset"),
+        (
+            "[substrate]",
+            '[particle]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "500 m/s"\n[substrate]',
+            "particles of its own",
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_by_field(old: str, new: str, says: str) -> None:
+    with pytest.raises(SceneError, match=says):
+        Scene.from_text(COATING.replace(old, new), "coating")
+
+
+def test_gas_gives_velocity_and_temperature_by_size() -> None:
+    text = COATING.replace('velocity = [["18 um", "610 m/s"], ["25 um", "500 m/s"]]\n', "").replace(
+        'temperature = "400 K"\n', ""
+    )
+    text = (
+        text.replace("number = 40", "number = 4")
+        + '[gas]\npressure = "23 bar"\ntemperature = "530 degC"\nnozzle = "D42PBI"\n'
+    )
+    particles = Scene.from_text(text, "coating").particles
+    by_size = sorted(particles, key=lambda p: p.diameter)
+    assert by_size[0].velocity > by_size[-1].velocity
+    assert all(500.0 < p.temperature < 803.0 for p in particles)
+
+
+def slab(
+    low: tuple[float, float, float], high: tuple[float, float, float], size: float
+) -> tuple[np.ndarray, np.ndarray]:
+    points, tets = meshes.box(tuple(b - a for a, b in zip(low, high, strict=True)), size)
+    edge = points[tets[:, 1:]] - points[tets[:, :1]]
+    turned = np.linalg.det(edge) < 0
+    tets[turned, 2:] = tets[turned, 2:][:, ::-1]
+    return points + np.array(low), tets
+
+
+@pytest.fixture(scope="module")
+def built() -> Splats:
+    """A substrate, a splat of 6 um all over it, one of 4 um more on the half x > 0, and a bridge 3 um above the rest of it."""
+    u = 1e-6
+    parts = [
+        slab((-30 * u, -30 * u, -20 * u), (30 * u, 30 * u, 0.0), 6 * u),
+        slab((-30 * u, -30 * u, 0.0), (30 * u, 30 * u, 6 * u), 6 * u),
+        slab((0.0, -30 * u, 6 * u), (30 * u, 30 * u, 10 * u), 6 * u),
+        slab((-30 * u, -30 * u, 9 * u), (0.0, 30 * u, 10 * u), 6 * u),
+    ]
+    points, cells, body = [], [], []
+    for b, (x, t) in enumerate(parts):
+        cells.append(t + sum(map(len, points)))
+        points.append(x)
+        body.append(np.full(len(t), b))
+    of = np.concatenate(body)
+    m = len(of)
+    stress = np.zeros((m, 6))
+    stress[:, 0] = np.where(of == 1, -1e8, 2e8)
+    data = {"body": of, "eps_p": 0.5 * of, "T": 300.0 + 100.0 * of, "von_mises": 1e8 * of, "stress": stress}
+    mesh = Fields(
+        0.0, np.concatenate(points), np.concatenate(cells), {k: v.astype(np.float32) for k, v in data.items()}
+    )
+    return Splats(
+        mesh, of, np.array([0, 1, 3, 4]), None, 4, np.zeros((4, 2)), np.array([False, True, False, False]), np.array([1.0, 1, 1, 1])
+    )  # fmt: skip
+
+
+def test_columns_know_thickness_and_voids(built: Splats) -> None:
+    c = Columns(built, (0.0, 0.0), 12e-6, 0.5e-6)
+    np.testing.assert_allclose(c.interface(), 0.0, atol=0.26e-6)
+    np.testing.assert_allclose(c.top(), 10e-6, atol=0.26e-6)
+    opened, closed = c.voids(1e-6)
+    # the space under the bridge: half of the window, 3 of 10 um; nothing leads out of it within the window
+    assert opened.sum() == 0
+    assert closed.sum() / (12 * 2 * len(c.x)) == pytest.approx(0.0, abs=1.0)
+    share = closed.sum() * 0.5e-6 / (len(c.x) * 10e-6)
+    assert share == pytest.approx(0.15, abs=0.015)
+    # voids that are lower than the limit are not told from matter
+    assert sum(part.sum() for part in c.voids(3.5e-6)) == 0
+
+
+def test_an_opening_makes_voids_open(built: Splats) -> None:
+    below = built.mesh.points[built.mesh.cells].mean(axis=1)
+    holed = ~((built.body == 3) & (np.hypot(below[:, 0] + 6e-6, below[:, 1]) < 4e-6))
+    mesh = Fields(0.0, built.mesh.points, built.mesh.cells[holed], {k: v[holed] for k, v in built.mesh.data.items()})
+    one = Splats(mesh, built.body[holed], built.impact, None, 4, built.sites, built.rebounded, built.mass)
+    opened, closed = Columns(one, (0.0, 0.0), 12e-6, 0.5e-6).voids(1e-6)
+    assert closed.sum() == 0
+    assert opened.sum() > 0
+
+
+def test_roughness_of_a_wave() -> None:
+    sa, sq = roughness(3e-6 + 2e-6 * np.sin(2 * np.pi * np.arange(2000) / 200))
+    assert sa == pytest.approx(2e-6 * 2 / np.pi, rel=1e-3)  # of a sine: 2 / pi of its height
+    assert sq == pytest.approx(2e-6 / np.sqrt(2), rel=1e-3)
+
+
+def test_layers_depth_and_efficiency(built: Splats) -> None:
+    rows = per_layer(built, 2)
+    assert [row["layer"] for row in rows] == [1, 2]
+    assert rows[0]["T_mean"] == pytest.approx(400.0)
+    assert rows[1]["splats"] == 2
+    assert rows[1]["eps_p_max"] == pytest.approx(1.5)
+    by_depth = over_depth(built, 12e-6, 2e-6)
+    inside = [row for row in by_depth if 1e-6 < row["z_m"] < 5e-6]
+    assert inside
+    assert all(row["sigma_xx"] == pytest.approx(-1e8) and row["coating"] == 1.0 for row in inside)
+    assert by_depth[-1]["sigma_xx"] == pytest.approx(2e8)
+    assert built.deposition_efficiency == pytest.approx(0.75)
