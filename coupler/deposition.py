@@ -321,7 +321,7 @@ def build(
     None: as the bodies lie now.
     """
     from .bodies import level_under
-    from .contact.penalty import STIFFNESS, PointContact
+    from .contact.penalty import JUMP, STIFFNESS, PointContact
     from .splat.carry import CarriedSurface
     from .team import Team
 
@@ -352,6 +352,7 @@ def build(
         share=_heat_share(p.material, p.temperature, t.material, t.temperature),
         factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
         facet_ids=facets,
+        jump=JUMP,
     )
     return Setting(particle, bodies, contact, surface, body, place, level, _paths(what, particle, body))
 

@@ -6,6 +6,7 @@ from ..errors import SolverError
 from . import kernels as k
 
 STIFFNESS = 1.0
+JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
 class PointContact:
@@ -135,7 +136,7 @@ class PointContact:
             xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self._gap
         )  # fmt: skip
         # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
-        deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
+        deepest = np.minimum(self._margin, self.depth[rows] + self._jump - self.reach)
         self._nearest[rows[self._gap[rows] < -deepest]] = -1
         k.note(rows, xp, self._gap, self.reach + shift, self._seen, self._room)
 
