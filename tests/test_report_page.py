@@ -236,6 +236,17 @@ def test_pictures_are_taken_on_the_way_and_at_the_end(finished):
     assert picks(Result(finished)) == [1, 2, 3, 4]  # at 10, 20, 30 (greatest deformation) and 40 ns
 
 
+def test_each_of_several_impacts_has_its_picture(finished, tmp_path):
+    copy = shutil.copytree(finished, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    one = {"sim_time_s": 20e-9, "greatest_deformation": {"time_s": 10e-9}}
+    Store(copy).finish(made_up_run.summary(impacts=[one, one]))
+    assert picks(Result(copy)) == [1, 3, 4]  # at 10, 20 + 10 and 40 ns
+    page = report(Result(copy))
+    assert "<b>t = 10.0 ns</b>, greatest deformation of impact 1" in page
+    assert "<b>t = 30.0 ns</b>, greatest deformation of impact 2" in page
+
+
 def test_where_the_page_goes(finished, tmp_path, capsys):
     copy = light(finished, tmp_path / "run")
     assert cli.main(["report", str(copy)]) == 0

@@ -133,14 +133,19 @@ def report(result: Result) -> str:
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps worth a picture: on the way to greatest deformation, where the summary names it, that one, and the last."""
+    """Steps worth a picture: on the way to greatest deformation, where the summary names it, that one, and the last.
+
+    Of several impacts their greatest deformations, as many as there is room for, and the last step.
+    """
     times = result.times("surface")[: stored_steps(result)]
     last = len(times) - 1
-    peak = _named_times(result.summary).get("greatest deformation")
-    if peak is None:
+    peaks = list(_named_times(result.summary).values())
+    if not peaks:
         return sorted({round(k) for k in np.linspace(0, last, min(most, last) + 1)[min(1, last) :]})
-    turn = int(np.argmin(np.abs(times - peak)))
-    wanted = [times[turn] * share for share in np.linspace(0, 1, most)[1:]]
+    turns = [int(np.argmin(np.abs(times - peak))) for peak in peaks]
+    if len(turns) > 1:
+        return sorted({turns[round(k)] for k in np.linspace(0, len(turns) - 1, min(most - 1, len(turns)))} | {last})
+    wanted = [times[turns[0]] * share for share in np.linspace(0, 1, most)[1:]]
     return sorted({int(np.argmin(np.abs(times - time))) for time in wanted} | {last})
 
 
@@ -174,9 +179,18 @@ their range has the last one.</p>"""
 
 
 def _named_times(summary: Mapping[str, Any]) -> dict[str, float]:
-    peak = summary.get("greatest_deformation")
-    time = peak.get("time_s") if isinstance(peak, Mapping) else None
-    return {"greatest deformation": float(time)} if isinstance(time, int | float) else {}
+    """What happened when, s from the start of the run: the greatest deformation of each impact."""
+    several = summary.get("impacts")
+    entries = several if isinstance(several, list) and len(several) > 1 else [summary]
+    found, start = {}, 0.0
+    for number, entry in enumerate(entries, 1):
+        peak = entry.get("greatest_deformation") if isinstance(entry, Mapping) else None
+        time = peak.get("time_s") if isinstance(peak, Mapping) else None
+        if isinstance(time, int | float):
+            found["greatest deformation" + (f" of impact {number}" if len(entries) > 1 else "")] = start + float(time)
+        lasted = entry.get("sim_time_s") if isinstance(entry, Mapping) else None
+        start += float(lasted) if isinstance(lasted, int | float) else 0.0
+    return found
 
 
 def _under(result: Result, scene: Mapping[str, Any], history: Mapping[str, NDArray]) -> str:
