@@ -66,8 +66,11 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
     if bodies.contact is not None:
         bodies.target.warm(*bodies.contact.heat())
     domain = domain_now(bodies.target, bodies.body)
-    shortest = _limits(domain).min()
-    allowed = _loose(bodies)
+    limits, gammas = _limits(domain), quality.gamma(domain.state["x"], domain.mesh.conn)
+    shortest, allowed = limits.min(), _loose(bodies)
+    faster = limits[~allowed].min(initial=np.inf) > GAIN * shortest
+    if not faster and not before["quality"] < gate.quality <= gammas[~allowed].min(initial=np.inf):
+        return bodies, report | {"remeshed": False, "kept": "the worst elements touch what is bonded or held"}
     buried = bodies.buried
     number = np.arange(len(bodies.target.x))
     given_up = np.zeros(len(allowed), bool)

@@ -161,6 +161,18 @@ def test_a_mesher_that_fails_leaves_the_target(hit: dict[str, Any], monkeypatch:
     assert all("SIGSEGV" in why for patch in report["patches"] for why in patch["failed"])
 
 
+def test_nothing_is_tried_where_the_worst_elements_must_stay(
+    hit: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the step would stay what it is: every try would cost a mesher's run after every impact."""
+    monkeypatch.setattr("coupler.remeshing._loose", lambda bodies: np.zeros(len(bodies.target.mesh.conn), bool))
+    monkeypatch.setattr("coupler.remeshing._one", lambda *_: pytest.fail("tried"))
+    old = bodies_from(hit["what"], hit["whole"])
+    same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
+    assert same is old
+    assert "touch what is bonded" in report["kept"]
+
+
 def test_a_patch_that_would_touch_what_is_held_is_none(hit: dict[str, Any]) -> None:
     mesh = hit["whole"]["mesh"]
     old = bodies_from(hit["what"], hit["whole"]).target.mesh
