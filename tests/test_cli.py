@@ -98,10 +98,18 @@ def test_a_reader_that_goes_away_is_no_error():
             "install libxft2",
         ),
         (OSError("libmpi.so.12: cannot open shared object file: No such file"), "make setup"),
+        (
+            ModuleNotFoundError("No module named 'annotated_types'", name="annotated_types"),
+            "package annotated_types is missing: set the environment up again with `make setup`",
+        ),
     ],
 )
-def test_missing_system_library(error, says):
+def test_missing_library(error, says):
     assert says in cli.missing_library(error)
+
+
+def test_a_module_of_ours_that_is_missing_is_a_fault_of_the_program():
+    assert cli.missing_library(ModuleNotFoundError("No module named 'coupler.odd'", name="coupler.odd")) is None
 
 
 class FakeDeposition:
