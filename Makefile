@@ -25,6 +25,9 @@ LIBRARIES += chromium
 
 .PHONY: setup run check test bench studies effects accuracy stability fuzz validate maps docs clean
 
+# Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
+COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
+
 setup: $(STAMP)
 
 $(STAMP): uv.lock pyproject.toml
@@ -55,7 +58,7 @@ $(STAMP): uv.lock pyproject.toml
 	  $(PYTHON) -m venv --clear $(VENV)
 	@$(VENV)/bin/python -m uv --version >/dev/null 2>&1 || \
 	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv==$(UV_VERSION)
-	UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(VENV)/bin/python -m uv sync --locked --inexact --quiet
+	UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(COMPILED) $(VENV)/bin/python -m uv sync --locked --inexact --quiet
 	@touch $@
 
 run: setup

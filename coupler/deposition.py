@@ -92,7 +92,7 @@ class _How:
 
 def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> Result:
     what = plan(scene)
-    ranks = parallel.arrange(parallel.world(), how.placement, what.home_load)
+    ranks = parallel.arrange(parallel.world(), how.placement)
     log = folder / "log.lammps"
     if not ranks.at_home:
         parallel.follow(ranks, lambda i, place: build_particle(what, i, place, ranks, how.numerics, log))

@@ -39,7 +39,7 @@ SECONDS_PER_STEP = 6e-4
 SECONDS_PER_RUN = 0.3  # files and pictures; not the start of the program
 SECONDS_PER_MESHED_ELEMENT = 1e-4
 SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000
-SPLIT_FROM = 0.45  # the target's cost over the particle's: from here on a rank of its own serves it best
+SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
 BYTES_PER_ELEMENT = 6e3

@@ -1,7 +1,7 @@
 """Who runs where: one process, or ranks under mpiexec. The only import of mpi4py beside what LAMMPS needs.
 
 One rank, the *home*, holds the target, the contact, the books and the files; the particle lives on one or more ranks
-(`split`: all but the home; `spread`: all, the home with fewer points). The home leads: between chunks of steps it asks
+(`split`: all but the home; `spread`: all, in equal parts). The home leads: between chunks of steps it asks
 all ranks that have points for what it needs (`Team.ask`); within a chunk LAMMPS runs on each of them and in every step they
 hand positions and velocities of the points that may touch to the home and get forces back. In one process the home has the
 whole particle, and the same code exchanges nothing.
@@ -57,9 +57,12 @@ def world() -> Any:
     return MPI.COMM_WORLD if MPI.COMM_WORLD.size > 1 else None
 
 
-def arrange(comm: Any, placement: str | None, home_load: float) -> Ranks:
-    """Decide who runs where. placement: "split" (the default), "spread" or None; home_load: cost of the home's own work over that of
-    the particle, for the balance. Raises PlacementError."""
+def arrange(comm: Any, placement: str | None) -> Ranks:
+    """Decide who runs where. placement: "split" (the default), "spread" or None. Raises PlacementError.
+
+    Parts are equal in either: all ranks meet inside LAMMPS twice in each step, before its forces and between its stresses and its
+    forces, so that a smaller part beside the target would only make the others' parts longer.
+    """
     if placement is not None and placement not in PLACEMENTS:
         raise PlacementError(f"--placement {placement} is unknown: choose {' or '.join(PLACEMENTS)}")
     if comm is None:
@@ -67,23 +70,10 @@ def arrange(comm: Any, placement: str | None, home_load: float) -> Ranks:
             raise PlacementError(f"--placement {placement} needs several ranks: start with mpiexec -n 2 coldspray ...")
         return Ranks()
     size, placement = comm.size, placement or "split"
-    if placement == "split":
-        sph = tuple(range(size - 1))
-        shares = (1.0 / (size - 1),) * (size - 1)
-    else:
-        sph = tuple(range(size))
-        at_home = home_share(size, home_load)
-        shares = (*((1.0 - at_home) / (size - 1),) * (size - 1), at_home)
+    sph = tuple(range(size - 1 if placement == "split" else size))
+    shares = (1.0 / len(sph),) * len(sph)
     sph_comm = comm.Split(int(comm.rank not in sph), comm.rank)
     return Ranks(comm.rank, size, size - 1, sph, shares, placement, comm, sph_comm if comm.rank in sph else None)
-
-
-def home_share(size: int, home_load: float) -> float:
-    """Share of the points that the home takes beside the target, so that all ranks are done at the same time.
-
-    The home does its own step while the others are at the first part of theirs (`Team.run`).
-    """
-    return max(0.03, (1.0 - (size - 1) * home_load) / size)
 
 
 class Elsewhere(SolverError):

@@ -213,7 +213,7 @@ class Team:
                 outbox[i][0] = float(failed)
                 outbox[i][1:] = self.f_ext[where[i]].ravel()
                 r.comm.Send(outbox[i], dest=rank, tag=STEP)
-            if self.piece is not None and done < steps:  # while the others, who have more points, are at theirs
+            if self.piece is not None and done < steps:  # while forces travel to the others
                 begun = True
                 self._try(begin)
 

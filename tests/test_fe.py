@@ -271,6 +271,14 @@ def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> N
         t.advance(1e-5)
 
 
+def test_an_inverted_element_of_a_splat_asks_for_another_method(block: mesh.TetMesh) -> None:
+    two = np.repeat(law_record(elastic()), 2)
+    t = Target(block, two, 300.0, law_of=np.ones(len(block.conn), np.int32), fixed=(), sleeping=False)
+    t.v[0] = 1e6
+    with pytest.raises(SolverError, match=r"in splat1, inverted .* try another \[splat\] method"):
+        t.advance(1e-5)
+
+
 def test_threads_change_no_bit(block: mesh.TetMesh, rng: np.random.Generator) -> None:
     v = 200 * rng.standard_normal(block.points.shape)
     bodies = [

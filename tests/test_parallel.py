@@ -13,7 +13,7 @@ import pytest
 
 from coupler import Scene, run
 from coupler.errors import PlacementError
-from coupler.parallel import Ranks, arrange, home_share
+from coupler.parallel import Ranks, arrange
 
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
 NI = """
@@ -192,14 +192,9 @@ def test_user_errors_are_said_once(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
-def test_the_balance_of_ranks() -> None:
-    assert arrange(None, None, 0.3) == Ranks()
+def test_a_placement_needs_ranks_and_a_name_that_is_known() -> None:
+    assert arrange(None, None) == Ranks()
     with pytest.raises(PlacementError, match="mpiexec"):
-        arrange(None, "spread", 0.3)
+        arrange(None, "spread")
     with pytest.raises(PlacementError, match="split or spread"):
-        arrange(None, "sideways", 0.3)
-    assert home_share(2, 0.0) == pytest.approx(0.5)
-    # the home is done with its points and its own work when the other is done with its points
-    share, load = home_share(2, 0.2), 0.2
-    assert share + load == pytest.approx(1 - share)
-    assert home_share(4, 10.0) > 0
+        arrange(None, "sideways")

@@ -18,6 +18,7 @@ from coupler.deposition import resume
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
+from coupler.fe.heat import EVERY
 from coupler.materials import material
 from tests.test_parallel import MPIEXEC, numbers
 from tests.test_resume import Enough
@@ -123,6 +124,22 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
     low = new.target.x[reachable].mean(axis=1)
     under = (np.abs(low[:, :2]) < 3e-6).all(axis=1) & (low[:, 2] < 1e-6)  # a ring inside the rim stays
     assert not under.any()
+
+
+def test_no_heat_flows_while_bodies_come_to_rest() -> None:
+    """The time that takes is none of the spray's; after it heat flows again."""
+    points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
+    T = np.where(mesh.points[mesh.conn].mean(axis=1)[:, 0] > 0.0, 310.0, 300.0)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), T, sleeping=False, conduction=True)
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
+    bodies.settle(1e-9)
+    np.testing.assert_array_equal(bodies.target.T, T)
+    for _ in range(2 * EVERY):
+        bodies.target.advance(1e-11)
+        bodies.target.finish()
+    assert np.ptp(bodies.target.T) == pytest.approx(10.0, abs=0.5)
+    assert np.any(bodies.target.T != T)
 
 
 def test_a_residual_stress_stays() -> None:

@@ -1,8 +1,9 @@
 """What ranks gain: python workflows/bench_ranks.py [--repeats 3] [--out docs/tables/ranks.csv]
 
-`single_ni` at `standard`, its first 22 ns, in one process (one thread; two) and under mpiexec on two and three ranks, both placements:
-wall time of the steps, its ratio to one process on one thread, and the share of it that each rank waits for others in the
-exchange (what a rank waits inside LAMMPS is not in it). The runs of a round follow one another; the median over rounds is kept.
+The first 22 ns of two scenes, `single_ni` at `standard`, whose particle costs several times its target, and one whose particle and
+target cost the same, in one process (one thread; two) and under mpiexec on two and three ranks, both placements: wall time of the
+steps, its ratio to one process on one thread, and the share of it that each rank waits for others in the exchange (what a rank
+waits inside LAMMPS is not in it). The runs of a round follow one another; the median over rounds is kept.
 """
 
 import argparse
@@ -20,6 +21,19 @@ WAYS = {
     "one process, one thread": (1, None, 1), "one process, two threads": (1, None, 2), "two ranks, split": (2, "split", 1),
     "two ranks, spread": (2, "spread", 1), "three ranks, split": (3, "split", 1), "three ranks, spread": (3, "spread", 1),
 }  # fmt: skip
+END = '[end]\ntime = "22 ns"\n'
+EQUAL = """
+[particle]
+material = "Ni"
+diameter = "25 um"
+velocity = "500 m/s"
+[substrate]
+material = "SS304"
+[resolution]
+spacing = "2.0 um"
+element_size = "2.4 um"
+growth = 0.12
+"""
 PROGRAM = """
 import sys
 from coupler import Scene, run
@@ -34,37 +48,41 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("docs/tables/ranks.csv"))
     a = parser.parse_args()
-    mpiexec = Path(sys.executable).parent / "mpiexec"
-    text = (Path(__file__).parent / "single_ni.toml").read_text()
-    times: dict[str, list[float]] = {name: [] for name in WAYS}
-    idle: dict[str, list[float]] = {}
-    with tempfile.TemporaryDirectory() as place:
-        scene = Path(place) / "scene.toml"
-        end = '[end]\ntime = "22 ns"\n'
-        scene.write_text(text.replace('[end]\nat = "rest"', end.strip()) if "[end]" in text else text + end)
-        for repeat in range(a.repeats):
-            for name, (ranks, placement, threads) in WAYS.items():
-                out = f"{place}/{ranks}{placement}{threads}"
-                program = [sys.executable, "-c", PROGRAM, str(scene), out, placement or "", str(threads)]
-                launch = [str(mpiexec), "-n", str(ranks)] if ranks > 1 else []
-                subprocess.run([*launch, *program], check=True)
-                summary = json.loads((Path(out) / "summary.json").read_text())
-                times[name].append(summary["wall_loop_s"])
-                idle[name] = summary["idle_share"]
-                print(f"round {repeat + 1}: {name:26s} {times[name][-1]:6.2f} s", flush=True)
-    first = statistics.median(times["one process, one thread"])
-    rows = []
-    for name in WAYS:
-        seconds = statistics.median(times[name])
-        rows.append(
-            [name, f"{seconds:.2f}", f"{seconds / first:.2f}", " ".join(f"{share:.2f}" for share in idle[name])]
-        )
-        print(f"{name:26s} {seconds:6.2f} s  {seconds / first:.2f} of one process; waiting {rows[-1][-1] or '-'}")
+    standard = (Path(__file__).parent / "single_ni.toml").read_text()
+    scenes = {"single_ni": standard.replace('[end]\nat = "rest"', END.strip()), "equal loads": EQUAL + END}
+    rows = [row for name, text in scenes.items() for row in measured(name, text, a.repeats)]
     with a.out.open("w", newline="") as file:
         file.write(
             f"# remake: make bench; {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}\n"
         )
-        csv.writer(file).writerows([["how", "seconds", "of one process", "waiting, by rank"], *rows])
+        csv.writer(file).writerows([["scene", "how", "seconds", "of one process", "waiting, by rank"], *rows])
+
+
+def measured(scene: str, text: str, repeats: int) -> list[list[str]]:
+    """A row of the table for each way to run the scene."""
+    times: dict[str, list[float]] = {name: [] for name in WAYS}
+    idle: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as place:
+        path = Path(place) / "scene.toml"
+        path.write_text(text)
+        for repeat in range(repeats):
+            for name, (ranks, placement, threads) in WAYS.items():
+                out = Path(place) / f"{ranks}{placement}{threads}"
+                program = [sys.executable, "-c", PROGRAM, str(path), str(out), placement or "", str(threads)]
+                launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(ranks)] if ranks > 1 else []
+                subprocess.run([*launch, *program], check=True)
+                summary = json.loads((out / "summary.json").read_text())
+                times[name].append(summary["wall_loop_s"])
+                idle[name] = summary["idle_share"]
+                print(f"{scene}, round {repeat + 1}: {name:26s} {times[name][-1]:6.2f} s", flush=True)
+    medians = {name: statistics.median(found) for name, found in times.items()}
+    first = medians["one process, one thread"]
+    rows = []
+    for name, seconds in medians.items():
+        waiting = " ".join(f"{share:.2f}" for share in idle[name])
+        print(f"{scene}: {name:26s} {seconds:6.2f} s  {seconds / first:.2f} of one process; waiting {waiting or '-'}")
+        rows.append([scene, name, f"{seconds:.2f}", f"{seconds / first:.2f}", waiting])
+    return rows
 
 
 if __name__ == "__main__":

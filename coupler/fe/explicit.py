@@ -308,9 +308,13 @@ class Target:
     def _inverted(self) -> str:
         e = int(np.argmin(self.volume[: self.active_elements]))
         where = self.x[self.mesh.conn[e]].mean(axis=0) * 1e6
+        body = int(self.law_of[e])  # each has a law of its own; those after the first are splats
+        within, remedy = (f", in splat{body},", "another [splat] method, a finer preset") if body else (
+            "", "a coarser substrate element_size"
+        )  # fmt: skip
         return (
-            f"element {e} of the target inverted at t = {self.time * 1e9:.3f} ns near "
-            f"({where[0]:.2f}, {where[1]:.2f}, {where[2]:.2f}) um: try a coarser substrate element_size or a smaller dt"
+            f"element {e} of the target{within} inverted at t = {self.time * 1e9:.3f} ns near "
+            f"({where[0]:.2f}, {where[1]:.2f}, {where[2]:.2f}) um: try {remedy} or a smaller dt"
         )
 
 
