@@ -196,7 +196,7 @@ def expected(name: str, values: Mapping[str, float]) -> Influence | None:
     several do, the one whose other numbers come nearest too.
     """
     cases = [row for row in _measured() if row["effect"] == name]
-    if not cases:
+    if not cases or values[name] == 0.0:  # what a scene does not have cannot be left out
         return None
     numbers_of: dict[str, dict[str, float]] = {}
     for row in _measured():

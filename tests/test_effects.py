@@ -224,8 +224,7 @@ def test_thresholds_keep_to_what_was_measured() -> None:
         for row in effects._measured():
             if row["effect"] == name and float(row["number"]) <= threshold:
                 assert effects.worst_change(row) <= effects.LEFT_OUT, row
-    assert len(held) == 10
-    assert effects.largest_threshold("cooling") is None
+    assert len(held) == 11
 
 
 def test_what_to_expect_is_that_of_the_nearest_case() -> None:
@@ -244,7 +243,10 @@ def test_what_to_expect_is_that_of_the_nearest_case() -> None:
     near = effects.expected("friction", slow)
     assert near is not None
     assert near.scene.startswith("slow")
-    assert effects.expected("cooling", slow) is None
+    assert effects.expected("cooling", slow) is None  # it has no pause
+    paused = effects.expected("cooling", slow | {"cooling": 0.2})
+    assert paused is not None
+    assert paused.scene == "two Ni, 1 us between"
 
 
 def test_check_prints_each_effect_and_what_leaving_it_out_would_change() -> None:

@@ -34,7 +34,11 @@ MEASURES = {
     "T_p99": "T_p99_K",
 }  # fmt: skip
 BASE = ["all", "-ahead_of_waves"]  # what is left out of: the waves' elements change nothing (tests/test_fe.py)
-NEVER = ("ahead_of_waves", "adhesion", "cooling")  # of no meaning to a single impact
+NEVER = (
+    "ahead_of_waves",
+    "adhesion",
+    "cooling",
+)  # not left out of a scene that does not ask for it: of no meaning to a single impact
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 EITHER = ("friction", "plastic_heating")  # a scene has them or not, whatever their size
 CAUSAL = ("absorbing_boundaries",)  # nothing can come back before the waves do
@@ -74,6 +78,10 @@ SCENES = {
     "Cu on Cu, 500 m/s": scene("OFHC_Cu", 25, 500, "OFHC_Cu"),
     "rebound: Ni, 150 m/s": scene("Ni", 25, 150, "SS304"),
     "large: Ni 190 um, 300 m/s": scene("Ni", 190, 300, "SS304"),
+    "two Ni, 10 ns between": scene("Ni", 25, 500, "SS304", more='dwell = "10 ns"', after=_next(500)),
+    "two Ni, 100 ns between": scene("Ni", 25, 500, "SS304", more='dwell = "100 ns"', after=_next(500)),
+    "two Ni, 1 us between": scene("Ni", 25, 500, "SS304", more='dwell = "1 us"', after=_next(500)),
+    "two Ni, 20 us between": scene("Ni", 25, 500, "SS304", more='dwell = "20 us"', after=_next(500)),
 }
 WARM = ("thermal_softening", "temperature_dependent_cp", "friction_heat", "mie_gruneisen", "thermal_expansion")
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
@@ -85,8 +93,9 @@ ONLY = {
     "Cu on Cu, 500 m/s": (*WARM, *FLOW),
     "rebound: Ni, 150 m/s": ("thermal_softening", "mie_gruneisen", "thermal_expansion"),
     "large: Ni 190 um, 300 m/s": FLOW,
+    **{name: ("cooling",) for name in SCENES if name.startswith("two Ni")},
 }  # what is left out of each scene; of the others everything
-PROOFS = SCENES | {
+PROOFS = {name: text for name, text in SCENES.items() if not name.startswith("two Ni")} | {
     "rod: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "rod"'),
     "hollow: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "hollow_sphere"'),
     "three Ni, 20 us between": scene(
