@@ -5,7 +5,8 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
+from coupler.joining import jolt_time
 from coupler.materials import material
 from tests.test_parallel import MPIEXEC, numbers
 from tests.test_resume import Enough
@@ -140,6 +142,14 @@ def test_no_heat_flows_while_bodies_come_to_rest() -> None:
         bodies.target.finish()
     assert np.ptp(bodies.target.T) == pytest.approx(10.0, abs=0.5)
     assert np.any(bodies.target.T != T)
+
+
+def test_the_jolt_is_watched_for_as_long_as_a_wave_takes() -> None:
+    def of(*diameters: float) -> float:
+        return jolt_time(cast(Any, SimpleNamespace(impacts=[SimpleNamespace(diameter=d) for d in diameters])))
+
+    assert of(2.5e-6, 1e-6) == pytest.approx(of(25e-6) / 10)
+    assert of(60e-6) == of(25e-6)
 
 
 def test_a_residual_stress_stays() -> None:
