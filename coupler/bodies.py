@@ -18,9 +18,6 @@ from .fe.mesh import TetMesh
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
 LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
-RELAX_STEPS = 1500  # at most, to come to rest after joining
-RELAXED = 1e-5  # of the impact's kinetic energy: what may be left to be set free
-JOLT_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
 
 @dataclass
@@ -65,7 +62,7 @@ class Bodies:
         """Find what can touch before surfaces have moved `travel` m; give the heat of friction to the elements."""
         if self.contact is not None:
             self.target.warm(*self.contact.heat())
-            self.contact.search(self.target.x, travel, self.bond)
+            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes)
 
     def forces(self, dt: float) -> None:
         """Add what bodies do to each other at this instant to the target's outer forces."""
@@ -162,7 +159,7 @@ class Bodies:
         place of the criterion.
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
-        equilibrium: see `settle`. Raises SolverError when a splat cannot be put in place.
+        equilibrium: see `relaxation.settle`. Raises SolverError when a splat cannot be put in place.
         """
         fitted = [self._fitted(splat, size) for splat in splats]
         parts = [domain_now(self.target, self.body)]
@@ -241,77 +238,6 @@ class Bodies:
             splat.mass,
             splat.law,
         )
-
-    def settle(self, kinetic_0: float, jolt_time: float = JOLT_TIME) -> dict[str, float]:
-        """Let everything come to rest: steps with the velocities taken away at each peak of the kinetic energy.
-
-        kinetic_0: J of the impact, by which the energy set free is judged; jolt_time: s in which that is measured. The time
-        this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was left. Raises
-        SolverError when a tetrahedron inverts, or when it does not come to rest.
-        """
-        t = self.target
-        conduction, t.conduction = t.conduction, None
-        try:
-            return self._come_to_rest(kinetic_0, jolt_time)
-        finally:
-            t.conduction = conduction
-
-    def _come_to_rest(self, kinetic_0: float, jolt_time: float) -> dict[str, float]:
-        t, taken, peaks, steps = self.target, self.target.rest(), 0, 0
-        first = 0.0
-        elastic = t.elastic() + self.energy
-        while steps < RELAX_STEPS:
-            peak = self._until_peak(RELAX_STEPS - steps)
-            steps += peak[0]
-            peaks += 1
-            released = t.rest()
-            first = first or released
-            taken += released
-            if peak[1] < RELAXED * kinetic_0:
-                break
-        left = self._run_for(jolt_time)
-        t.rest()
-        return {
-            "settle_steps": float(steps), "settle_peaks": float(peaks), "taken_J": taken,
-            "released_J": elastic - t.elastic() - self.energy, "jolt_J": left, "jolt": left / kinetic_0,
-        }  # fmt: skip
-
-    def _until_peak(self, most: int) -> tuple[int, float]:
-        """Steps until the kinetic energy falls: (how many, the largest, J)."""
-        t, largest, steps = self.target, 0.0, 0
-        while steps < most:
-            dt = self._chunk()
-            for _ in range(5):
-                self._step(dt)
-                steps += 1
-            kinetic = 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.v, t.v))
-            if kinetic < largest:
-                return steps, largest
-            largest = kinetic
-        return steps, largest
-
-    def _run_for(self, time: float) -> float:
-        """Run freely; the largest kinetic energy on the way, J."""
-        t, largest, left = self.target, 0.0, time
-        while left > 0.0:
-            dt = min(self._chunk(), left)
-            for _ in range(5):
-                self._step(dt)
-                left -= dt
-            largest = max(largest, 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.v, t.v)))
-        return largest
-
-    def _chunk(self) -> float:
-        t = self.target
-        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
-        step = t.stable_dt(1.0)[0]
-        self.search(2.0 * fastest * 10 * step + 1e-3 * float(np.cbrt(t.mesh.V0[0])))
-        return 0.9 * self.stable_dt(1.0, 10 * step)
-
-    def _step(self, dt: float) -> None:
-        self.target.advance(dt)
-        self.forces(dt)
-        self.target.finish()
 
 
 def bodies_of(

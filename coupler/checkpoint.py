@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import StoreError
 
-FORMAT = 3
+FORMAT = 4
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _HEADER = 65536  # bytes at most of the first line

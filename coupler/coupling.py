@@ -238,13 +238,14 @@ class Impact:
 class Watch:
     """Says when an impact has come to its greatest deformation and when it is over.
 
-    Greatest deformation: the particle's centre of mass stops sinking. Over: it no longer sinks and the contact
-    force has stayed below 2 % of its peak for `quiet` seconds (the particle has left, or rests), or time is up.
+    Greatest deformation: the particle's centre of mass stops sinking, or all but stops where it creeps to its place in a heap
+    that gives way. Over: it no longer sinks and the contact force has stayed below 2 % of its peak for `quiet` seconds (the
+    particle has left, or rests), or time is up.
     """
 
-    def __init__(self, end_time: float, at: str, quiet: float):
-        """at: "rest", "greatest" (deformation) or "time"; end_time (s) is the latest in any case."""
-        self.end_time, self.at, self.quiet = end_time, at, quiet
+    def __init__(self, end_time: float, at: str, quiet: float, slow: float = 0.0):
+        """at: "rest", "greatest" (deformation) or "time"; end_time (s) is the latest in any case. slow: m/s, what counts as still."""
+        self.end_time, self.at, self.quiet, self.slow = end_time, at, quiet, slow
         self.peak = 0.0
         self.turned: float | None = None
         self._loud = 0.0
@@ -259,7 +260,7 @@ class Watch:
     def look(self, time: float, sinking: float, force: float) -> bool:
         """sinking: downward speed of the centre of mass (m/s), force: on the particle, upwards (N). Returns True when it is over."""
         self.peak = max(self.peak, force)
-        if self.turned is None and self.peak > 0.0 and sinking <= 0.0:
+        if self.turned is None and self.peak > 0.0 and sinking <= self.slow:
             self.turned = time
         if abs(force) > 0.02 * self.peak:
             self._loud = time

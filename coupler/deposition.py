@@ -223,6 +223,7 @@ class _Lead:
         """The last impact's measures, what all of them took, and each of them in the list `impacts`."""
         from .joining import splats_at_end
         from .outcome import deposition_efficiency
+        from .validity import merged
 
         splats_at_end(self.what, self.records, self.joins, bodies, self.skin)
         last = self.records[-1]
@@ -232,7 +233,7 @@ class _Lead:
             "sim_time_s": sum(record["sim_time_s"] for record in self.records),
             "steps": sum(record["steps"] for record in self.records),
             "rescues": [rescue for record in self.records for rescue in record["rescues"]],
-            "warnings": list(dict.fromkeys(text for record in self.records for text in record["warnings"])),
+            "warnings": merged([text for record in self.records for text in record["warnings"]]),
             "deposition_efficiency": deposition_efficiency(self.records),
         }
         return {**last, **whole, "impacts": self.records, "joins": self.joins}
@@ -270,6 +271,7 @@ def build_bodies(what: Plan) -> Any:
     """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
     from .bodies import Bodies
     from .constitutive import law_record
+    from .economy import prepare
     from .fe import mesh as meshes
     from .fe.explicit import Target
 
@@ -282,7 +284,9 @@ def build_bodies(what: Plan) -> Any:
         mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
         sleeping=not on["ahead_of_waves"],
     )  # fmt: skip
-    return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, friction_of(what))
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, friction_of(what))
+    prepare(what, 0, bodies)
+    return bodies
 
 
 def bodies_from(what: Plan, state: Mapping[str, Any]) -> Any:

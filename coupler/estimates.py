@@ -21,6 +21,9 @@ GROWTH = 0.35  # element size gained per unit of distance outside it
 COARSEST = 1 / 6  # largest element over the target's smaller dimension
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
+WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
+MANY = 10  # particles from which on that is done
+MASS_SCALING = 0.02  # of the next particle's mass, that the elements with the shortest steps may be made heavier by
 CAP = 3.0  # heights over velocity that an impact may take
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, convergence_ni500): the

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from .bodies import JOLT_TIME, NEAR, Bodies
+from .bodies import NEAR, Bodies, level_under
 from .constitutive import sound_speed
 from .contact.surfaces import interface
+from .economy import prepare
 from .errors import SolverError
 from .fe.assemble import BodyState
 from .fe.cooling import Links, cool, together
 from .outcome import rebounds, velocity_ratio
 from .plan import Plan
+from .relaxation import JOLT_TIME, settle
 from .remeshing import Gate, remeshed
 from .splat.carry import shape_measures
 
@@ -34,12 +36,13 @@ def join(
 
     started = clock.perf_counter()
     p, following = what.impacts[i], what.impacts[i + 1]
-    origin = (*following.offset, 0.0)
     team = setting.particle
     kinetic_0 = 0.5 * float(team.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(team.momentum()[2] / team.mass.sum())
     report: dict[str, Any] = {"impact": i + 1, "adhesion": what.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = velocity_ratio(what, i)
+    left = rebounds(what, i, upwards, hold)
+    origin = point_of_impact(bodies, following.offset, None if left else setting)
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
     if report["remeshing"]["remeshed"]:
         old, made = report["remeshing"]["before"], report["remeshing"]["after"]
@@ -47,11 +50,11 @@ def join(
             f"impact {i + 1} has distorted the target: remeshed, its step is {made['step_s'] * 1e12:.0f} ps instead of"
             f" {old['step_s'] * 1e12:.0f}"
         )
-    if rebounds(what, i, upwards, hold):
+    if left:
         log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         new = bodies.renumbered(origin)
-        report |= {"rebounded": True, "bodies": 0, **new.settle(kinetic_0, jolt_time(what))}
-        return _paused(what, i, new, origin, kinetic_0, report), report
+        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, jolt_time(what))}
+        return _ready(what, i, new, origin, kinetic_0, report), report
     cloud = cloud_of(setting)
     splat = convert(cloud, what.splat_element_size, what.splat_method)
     report |= {
@@ -75,7 +78,7 @@ def join(
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
-    report |= new.settle(kinetic_0, jolt_time(what))
+    report |= settle(new, kinetic_0, jolt_time(what))
     report["after"] = _held(new)
     report["joining_s"] = clock.perf_counter() - started
     if report["jolt"] > JOLT:
@@ -83,7 +86,29 @@ def join(
             f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
             " try a finer preset, or another [splat] method"
         )
-    return _paused(what, i, new, origin, kinetic_0, report), report
+    return _ready(what, i, new, origin, kinetic_0, report), report
+
+
+def point_of_impact(bodies: Bodies, offset: tuple[float, float], setting: Any = None) -> tuple[float, float, float]:
+    """Where the axis of a particle at `offset` (m) meets what lies there, (x, y, z) m: from there waves and windows are reckoned.
+
+    setting: of the impact whose particle is about to join, and lies there too.
+    """
+    axis, t = np.array([[*offset, 0.0]]), bodies.target
+    z = level_under(axis, t.x, t.mesh.facets[bodies.reachable()], 0.0)
+    if setting is not None:
+        surface = setting.surface
+        z = max(z, level_under(axis, surface.positions(setting.particle.x), surface.triangles, 0.0))
+    return (*offset, z if np.isfinite(z) else 0.0)
+
+
+def _ready(
+    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+) -> Bodies:
+    """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `economy`."""
+    bodies = _paused(what, i, bodies, origin, kinetic_0, report)
+    report["economy"] = prepare(what, i + 1, bodies)
+    return bodies
 
 
 def jolt_time(what: Plan) -> float:
@@ -112,9 +137,7 @@ def _paused(
     cooling = cool(
         t, what.impacts[i].dwell, np.unique(facets), what.target.temperature, _links(bodies, what.splat_element_size)
     )
-    t.reach = np.inf  # heat has moved everywhere: everything has to find its rest
-    t._wake(0.0)
-    settled = bodies.settle(kinetic_0, jolt_time(what))
+    settled = settle(bodies, kinetic_0, jolt_time(what))
     report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
     report["cooling"]["wall_s"] = clock.perf_counter() - started
     return bodies if what.effects.on("ahead_of_waves") else bodies.renumbered(origin)

@@ -20,7 +20,7 @@ class ImpactPlan:
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
     rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest."""
+    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed."""
 
     material: Material
     shape: str
@@ -39,6 +39,7 @@ class ImpactPlan:
     output_every: float
     dwell: float
     end_at: str
+    window: float
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ class Plan:
     adhesion: Adhesion
     splat_method: str
     splat_element_size: float
+    mass_scaling: float
     friction: float
     effects: Effects
     dt_estimate: float
@@ -135,6 +137,7 @@ def plan(scene: Scene) -> Plan:
         adhesion=scene.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
         splat_method=scene.splat.method,
         splat_element_size=scene.splat_element_size,
+        mass_scaling=float(scene.splat.mass_scaling),
         friction=scene.contact.friction if decided.on("friction") else 0.0,
         effects=decided,
         dt_estimate=min(dt),
@@ -189,6 +192,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         output_every=scene.output_every_of(particle),
         dwell=particle.dwell,
         end_at=end_at,
+        window=scene.window_of(particle),
     )
 
 

@@ -27,6 +27,7 @@ def describe(plan: Plan, outlook: str = "") -> str:
         f" sides {target.sides}, bottom {target.bottom}",
         f"  friction   {plan.friction:g}",
         *_splats(plan),
+        *_window(plan),
         _ends(plan),
         "",
         f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}",
@@ -125,6 +126,14 @@ def _splats(plan: Plan) -> list[str]:
     count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
     size = units.rounded(plan.splat_element_size, "um")
     return [f"  adhesion   {held}", f"  splats     about {count} elements of {size} each, method {plan.splat_method}"]
+
+
+def _window(plan: Plan) -> list[str]:
+    """What of the target is computed, where that is not all of it."""
+    lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
+    first, last = (units.rounded(length, "um") for length in (lengths[0], lengths[-1])) if lengths else ("", "")
+    radius = first if first == last else f"{first.removesuffix(' um')} to {last}"
+    return [f"  window     {radius} round each impact; beyond it the target keeps still"] if lengths else []
 
 
 def _ends(plan: Plan) -> str:

@@ -21,6 +21,7 @@ from .validity import Extremes
 DRIFT_BOUND = 0.02  # of the initial kinetic energy: beyond it a run is not called finished
 DRIFT_ALARM = 2.0 * DRIFT_BOUND  # on the way, where some of it may come back
 MOMENTUM_BOUND = 1e-6
+STILL = 0.005  # of an impact's speed: a particle that sinks more slowly into what others have left has come to rest
 DISSIPATION_BOUND = -0.01  # a scheme that gives energy away is unstable
 DISSIPATION_ALARM = 0.2  # beyond it what the schemes take is no longer small beside plastic work: said in the warnings
 # fields written without a change of name, and how they read in ParaView's order of tensors, xx yy zz xy yz xz
@@ -76,8 +77,9 @@ class Running:
         self.rescuer = Rescuer(numerics or {})
         self.extremes = Extremes()
         self.over_rim = False  # matter of the particle beside the substrate, below its surface
-        crossing = self.mine.diameter / float(np.linalg.norm(self.mine.velocity))
-        self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing)
+        speed = float(np.linalg.norm(self.mine.velocity))
+        crossing = self.mine.diameter / speed
+        self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing, STILL * speed if i else 0.0)
         self.greatest: dict[str, float] | None = None
         self.next_output = 0.0
         self.row_every = crossing / 400.0

@@ -176,6 +176,15 @@ class Scene(Section):
         """Smallest edge of the target's elements, m: the scene's own, or a little more than the spacing."""
         return self.resolution.element_size or estimates.ELEMENT_SIZE_OVER_SPACING * self.spacing
 
+    def window_of(self, particle: Particle) -> float:
+        """Radius (m) round an impact within which the target is computed: the scene's own; where there are many particles, one by
+        the particle's size; everything where there are few."""
+        if self.substrate.window is not None:
+            return self.substrate.window
+        if len(self.particles) < estimates.MANY:
+            return math.inf
+        return estimates.WINDOW_OVER_DIAMETER * particle.diameter + 0.5 * max(particle.width - particle.diameter, 0.0)
+
     @property
     def elements(self) -> int:
         """Elements of the target before the first impact, an estimate."""

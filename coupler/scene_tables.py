@@ -202,7 +202,7 @@ class GasConditions(Section):
 
 
 class Substrate(Section):
-    """The target, a cylinder whose top is the surface. SI units."""
+    """The target, a cylinder whose top is the surface. SI units. window: radius (m) round each impact beyond which it rests."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
@@ -210,6 +210,7 @@ class Substrate(Section):
     temperature: Temperature = 300.0
     sides: Face = "absorbing"
     bottom: Face = "fixed"
+    window: Annotated[float | None, Quantity("um", "1 um", "10000 um")] = None
 
 
 class Contact(Section):
@@ -247,10 +248,12 @@ class AdhesionTable(Section):
 
 
 class SplatTable(Section):
-    """How a finished particle becomes finite elements. element_size: m, the target's unless said."""
+    """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the share of
+    the next particle's mass that the elements with the shortest steps may be made heavier by."""
 
     method: Literal["auto", "carried", "density", "stuffing", "paper"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
+    mass_scaling: Annotated[StrictFloat, Field(ge=0.0, le=0.2)] = estimates.MASS_SCALING
 
 
 class Resolution(Section):

@@ -6,6 +6,7 @@ metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); witho
 a linear equation of state is off by a twentieth.
 """
 
+import re
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,33 @@ class Extremes:
                     f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
                 )
         return texts
+
+
+def merged(texts: list[str]) -> list[str]:
+    """The warnings of a whole run: of those that several impacts share but for the numbers the one with the largest, and how many.
+
+    Of an impact is what begins with "impact N: "; all else stays as it is, once.
+    """
+    groups: dict[str, list[str]] = {}
+    for text in dict.fromkeys(texts):
+        own = _OF_IMPACT.match(text)
+        groups.setdefault(_NUMBER.sub("#", text[own.end() :]) if own else text, []).append(text)
+    found = []
+    for same in groups.values():
+        worst = max(same, key=_first_number)
+        more = len(same) - 1
+        found.append(worst + (f" (and less in {more} other impact{'s' if more > 1 else ''})" if more else ""))
+    return found
+
+
+_NUMBER = re.compile(r"(?<![A-Za-z])\d[\d.]*(?:e[+-]?\d+)?")
+_OF_IMPACT = re.compile(r"impact \d+: ")
+
+
+def _first_number(text: str) -> float:
+    own = _OF_IMPACT.match(text)
+    number = _NUMBER.search(text, own.end() if own else 0)
+    return float(number[0].rstrip(".")) if number else 0.0
 
 
 def greatest_compression(metal: Any, mie_gruneisen: bool) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coupler.contact import kernels
+from coupler.contact import broad, kernels
 from coupler.contact.penalty import PointContact
 from coupler.errors import SolverError
 
@@ -115,12 +115,12 @@ def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator
     xp = rng.uniform(-1, 1, (400, 3))
     low = rng.uniform(-1.5, 1, (300, 3))
     high = low + rng.uniform(0, 0.4, (300, 3))
-    start, boxes, found = kernels.candidates(xp, low, high, 0.13, 100_000)
+    start, boxes, found = broad.candidates(xp, low, high, 0.13, 100_000)
     assert found == len(boxes)
     brute = np.all((xp[:, None] >= low[None]) & (xp[:, None] <= high[None]), axis=2)
     for i in range(len(xp)):
         assert boxes[start[i] : start[i + 1]].tolist() == np.flatnonzero(brute[i]).tolist()
-    assert kernels.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
+    assert broad.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
 
 
 def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator) -> None:
@@ -128,9 +128,9 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
     ids = np.arange(len(facets))
     corners, low, high = np.zeros((len(ids), 3, 3)), np.zeros((len(ids), 3)), np.zeros((len(ids), 3))
-    kernels.facet_boxes(x, facets, ids, corners, low, high)
+    broad.facet_boxes(x, facets, ids, corners, low, high)
     assert np.array_equal(corners, x[facets])
-    start, boxes, _ = kernels.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
+    start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     kernels.closest_facets(xp, ids[:0], start, boxes, corners, low, high, nearest, foot, gap)
     assert np.all(nearest == -1)

@@ -15,7 +15,7 @@ from coupler.fe.explicit import Target
 from coupler.materials import material
 from coupler.plan import plan
 from coupler.plan_text import describe
-from coupler.validity import Extremes, greatest_compression, pressure
+from coupler.validity import Extremes, greatest_compression, merged, pressure
 
 
 def test_every_effect_has_a_threshold_and_says_why() -> None:
@@ -116,6 +116,17 @@ def test_cooling_and_adhesion_need_a_pause_and_several_impacts() -> None:
 def test_elements_ahead_of_the_waves_are_computed_only_when_asked_for() -> None:
     assert not plan(scene_with()).effects.on("ahead_of_waves")
     assert plan(scene_with(effects="all")).effects.on("ahead_of_waves")
+
+
+def test_what_many_impacts_share_is_said_once() -> None:
+    texts = [
+        "note", "impact 1: rates went to 1.5e+08 1/s", "impact 2: rates went to 2.1e+09 1/s", "impact 2: over the rim",
+        "impact 3: rates went to 9e+07 1/s", "note", "rescued at 3.0 ns: a", "rescued at 4.0 ns: a",
+    ]  # fmt: skip
+    assert merged(texts) == [
+        "note", "impact 2: rates went to 2.1e+09 1/s (and less in 2 other impacts)", "impact 2: over the rim",
+        "rescued at 3.0 ns: a", "rescued at 4.0 ns: a",
+    ]  # fmt: skip
 
 
 def test_warnings_name_the_limit_that_was_left() -> None:

@@ -49,6 +49,9 @@ WORDS = {
     "substrate.temperature": "at the start, uniform",
     "substrate.sides": "`absorbing` lets waves out, `free` and `fixed` send them back",
     "substrate.bottom": "as `sides`",
+    "substrate.window": "radius round each impact within which the target is computed, the rest keeps still"
+    f" ([sequences](sequences.md)); {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and"
+    " everything with fewer, unless said",
     "contact.friction": "Coulomb's coefficient",
     "adhesion.kind": '`"tied"` for several particles and `"none"` for one, unless said',
     "adhesion.criterion": "which of the nodes in contact are bonded",
@@ -57,6 +60,8 @@ WORDS = {
     "adhesion.energy": "of fracture in tension, of a cohesive bond; 0 is brittle",
     "adhesion.shear_strength": "in shear; that in tension unless said",
     "adhesion.shear_energy": "in shear; that in tension unless said",
+    "splat.mass_scaling": "share of the next particle's mass that the elements with the shortest steps may be made heavier by; 0 for"
+    " none ([sequences](sequences.md))",
     "splat.method": "where the surface of a finished splat comes from ([splats](splats.md))",
     "splat.element_size": "edges of a splat's elements; the target's smallest unless said",
     "resolution.spacing": "of the particle's points; by the preset unless said",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import SolverError
+from . import broad
 from .bond import Bond
 from .penalty import STIFFNESS, PointContact
 from .surfaces import Surfaces
@@ -57,6 +58,9 @@ class BodyContact:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli and shares of heat")
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
         self._held = np.zeros(len(x), bool)
+        count = len(surfaces.facets)
+        self._all, self._corners = np.arange(count), np.zeros((count, 3, 3))
+        self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
         self._sides = [self._side(body, x) for body in range(1, surfaces.bodies)]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
@@ -104,9 +108,19 @@ class BodyContact:
                 step = min(step, float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / alone**2)))
         return step
 
-    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None) -> None:
+    def load(self, size: int) -> np.ndarray:
+        """What the springs of all that may touch can add to each of `size` nodes in the bound on omega^2, N/m; see `Bond.load`."""
+        load = np.zeros(size)
+        for side in self._sides:
+            if not side.idle:
+                load[side.nodes] += 2.0 * side.contact.stiffness
+                load[np.unique(self.surfaces.facets[side.near])] += 4.0 * side.contact.stiffness
+        return load
+
+    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None, awake: int | None = None) -> None:
         """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
 
+        awake: how many nodes move at all (default: all of them); between two sides that sleep all stays as it was.
         Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
@@ -118,13 +132,17 @@ class BodyContact:
             held[bond.held] = True
         changed = bool(np.any(held != self._held))
         before, self._held = self.penalty_energy, held
+        broad.facet_boxes(x, self.surfaces.facets, self._all, self._corners, self._low, self._high)
         for side in self._sides:
             c, taken = side.contact, held[side.nodes]
             c.spring[taken], c.depth[taken] = 0.0, 0.0
             side.near = self._around(side, x, travel)
+            if awake is not None and self._asleep(side, awake):
+                side.idle = True
+                continue
             side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
             if not side.idle:
-                c.search(x[side.nodes], x, travel)
+                c.search(x[side.nodes], x, travel, np.searchsorted(side.facets, side.near))
                 c.rows = c.rows[~taken[c.rows]]
                 side.idle = len(c.rows) == 0
             if side.idle:
@@ -134,12 +152,17 @@ class BodyContact:
             self.forces(0.0, x, rest, rest.copy())
             self.lost += given_up + before - self.penalty_energy
 
+    def _asleep(self, side: _Side, awake: int) -> bool:
+        """Whether neither a side's nodes nor those of the facets near them are among the first `awake` ones."""
+        facets = self.surfaces.facets[side.near]
+        return bool(side.nodes.min() >= awake) and (len(facets) == 0 or bool(facets.min() >= awake))
+
     def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
         """Those of a side's facets whose boxes come within reach of the box around its nodes."""
         margin = 2.0 * (0.5 * side.contact.spacing + travel)
-        low, high = x[side.nodes].min(axis=0) - margin, x[side.nodes].max(axis=0) + margin
-        corners = x[self.surfaces.facets[side.facets]]
-        return side.facets[np.all((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low), axis=1)]
+        own = x[side.nodes]
+        least, most = broad.bounds(own, own)
+        return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)
 
     def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""

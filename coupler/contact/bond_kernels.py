@@ -12,7 +12,7 @@ def facing(points, outward, start, boxes, ids, facets, x, face, weights, gap):
     """The closest triangle that each point looks at, if any: face (n,), weights (n,3), signed gap (n,) m are written.
 
     outward (n,3): normals of the surface at the points; a triangle is looked at when its normal is against it. start,
-    boxes: candidates as `kernels.candidates` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is
+    boxes: candidates as `broad.candidates` gives them, indices into ids; facets (k,3), x (N,3). Where an edge or corner is
     closest, the triangle that looks most towards the point says inside or outside.
     """
     for i in range(len(points)):

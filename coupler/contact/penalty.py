@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import SolverError
+from . import broad
 from . import kernels as k
 
 STIFFNESS = 1.0
@@ -82,21 +83,24 @@ class PointContact:
         lightest = float(np.min(node_mass)) if len(node_mass) else np.inf
         return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
 
-    def search(self, xp: np.ndarray, x: np.ndarray, travel: float) -> None:
+    def search(self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None) -> None:
         """Find the pairs that can touch before the surfaces have moved `travel` m against each other.
 
-        xp (n,3) points, x (N,3) nodes. Raises SolverError when the positions are no longer numbers.
+        xp (n,3) points, x (N,3) nodes. among: places in `facets` of those that come into question (default: all). Raises
+        SolverError when the positions are no longer numbers.
         """
-        if not (np.isfinite(xp).all() and np.isfinite(x[self.facets]).all()):
+        ids = np.arange(len(self.facets)) if among is None else among
+        if not (np.isfinite(xp).all() and np.isfinite(x[self.facets[ids]]).all()):
             raise SolverError("positions are no longer numbers: try a smaller time step or more points")
         margin = self.reach + 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
         self._margin = margin
-        k.facet_boxes(x, self.facets, np.arange(len(self.facets)), self._corners, self._low, self._high)
-        low, high = k.bounds(xp, xp)
-        self._ids = np.flatnonzero(np.all((self._low <= high + margin) & (self._high >= low - margin), axis=1))
-        low, high = self._low[self._ids] - margin, self._high[self._ids] + margin
+        broad.facet_boxes(x, self.facets, ids, self._corners, self._low, self._high)
+        least, most = broad.bounds(xp, xp)
+        near = broad.boxes_within(np.arange(len(ids)), self._low, self._high, least - margin, most + margin)
+        self._ids = ids[near]
+        low, high = self._low[near] - margin, self._high[near] + margin
         while True:
-            self._start, self._boxes, found = k.candidates(xp, low, high, self.spacing, self._capacity)
+            self._start, self._boxes, found = broad.candidates(xp, low, high, self.spacing, self._capacity)
             if found <= self._capacity:
                 break
             self._capacity = 2 * found
@@ -104,7 +108,7 @@ class PointContact:
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
         self._nearest[:], self._room[:] = -1, -np.inf
-        k.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
+        broad.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
         self._searched[: len(self._ids)] = self._corners[: len(self._ids)]
         self._look(xp, rows)
         # a tenth of a spacing for what the surfaces gain in speed
@@ -145,7 +149,7 @@ class PointContact:
 
         Of xp, vp (n,3) only `rows` are read, of f_point only they are written.
         """
-        k.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
+        broad.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
         self._look(xp, self.rows)
         k.contact_forces(
             dt, self.reach, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SolverError
-from . import bond_kernels, kernels
+from . import bond_kernels, broad
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ def _facing(
     low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
     room = 64 * len(points)
     while True:
-        start, boxes, found = kernels.candidates(points, low, high, cell, room)
+        start, boxes, found = broad.candidates(points, low, high, cell, room)
         if found <= room:
             break
         room = found

@@ -8,8 +8,9 @@ be computed once from the positions of both domains at n+1:
     target.finish()             boundary forces, work of all forces over the step
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -21,16 +22,18 @@ from . import kernels as k
 from .heat import Conduction, take_heat
 from .mesh import TetMesh, facet_areas
 from .stability import HighestFrequency
+from .window import edge, layer
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
 COURANT = 0.85
+AHEAD = 1.5  # speed of the front of what is computed over that of sound
 
 STATE_ARRAYS = (
     "x", "v", "f", "f_old", "total", "J", "p", "energy", "s", "eps_p", "rate", "heat", "volume", "T", "sigma_y", "sums", "drag",
-    "support", "impulse",
+    "support", "impulse", "inertia", "resting",
 )  # fmt: skip
-STATE_NUMBERS = ("internal_work", "absorbed", "dt_last", "time", "reach", "active_nodes", "active_elements")
+STATE_NUMBERS = ("internal_work", "absorbed", "dt_last", "time", "reach", "horizon", "active_nodes", "active_elements")
 
 
 class Target:
@@ -39,7 +42,8 @@ class Target:
     Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx
     yy zz yz xz xy; sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the
     point of impact and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are
-    computed.
+    computed; none beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is
+    accelerated (mass scaling). resting (n+1,3): forces in N of all nodes from each on when they fell asleep, and nothing.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
@@ -87,10 +91,11 @@ class Target:
         self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
-        self.mass = mesh.node_volume * self.laws["rho"][self.law_of_node]
-        self.inv_mass = 1.0 / self.mass
+        self.inertia = np.ones(m)
+        self.resting = np.zeros((n + 1, 3))
         self.fixed = _nodes_of(mesh, fixed)
-        self.inv_mass[self.fixed] = 0.0
+        self.horizon = np.inf
+        self._weigh()
         self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
         self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0
@@ -98,8 +103,9 @@ class Target:
         self.support, self.impulse = np.zeros(3), np.zeros(3)
         self.dt_last, self.time = 0.0, 0.0
         self._highest: HighestFrequency | None = None
+        self.viscous = True
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
-        self.wave_speed = 1.5 * max(speeds)  # shocks run ahead of sound
+        self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
         self.reach = np.inf if not sleeping else 16.0 * edge  # the scheme itself runs a little ahead of the wave
         self.active_nodes = self.active_elements = 0
@@ -124,9 +130,43 @@ class Target:
                 np.add.at(matrix, corners[:, i], share)
         return nodes, matrix[nodes]
 
+    def _weigh(self) -> None:
+        """Masses (n,) kg of the nodes; those that are held count as infinite."""
+        added = self.laws["rho"][self.law_of] * self.mesh.V0 * (self.inertia - 1.0)
+        self.mass = self.mesh.node_volume * self.laws["rho"][self.law_of_node]
+        self.mass += np.bincount(self.mesh.conn.ravel(), np.repeat(0.25 * added, 4), len(self.mass))
+        self.inv_mass = 1.0 / self.mass
+        self.inv_mass[self.fixed] = 0.0
+
+    def scale_masses(self, inertia: np.ndarray) -> None:
+        """Let each element count as inertia (m,) times as heavy where it is accelerated. At rest this changes no energy."""
+        self.inertia[:] = inertia
+        self._weigh()
+
+    def window(self, radius: float) -> None:
+        """Compute nothing farther than `radius` m from the point of impact, and let waves die before it (`fe.window`).
+
+        What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target.
+        """
+        self.horizon = radius
+        n, m = self._awake(np.inf)
+        if m == len(self.mesh.conn):
+            return
+        self.fixed = np.union1d(self.fixed, edge(self.mesh, m))
+        self.inv_mass[self.fixed] = 0.0
+        nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
+        matrices = np.zeros((len(self.mass), 3, 3))
+        matrices[self.dashpot_nodes] = self.dashpot
+        matrices[nodes] += (rate * self.mass[nodes])[:, None, None] * np.eye(3)
+        self.dashpot_nodes = np.union1d(self.dashpot_nodes, nodes)
+        self.dashpot = matrices[self.dashpot_nodes]
+        self.drag = np.zeros((len(self.dashpot_nodes), 3))
+        self.active_nodes = self.active_elements = 0
+        self._wake(0.0)
+
     def _awake(self, reach: float) -> tuple[int, int]:
         """How many nodes and elements a front that has come to `reach` m has woken."""
-        elements = int(np.searchsorted(self.mesh.reach_element, reach))
+        elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
         last = self.mesh.conn[:elements].max() + 1 if elements else 0
         return max(self.active_nodes, int(last)), elements
 
@@ -146,6 +186,10 @@ class Target:
         bound, where = k.stable_dt(
             0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of
         )  # fmt: skip
+        if self.inertia.max() > 1.0:
+            self.dt_of[:e] *= np.sqrt(self.inertia[:e])
+            where = int(np.argmin(self.dt_of[:e]))
+            bound = float(self.dt_of[where])
         dt = COURANT * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
@@ -178,10 +222,12 @@ class Target:
         )  # fmt: skip
         self.f, self.f_old = self.f_old, self.f
 
+        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
+
         def forces(lo: int, hi: int) -> np.ndarray:
             sums = np.zeros(3)
             k.element_forces(
-                lo, hi, dt, LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, self.x, self.v, mesh.conn, mesh.B, mesh.V0,
+                lo, hi, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0,
                 self.volume, self.p, self.J, self.laws, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T,
                 self.heat, self.fe, sums,
             )  # fmt: skip
@@ -190,7 +236,7 @@ class Target:
         for sums in self._share(m, forces):
             self.sums += sums
         self._share(n, lambda lo, hi: k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f))
-        self.f_ext[:n] = 0.0
+        self.f_ext[:] = 0.0
         if self.conduction is not None:
             supplied = self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
             self.sums[2] += float(self.laws["expansion"][0]) * supplied
@@ -209,7 +255,8 @@ class Target:
         n, dt = self.active_nodes, self.dt_last
         self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
         np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
-        self.support = np.zeros(3)
+        # what is asleep holds up what is awake: its elements do, and what acts on its nodes comes from no one who moves
+        self.support = -self.resting[n] - self.f_ext[n:].sum(axis=0)
         if len(self.dashpot_nodes):
             nodes = self.dashpot_nodes
             drag = -np.einsum("aij,aj->ai", self.dashpot, self.v[nodes])
@@ -236,10 +283,14 @@ class Target:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Put a `state` into a target of the same mesh."""
+        self.scale_masses(state["inertia"])
+        if state["horizon"] != self.horizon:
+            self.window(state["horizon"])
         for name in STATE_ARRAYS:
             setattr(self, name, np.array(state[name]))
         for name in STATE_NUMBERS:
             setattr(self, name, state[name])
+        self._weigh()
         if self.conduction is not None:
             self.conduction.restore(state["conduction"])
         if "highest" in state:
@@ -254,6 +305,7 @@ class Target:
             setattr(self, name, getattr(before, name).copy())
         for name in ("internal_work", "absorbed", "time"):
             setattr(self, name, getattr(before, name))
+        self._note_rest()
 
     def rest(self) -> float:
         """Take all velocity away; returns the kinetic energy that was there, J."""
@@ -261,6 +313,34 @@ class Target:
         self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         return kinetic
+
+    def wake_all(self) -> None:
+        """Compute everything from now on."""
+        self.reach = np.inf
+        self._wake(0.0)
+
+    def sleep_beyond(self, reach: float) -> None:
+        """Put all to sleep that is farther than `reach` m from the point of impact: it must be at rest, in equilibrium."""
+        self._note_rest()
+        self.reach, self.active_nodes, self.active_elements = reach, 0, 0
+        self._wake(0.0)
+
+    def _note_rest(self) -> None:
+        forces = np.zeros_like(self.resting)
+        k.gather_forces(0, len(self.x), self.start, self.table, self.fe, forces)
+        self.resting = np.cumsum(forces[::-1], axis=0)[::-1]
+
+    @contextmanager
+    def quasi_static(self) -> Iterator[None]:
+        """While this lasts nothing that depends on velocities acts: no bulk viscosity, no absorbing faces."""
+        kept = self.dashpot_nodes, self.dashpot
+        self.viscous, self.dashpot_nodes, self.dashpot = False, kept[0][:0], kept[1][:0]
+        self.drag = np.zeros((0, 3))
+        try:
+            yield
+        finally:
+            self.viscous, (self.dashpot_nodes, self.dashpot) = True, kept
+            self.drag = np.zeros((len(kept[0]), 3))
 
     def velocity(self) -> np.ndarray:
         """Velocities at the same instant as the positions, (n,3) m/s."""

@@ -7,13 +7,16 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 """
 
 from math import log
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
 
 from ..constitutive import bulk_stiffness
-from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces
+from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
+
+if TYPE_CHECKING:
+    from .explicit import Target
 
 SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
@@ -98,6 +101,15 @@ def _forces(lo, hi, x, w, conn, V0, dv, dp, laws, law_of, fe):
         fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
 
 
+def masses_for(t: "Target", dt: float) -> np.ndarray:
+    """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
+    together, each of them times (dt / its own step)^2."""
+    conn = t.mesh.conn
+    stable_dt(0, len(conn), t.x, conn, t.J, t.laws, t.law_of, t.dt_of)
+    mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
+    return np.bincount(conn.ravel(), np.repeat(0.25 * mass, 4), len(t.x))
+
+
 class HighestFrequency:
     """Power iteration on one target; keeps its vector between calls."""
 
@@ -122,11 +134,8 @@ class HighestFrequency:
         self._w[:], self._warm, self._known = state["w"], state["warm"], state["known"]
         self._random.bit_generator.state = state["random"]
 
-    def longest_step(self, t: object, bound: float, n: int, m: int) -> float:
+    def longest_step(self, t: "Target", bound: float, n: int, m: int) -> float:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
-        from .explicit import Target
-
-        assert isinstance(t, Target)
         mesh = t.mesh
         w, f = self._w[:n], self._f
         size = float(np.sqrt(np.mean(w * w))) if self._warm else 0.0

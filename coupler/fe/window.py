@@ -1,0 +1,27 @@
+"""A window on the target: what lies beyond a radius round the impact keeps still, and waves die in a layer before it.
+
+Nodes on the window's edge are held, so that what is outside neither moves nor strains, and only has to be added up once: the forces
+of its resting elements are in equilibrium. Before the edge a layer takes velocity away, with a rate that grows with the square of the
+depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
+"""
+
+import numpy as np
+
+from .mesh import TetMesh
+
+LAYER = 0.2  # of the radius
+ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: to long waves the layer is a dashpot of rho c
+
+
+def edge(mesh: TetMesh, elements: int) -> np.ndarray:
+    """Nodes (k,) that the first so many elements share with the others."""
+    inside = np.unique(mesh.conn[:elements])
+    return np.intersect1d(inside, mesh.conn[elements:], assume_unique=False)
+
+
+def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the first `nodes` nodes lie in the layer before the radius (m), and the rate (1/s) at which each loses its velocity."""
+    thickness = LAYER * radius
+    depth = (mesh.reach_node[:nodes] - (radius - thickness)) / thickness
+    inside = np.flatnonzero(depth > 0.0)
+    return inside, ABSORBED * wave_speed / thickness * np.minimum(depth[inside], 1.0) ** 2

@@ -1,0 +1,176 @@
+"""What keeps the cost of many impacts down: masses of small elements, and a window round the impact."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import elastic
+
+from coupler import Scene, run
+from coupler.bodies import Bodies
+from coupler.constitutive import law_record, sound_speed
+from coupler.economy import scale_masses, step_for
+from coupler.fe import kernels, mesh
+from coupler.fe.explicit import Target
+from coupler.plan import plan
+
+# ---- masses ------------------------------------------------------------------------------------------------------
+
+
+def test_the_step_that_a_mass_buys() -> None:
+    """Two light elements and a heavy one: T^2 sum m / t^2 - sum m = added, by hand."""
+    mass, safe = np.array([3.0, 1.0, 2.0]), np.array([9.0, 1.0, 2.0])
+    assert step_for(mass, safe, 3.0, 100.0) == pytest.approx(2.0)  # the first alone: 1 (2^2 - 1)
+    assert step_for(mass, safe, 1.25, 100.0) == pytest.approx(1.5)
+    assert step_for(mass, safe, 10.5, 100.0) == pytest.approx(3.0)  # 1 (9 - 1) + 2 (9/4 - 1)
+    assert step_for(mass, safe, 1e6, 2.5) == 2.5  # no more than is of use
+    assert step_for(mass, safe, 0.0, 100.0) == pytest.approx(1.0)
+
+
+def pinched() -> Bodies:
+    """A block with an element pressed flat inside."""
+    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
+    inside = np.setdiff1d(np.arange(len(m.points)), m.facets.ravel())
+    e = next(e for e, nodes in enumerate(m.conn) if np.isin(nodes, inside).all())
+    a, b, c, d = m.points[m.conn[e]]
+    normal = np.cross(c - b, d - b)
+    normal /= np.linalg.norm(normal)
+    points = m.points.copy()
+    points[m.conn[e][0]] -= 0.9 * np.dot(a - b, normal) * normal
+    flat = mesh.prepare(points, m.conn.astype(np.int64), (0.5, 0.5, 0.5))
+    target = Target(flat, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    return Bodies(target, np.zeros(len(flat.conn), np.int32), (), (), 0.0)
+
+
+def test_heavier_small_elements_take_a_longer_step_and_nothing_else_changes() -> None:
+    bodies = pinched()
+    t = bodies.target
+    whole, step = t.mass.sum(), t.stable_dt()[0]
+    report = scale_masses(bodies, 0.01 * whole, np.inf)
+    assert 0 < report["heavier_elements"] < 0.1 * len(t.mesh.conn)
+    assert report["added_mass_kg"] == pytest.approx(0.01 * whole, rel=1e-9)
+    assert t.mass.sum() == pytest.approx(1.01 * whole)
+    assert t.stable_dt()[0] / step == pytest.approx(report["safe_step_s"] / report["safe_step_before_s"])
+    assert t.stable_dt()[0] > 3 * step
+    assert scale_masses(bodies, 0.0, np.inf)["heavier_elements"] == 0  # reckoned from the true masses each time
+    assert t.mass.sum() == pytest.approx(whole)
+
+
+def test_the_longer_step_is_stable_and_keeps_the_energy() -> None:
+    bodies = pinched()
+    t = bodies.target
+    t.viscous = False
+    scale_masses(bodies, 0.01 * t.mass.sum(), np.inf)
+    rng = np.random.default_rng(2)
+    t.v[:] = 0.01 * rng.standard_normal(t.v.shape)
+    t.v -= (t.mass @ t.v) / t.mass.sum()
+    start = t.kinetic()
+    for _ in range(400):
+        t.advance(t.stable_dt(1.0)[0])
+        t.finish()
+    assert t.kinetic() + t.elastic() == pytest.approx(start, rel=0.01)
+    assert np.abs(t.momentum()).max() < 1e-10 * t.mass.sum() * 0.01
+
+
+# ---- the window --------------------------------------------------------------------------------------------------
+
+
+def struck(window: float | None, layer: bool = True) -> tuple[Target, float]:
+    """A cylinder struck at the middle of its top, after waves have gone out to the window's edge and back twice; its energy then."""
+    m = mesh.prepare(*mesh.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
+    mat = elastic()
+    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=window is not None)
+    if window is not None:
+        t.window(window)
+        if not layer:
+            t.dashpot[:] = 0.0
+    r = np.linalg.norm(t.x, axis=1)
+    t.v[:, 2] = blow(r)
+    start = t.kinetic()
+    end = 8.0 / sound_speed(mat.rho, mat.K, mat.G)
+    while t.time < end:
+        t.advance(min(t.stable_dt()[0], end - t.time + 1e-12))
+        t.finish()
+    return t, start
+
+
+def blow(r: np.ndarray) -> np.ndarray:
+    """Velocities (m/s) down into the target at a distance r from the middle."""
+    return -np.where(r < 1.0, np.cos(0.5 * np.pi * r) ** 2, 0.0)
+
+
+def test_waves_die_before_the_edge_and_books_close() -> None:
+    (t, start), (hard, _) = struck(2.5), struck(2.5, layer=False)
+    assert t.active_elements < 0.7 * len(t.mesh.conn)
+    beyond = t.mesh.reach_node > 3.5
+    assert not np.abs(t.x - t.mesh.points)[beyond].any()
+    left, kept = ((q.kinetic() + q.elastic()) / start for q in (t, hard))
+    assert left < 0.25 * kept
+    assert left + (t.absorbed + float(t.sums[1])) / start == pytest.approx(1.0, abs=5e-3)
+
+
+def test_momentum_is_that_of_the_edge_and_the_layer() -> None:
+    t, _ = struck(2.5)
+    fresh = Target(t.mesh, t.laws, 300.0, fixed=())
+    r = np.linalg.norm(t.mesh.points, axis=1)
+    given = fresh.mass @ np.stack([0 * r, 0 * r, blow(r)], axis=1)
+    np.testing.assert_allclose(t.momentum() - t.external_impulse(), given, atol=1e-9 * np.abs(given).max())
+
+
+def test_a_window_goes_on_from_its_state() -> None:
+    m = mesh.prepare(*mesh.cylinder(12.0, 6.0, 0.3, 0.3, 0.3))
+    make = lambda: Target(m, law_record(elastic()), 300.0, fixed=())  # noqa: E731
+    one = make()
+    inertia = np.ones(len(m.conn))
+    inertia[:5] = 1.7
+    one.scale_masses(inertia)
+    one.window(2.0)
+    one.v[np.linalg.norm(one.x, axis=1) < 0.5, 2] = -1.0
+    for k in range(40):
+        if k == 20:
+            state, fe = one.state(), one.fe.copy()
+        one.advance(one.stable_dt(1.0)[0])
+        one.finish()
+    other = make()
+    other.restore(state)
+    other.restore(state)  # a resumed run does so: the layer must not be there twice
+    other.fe[:] = fe
+    for _ in range(20):
+        other.advance(other.stable_dt(1.0)[0])
+        other.finish()
+    for name in ("x", "v", "s", "p", "mass", "inv_mass"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert other.absorbed == one.absorbed
+
+
+# ---- in a scene --------------------------------------------------------------------------------------------------
+
+PARTICLE = '[[particle]]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "500 m/s"\n'
+TARGET = '[substrate]\nmaterial = "SS304"\ndiameter = "160 um"\nheight = "80 um"\n'
+
+
+def scene(particles: int, more: str = "", name: str = "windows") -> Scene:
+    return Scene.from_text('preset = "draft"\n' + particles * PARTICLE + TARGET + more, name)
+
+
+def test_many_particles_have_a_window_and_few_have_none() -> None:
+    assert np.isinf(plan(scene(9)).impact.window)
+    assert plan(scene(10)).impact.window == pytest.approx(2.25 * 20e-6)
+    assert plan(scene(1, 'window = "33 um"\n')).impact.window == pytest.approx(33e-6)
+    assert "window" in plan(scene(10)).scene.to_toml()
+
+
+@pytest.mark.slow
+def test_a_window_changes_little_of_an_impact(tmp_path: Path) -> None:
+    all_of_it = run(scene(1), tmp_path / "all").summary
+    part = run(scene(1, 'window = "45 um"\n'), tmp_path / "part").summary
+    for name, most in (
+        ("flattening_ratio", 0.01),
+        ("splat_diameter_m", 0.01),
+        ("crater_depth_m", 0.02),
+        ("T_mean_K", 0.01),
+    ):
+        assert part[name] == pytest.approx(all_of_it[name], rel=most), name
+    assert part["momentum_error"] < 1e-10
+    assert abs(part["energy_drift"]) < 5e-3
+    assert kernels.SHAPE_LIMIT == 0.5  # the law is the same

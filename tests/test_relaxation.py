@@ -1,0 +1,140 @@
+"""Coming to rest between impacts: equilibrium, at a cost that small elements do not dictate."""
+
+import numpy as np
+import pytest
+
+from coupler.bodies import Bodies
+from coupler.constitutive import law_record
+from coupler.fe import mesh as meshes
+from coupler.fe.explicit import Target
+from coupler.fe.stability import HighestFrequency, masses_for
+from coupler.materials import material
+from coupler.relaxation import RELAXED, settle
+
+KINETIC = 1e-7  # J
+
+
+def substrate(pinch: float = 0.0, sleeping: bool = False) -> Bodies:
+    """A block of steel on a fixed floor, 60 x 60 x 40 um. pinch: of a tetrahedron's height that is taken away."""
+    points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
+    inside = np.setdiff1d(np.arange(len(mesh.points)), mesh.facets.ravel())
+    if pinch:
+        e = next(e for e, nodes in enumerate(mesh.conn) if np.isin(nodes, inside).all())
+        a, b, c, d = mesh.points[mesh.conn[e]]
+        normal = np.cross(c - b, d - b)
+        normal /= np.linalg.norm(normal)
+        moved = mesh.points.copy()
+        moved[mesh.conn[e][0]] -= pinch * np.dot(a - b, normal) * normal
+        mesh = meshes.prepare(moved, mesh.conn.astype(np.int64))
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, sleeping=sleeping)
+    return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
+
+
+def press(bodies: Bodies, share: float = 1e-3) -> float:
+    """Fill the block with heat until it has a pressure (Pa) of that share of the bulk modulus, which is returned."""
+    t = bodies.target
+    law = t.laws[0]
+    t.energy[:] = share * law["K"] / law["Gamma0"]
+    t.p[:] = share * law["K"]
+    return float(share * law["K"])
+
+
+def slices(bodies: Bodies) -> np.ndarray:
+    """Mean sigma_zz (Pa) in four layers."""
+    t = bodies.target
+    z, szz = t.x[t.mesh.conn].mean(axis=1)[:, 2], t.stress()[:, 2]
+    layer = np.clip(((z + 40e-6) / 10e-6).astype(int), 0, 3)
+    return np.bincount(layer, szz * t.volume) / np.bincount(layer, t.volume)
+
+
+def test_no_cut_through_a_body_without_load_carries_a_mean_stress() -> None:
+    """The slowest motion of the whole block has come to its end too: equilibrium asks for no sigma_zz in the mean of any cut."""
+    bodies = substrate()
+    pressure = press(bodies)
+    report = settle(bodies, 0.1 * KINETIC)
+    assert report["taken_J"] > 0.0
+    assert np.abs(slices(bodies)).max() < 0.01 * pressure
+    t = bodies.target
+    held = np.unique(t.mesh.facets[t.mesh.sets["bottom"]])
+    t.advance(1e-15)
+    assert abs(float(t.f[held, 2].sum())) < 0.01 * pressure * (60e-6) ** 2  # what the floor holds up is nothing
+    assert (
+        np.ptp(t.stress()[:, 0]) > 0.1 * pressure
+    )  # while stresses that balance themselves stay: the floor does not give way
+
+
+def test_what_is_left_is_what_was_asked_for_and_is_not_set_free() -> None:
+    bodies = substrate()
+    press(bodies)
+    report = settle(bodies, KINETIC)
+    assert report["left_J"] <= RELAXED * KINETIC
+    assert report["jolt"] < 10 * RELAXED
+    again = settle(bodies, KINETIC)
+    assert again["taken_J"] < 0.01 * report["taken_J"]
+    assert again["settle_steps"] < 0.5 * report["settle_steps"]
+
+
+def test_a_crushed_element_does_not_make_it_slower() -> None:
+    plain, pinched = substrate(), substrate(pinch=0.95)
+    assert pinched.target.stable_dt()[0] < 0.2 * plain.target.stable_dt()[0]
+    steps = []
+    for bodies in (plain, pinched):
+        press(bodies)
+        steps.append(settle(bodies, KINETIC)["settle_steps"])
+    assert steps[1] < 1.3 * steps[0]
+
+
+def test_every_element_bears_the_step_with_its_mass() -> None:
+    """The bound of each element with the mass it was given is the step: so is that of all together."""
+    t = substrate(pinch=0.9).target
+    mass = masses_for(t, 1e-10)
+    t.mass, t.inv_mass = mass, 1.0 / mass
+    n, m = len(t.x), len(t.mesh.conn)
+    assert 1e-10 <= HighestFrequency(n, m).longest_step(t, 1e-10, n, m) < 2e-10
+
+
+def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
+    """Masses, damping, absorbing faces and sleep are the solver's own again."""
+    bodies = substrate(sleeping=True)
+    t = bodies.target
+    mass, reach, active = t.mass.copy(), t.reach, t.active_elements
+    press(bodies)
+    settle(bodies, KINETIC)
+    np.testing.assert_array_equal(t.mass, mass)
+    np.testing.assert_array_equal(t.inv_mass > 0, ~np.isin(np.arange(len(mass)), t.fixed))
+    assert (t.reach, t.active_elements) == (reach, active)
+    assert t.viscous
+    assert not t.v.any()
+
+
+def test_what_sleeps_under_stress_holds_up_what_is_awake() -> None:
+    """A push on a block whose lower part sleeps under stress: its momentum is that of the push and of what the supports give."""
+    points, tets = meshes.cylinder(120e-6, 60e-6, 4e-6, 6e-6, 0.3)
+    mesh = meshes.prepare(points, tets)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, absorbing=("sides",))
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), ("sides",), 0.3)
+    target.reach = 25e-6
+    press(bodies)
+    settle(bodies, 1e4 * KINETIC)  # far from equilibrium: what sleeps has to be counted, it does not cancel by itself
+    assert target.active_elements < len(mesh.conn)
+    top = np.flatnonzero((np.abs(mesh.points[:, 2]) < 1e-12) & (mesh.reach_node < 10e-6))
+    start, pushed = target.external_impulse(), np.zeros(3)
+    for _ in range(40):
+        target.advance(1e-10)
+        target.f_ext[top, 2] -= 1e-3
+        target.finish()
+        pushed[2] -= 1e-3 * len(top) * 1e-10
+    pushed[2] += 0.5 * 1e-3 * len(top) * 1e-10  # velocities are those of half a step before the last kick's end
+    error = target.momentum() - (target.external_impulse() - start) - pushed
+    assert np.abs(error).max() < 1e-9 * np.abs(pushed).max()
+
+
+def test_what_was_taken_is_what_the_bodies_have_lost() -> None:
+    bodies = substrate()
+    press(bodies)
+    t = bodies.target
+    before = t.elastic() + float(t.sums[0])
+    report = settle(bodies, KINETIC)
+    after = t.elastic() + float(t.sums[0])
+    assert before - after == pytest.approx(report["taken_J"], rel=1e-3)
