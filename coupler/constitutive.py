@@ -82,15 +82,17 @@ def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) ->
 
 
 def on(number: float) -> bool:
-    """Whether the effect that a number of the law stands for is on: for an integer the compiler knows that it is not."""
-    return number != 0.0
+    """Whether a kernel holds the effect of this number of the law: not if it is an integer. Known when the kernel is compiled.
+
+    A zero in a plain record goes through the arithmetic of its effect, and changes nothing.
+    """
+    return not isinstance(number, int | np.integer)
 
 
 @overload(on)
 def _on(number):
-    if isinstance(number, types.Integer):
-        return lambda number: False
-    return lambda number: number != 0.0
+    holds = not isinstance(number, types.Integer)
+    return lambda number: holds
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -118,7 +120,7 @@ def heated(law, T, q):
 @njit(cache=True, nogil=True, inline="always")
 def softened(law, sigma_y, old, T):
     """A yield stress (Pa) after the temperature has gone from `old` to T (K) without plastic flow: Johnson-Cook's 1 - theta^m."""
-    if not on(law.softening) or max(old, T) <= law.T_ref:
+    if law.softening == 0.0 or max(old, T) <= law.T_ref:
         return sigma_y
     span = law.T_m - law.T_ref
     before = max(1.0 - (max(old - law.T_ref, 0.0) / span) ** law.m, 0.0)
@@ -136,7 +138,7 @@ def yield_stress(law, eps_p, rate, T):
         sigma *= 1.0 + law.C * log(rate / law.eps_dot_0)
     if on(law.softening) and T > law.T_ref:
         theta = (T - law.T_ref) / (law.T_m - law.T_ref)
-        sigma *= max(1.0 - theta**law.m, 0.0)
+        sigma *= max(1.0 - law.softening * theta**law.m, 0.0)
     return sigma
 
 

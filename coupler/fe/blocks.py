@@ -1,15 +1,18 @@
 """Blocks of tetrahedra laid out side by side, so that what has neither branches nor scattered memory is done with the
 processor's vectors: their kinematics, and the forces that a stress puts on their nodes.
 
-None of it asks which effects of the law are on: it is compiled once, for every choice of them (`coupler.fe.kernels`).
+None of it asks which effects of the law are on: numba translates it once, whatever choices of them it meets. Both functions
+are to be inlined: only where w is made does the compiler see that its rows lie apart, and without that its loops would go
+element by element (1.6 times the time of an elastic step).
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
 ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN
-ROWS = 51  # of numbers to each element of a block, see `rows_of`
 CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root to 3 % (Kahan, as in fdlibm's cbrt)
 
 
@@ -78,28 +81,47 @@ def _row_times(a, b, c, sxx, syy, szz, syz, sxz, sxy):
     return a * sxx + b * sxy + c * sxz, a * sxy + b * syy + c * syz, a * sxz + b * syz + c * szz
 
 
+class Rows(NamedTuple):
+    """The numbers of a block by name, a column for each element: views of one array (ROWS, BLOCK)."""
+
+    F: Any  # (9,BLOCK) deformation gradient at n+1, row by row
+    Fdot: Any  # (9,BLOCK) its rate at n+1/2, 1/s
+    C: Any  # (9,BLOCK) cofactors of F
+    S: Any  # (6,BLOCK) deviator: at n, on trial, returned; Pa
+    P: Any  # (9,BLOCK) -V0 times the first Piola-Kirchhoff stress, J
+    two_G_dt: Any  # Pa s
+    pressure: Any  # Pa
+    J: Any
+    div: Any  # divergence of the velocity, 1/s
+    q_squared: Any  # square of the trial deviator's von Mises stress, Pa^2
+    along: Any  # old deviator : trial deviator, Pa^2
+    V0: Any  # m3
+    volume: Any  # now, m3
+    length: Any  # cube root of the volume now, m
+
+
+ROWS = 51
+
+
 @njit(cache=True, nogil=True, inline="always")
 def rows_of(w):
-    """The rows of a block by name.
-
-    F, its rate, its cofactors, the deviator, -V0 times the first Piola-Kirchhoff stress; 2 G dt, pressure, J, divergence of the
-    velocity, the trial deviator's von Mises stress squared, old : trial deviator, V0, the volume now and its cube root.
-    """
-    return (
+    """The rows of w by name."""
+    return Rows(
         w[0:9], w[9:18], w[18:27], w[27:33], w[33:42],
         w[42], w[43], w[44], w[45], w[46], w[47], w[48], w[49], w[50],
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
-def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, s, w):
+def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w):
     """Lay out the block of elements that begins with `first`, and what its motion from n to n+1 does, into w.
 
-    Arrays as in `coupler.fe.kernels.element_forces`; w (ROWS, BLOCK), of which 2 G dt is there already: see `rows_of`.
+    Arrays as in `coupler.fe.kernels.element_forces`; two_G (k,) Pa, twice the shear modulus of each law; w (ROWS, BLOCK).
     A block that is not full is filled up with its last element, hi - 1: each element is treated alike, wherever a range begins.
     """
     half = 0.5 * dt
-    F, G, C, S, _, two_G_dt, pressure, jacobian, div, q_squared, along, V, now, length = rows_of(w)
+    b = rows_of(w)
+    F, G, C, S, now, length = b.F, b.Fdot, b.C, b.S, b.volume, b.length
     bits = length.view(np.int64)
     for i in range(BLOCK):
         e = min(first + i, hi - 1)
@@ -111,8 +133,9 @@ def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, s, w):
             v[n0], v[n1], v[n2], v[n3], B[e]
         )
         S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5]
-        pressure[i] = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
-        V[i] = V0[e]
+        b.pressure[i] = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
+        b.two_G_dt[i] = two_G[law_of[e]] * dt
+        b.V0[i] = V0[e]
         now[i] = length[i] = volume[e]
         bits[i] = bits[i] // 3 + CUBE_ROOT
 
@@ -135,20 +158,20 @@ def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, s, w):
         l20 = (g20 * m00 + g21 * m01 + g22 * m02) * inv
         l21 = (g20 * m10 + g21 * m11 + g22 * m12) * inv
         l22 = (g20 * m20 + g21 * m21 + g22 * m22) * inv
-        div[i] = l00 + l11 + l22
+        b.div[i] = l00 + l11 + l22
         third = (l00 + l11 + l22) / 3.0
         # the rotated old deviator, kept for the work it does on the plastic strain of this step
         oxx, oyy, ozz, oyz, oxz, oxy = _turned(
             0.5 * half * (l21 - l12), 0.5 * half * (l02 - l20), 0.5 * half * (l10 - l01),
             S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i],
         )  # fmt: skip
-        a = two_G_dt[i]
+        a = b.two_G_dt[i]
         sxx, syy, szz = oxx + a * (l00 - third), oyy + a * (l11 - third), ozz + a * (l22 - third)
         syz, sxz, sxy = oyz + 0.5 * a * (l12 + l21), oxz + 0.5 * a * (l02 + l20), oxy + 0.5 * a * (l01 + l10)
-        q_squared[i] = 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
-        along[i] = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
+        b.q_squared[i] = 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
+        b.along[i] = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
         S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = sxx, syy, szz, syz, sxz, sxy
-        C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i], C[6, i], C[7, i], C[8, i], jacobian[i] = _cofactor(
+        C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i], C[6, i], C[7, i], C[8, i], b.J[i] = _cofactor(
             f00, f01, f02, f10, f11, f12, f20, f21, f22
         )
         for _ in range(3):  # Halley: the error goes with its cube, 3e-2, 2e-5, 6e-15
@@ -159,10 +182,11 @@ def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, s, w):
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
 def nodal_forces(first, hi, B, w, fe):
     """P = sigma cof(F) of a block and what it puts on the nodes, f_I = -V0 P B_I into fe (m,4,3)."""
-    _, _, C, S, P, _, pressure, _, _, _, _, V, _, _ = rows_of(w)
+    b = rows_of(w)
+    C, S, P, pressure = b.C, b.S, b.P, b.pressure
     for i in range(BLOCK):
         c00, c01, c02, c10, c11, c12, c20, c21, c22 = _nine(C, i)
-        a = -V[i]
+        a = -b.V0[i]
         sxx, syy, szz = a * (S[0, i] - pressure[i]), a * (S[1, i] - pressure[i]), a * (S[2, i] - pressure[i])
         syz, sxz, sxy = a * S[3, i], a * S[4, i], a * S[5, i]
         P[0, i], P[3, i], P[6, i] = _row_times(c00, c10, c20, sxx, syy, szz, syz, sxz, sxy)

@@ -42,13 +42,12 @@ def nodal_pressure(lo, hi, start, table, volume, heat, V0_node, laws, law_of_nod
     """
     for a in range(lo, hi):
         law = laws[law_of_node[a]]
-        expands = on(law.expansion)
         vol = 0.0
         q = 0.0
         for r in range(start[a], start[a + 1]):
             e = table[r] >> 2
             vol += volume[e]
-            if expands:
+            if on(law.expansion):
                 q += heat[e]
         J_new = 0.25 * vol / V0_node[a]
         p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / V0_node[a])
@@ -82,19 +81,20 @@ def element_forces(
     the heat of the step in J that makes pressure. sums (3,) is increased by the plastic work, the work of the bulk
     viscosity and that heat, J.
 
-    BLOCK elements at a time are laid out side by side, so that what has neither branches nor scattered memory is
-    done with the processor's vectors. A block that is not full is filled up with its last element: each element is
-    treated alike, wherever the range begins.
+    laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
+    the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`).
     """
     plastic = 0.0
     warmth = 0.0
     viscous = 0.0
     w = np.empty((ROWS, BLOCK))
-    _, _, _, S, _, two_G_dt, pressure, jacobian, div, q_squared, along, V, now, length = rows_of(w)
+    b = rows_of(w)
+    S, length, div = b.S, b.length, b.div
+    two_G = np.empty(len(laws))
+    for i in range(len(laws)):
+        two_G[i] = 2.0 * laws[i].G
     for first in range(lo, hi, BLOCK):
-        for i in range(BLOCK):
-            two_G_dt[i] = 2.0 * laws[law_of[min(first + i, hi - 1)]].G * dt
-        kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, s, w)
+        kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w)
         for i in range(min(BLOCK, hi - first)):
             e = first + i
             law = laws[law_of[e]]
@@ -102,22 +102,20 @@ def element_forces(
             sy = sigma_y[e]
             deps = 0.0
             flow = sy
-            if q_squared[i] > sy * sy:
-                q_trial = sqrt(q_squared[i])
+            if b.q_squared[i] > sy * sy:
+                q_trial = sqrt(b.q_squared[i])
                 deps = (q_trial - sy) / (3.0 * law.G)
                 # the step's mean stress along the plastic flow: what makes stored and dissipated energy add up to the work done
-                flow = 0.5 * (sy + 1.5 * along[i] / q_trial)
+                flow = 0.5 * (sy + 1.5 * b.along[i] / q_trial)
                 for k in range(6):
                     S[k, i] *= sy / q_trial
             warm = 0.0
             if deps > 0.0 or rate[e] > 0.0:
-                eps_p[e], rate[e], T[e], sy, work = harden(
-                    law, deps, dt, jacobian[i], flow, sy, eps_p[e], rate[e], T[e]
-                )
+                eps_p[e], rate[e], T[e], sy, work = harden(law, deps, dt, b.J[i], flow, sy, eps_p[e], rate[e], T[e])
                 sigma_y[e] = sy
-                plastic += V[i] * work
+                plastic += b.V0[i] * work
                 if on(law.taylor_quinney) and on(law.expansion):
-                    warm = V[i] * law.expansion * law.taylor_quinney * work
+                    warm = b.V0[i] * law.expansion * law.taylor_quinney * work
                     warmth += warm
             if on(law.expansion):
                 heat[e] = warm
@@ -127,9 +125,9 @@ def element_forces(
             if div[i] < 0.0:
                 c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
                 qv = law.rho * length[i] * (b2 * b2 * length[i] * div[i] * div[i] - b1 * c * div[i])
-                viscous -= qv * div[i] * dt * now[i]
-                pressure[i] += qv
-            pressure[i] -= shape_stress(law, jacobian[i])
+                viscous -= qv * div[i] * dt * b.volume[i]
+                b.pressure[i] += qv
+            b.pressure[i] -= shape_stress(law, b.J[i])
         nodal_forces(first, hi, B, w, fe)
     sums[0] += plastic
     sums[1] += viscous

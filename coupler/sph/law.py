@@ -68,7 +68,7 @@ def apply_law(
         work[i] += w
         sums[0] += volume[i] * w
         machdyn_eps[i] = sigma_y[i] / H
-        if on(law.Gamma0):
+        if on(law.Gamma0) and law.Gamma0 > 0.0:
             set_e[i] = (hugoniot_pressure(law, Ji) - p[i]) * Ji / (law.rho * law.Gamma0)
         machdyn_e[i] = set_e[i] * mass[i]
         machdyn_de[i] = 0.0
