@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from ..constitutive import bulk_stiffness, harden, mie_gruneisen, on
-from .blocks import BLOCK, ROUNDING, ROWS, _cofactor, kinematics, nodal_forces, rows_of
+from .blocks import BLOCK, ROWS, _cofactor, kinematics, nodal_forces, rows_of
 
 SHAPE_LIMIT = 0.5
 SHAPE_STIFFNESS = 0.05
@@ -69,7 +69,7 @@ def shape_stress(law, J):
     return 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=ROUNDING)
+@njit(cache=True, nogil=True, error_model="numpy")
 def element_forces(
     lo, hi, dt, b1, b2, x, v, conn, B, V0, volume, p, J_node, laws, law_of, s, sigma_y, eps_p, rate, T, heat, fe, sums
 ):  # fmt: skip
@@ -82,7 +82,8 @@ def element_forces(
     viscosity and that heat, J.
 
     laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
-    the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`).
+    the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`), and only there
+    is arithmetic fast: what flows is the same to the last bit whichever effects its kernel leaves out.
     """
     plastic = 0.0
     warmth = 0.0
