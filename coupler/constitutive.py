@@ -8,6 +8,9 @@ sigma_y. That is what MACHDYN allows (its stress update takes a given yield stre
 
 Johnson & Cook (1983): sigma_y = (A + B eps_p^n)(1 + C ln(rate/eps_dot_0))(1 - theta^m), theta = (T - T_ref)/(T_m -
 T_ref).
+
+An effect that is off is a zero among the law's numbers. In the records that `specialised` gives, such zeros are integers: the type
+tells the compiler that they are zero, and what `on` guards is not in the kernel it makes.
 """
 
 from collections.abc import Mapping
@@ -15,7 +18,8 @@ from math import log, sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, types
+from numba.extending import overload
 
 #: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
 LAW = np.dtype(
@@ -29,6 +33,9 @@ LAW = np.dtype(
         )
     ]
 )  # fmt: skip
+#: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
+PRESSURE = ("s", "Gamma0", "expansion")
+FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion")
 
 
 def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
@@ -63,9 +70,36 @@ def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter:
     return law
 
 
+def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
+    """LAW records (k,) seen with those of the `numbers` that are zero in all of them as integers: kernels without their effects.
+
+    A view: the numbers are those of `laws`, and those that are zero are to stay so. Each combination of zeros is a type of its own,
+    for which numba compiles anew: name only the numbers that the kernel reads.
+    """
+    bits = np.ascontiguousarray(laws, LAW).view(np.int64).reshape(len(laws), -1)
+    off = {name for name, seen in zip(LAW.names or (), bits.T, strict=True) if name in numbers and not seen.any()}
+    return laws.view([(name, np.int64 if name in off else np.float64) for name in LAW.names or ()])
+
+
+def on(number: float) -> bool:
+    """Whether a kernel holds the effect of this number of the law: not if it is an integer. Known when the kernel is compiled.
+
+    A zero in a plain record goes through the arithmetic of its effect, and changes nothing.
+    """
+    return not isinstance(number, int | np.integer)
+
+
+@overload(on)
+def _on(number):
+    holds = not isinstance(number, types.Integer)
+    return lambda number: holds
+
+
 @njit(cache=True, nogil=True, inline="always")
 def heat_capacity(law, T):
     """c_p(T) in J/kgK: linear between the two points of the material data, constant beyond them."""
+    if not on(law.cp_slope):
+        return law.cp_0
     return law.cp_0 + law.cp_slope * (min(max(T, law.cp_T0), law.cp_T1) - law.cp_T0)
 
 
@@ -100,11 +134,11 @@ def yield_stress(law, eps_p, rate, T):
     sigma = law.A
     if eps_p > 0.0:
         sigma += law.B * eps_p**law.n
-    if law.C > 0.0 and rate > law.eps_dot_0:
+    if on(law.C) and rate > law.eps_dot_0:
         sigma *= 1.0 + law.C * log(rate / law.eps_dot_0)
-    if law.softening > 0.0 and T > law.T_ref:
+    if on(law.softening) and T > law.T_ref:
         theta = (T - law.T_ref) / (law.T_m - law.T_ref)
-        sigma *= max(1.0 - theta**law.m, 0.0)
+        sigma *= max(1.0 - law.softening * theta**law.m, 0.0)
     return sigma
 
 
@@ -124,7 +158,8 @@ def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
     if deps > 0.0:
         work = J * flow * deps
         eps_p += deps
-        T += law.taylor_quinney * work / (law.rho * heat_capacity(law, T))
+        if on(law.taylor_quinney):
+            T += law.taylor_quinney * work / (law.rho * heat_capacity(law, T))
     if deps > 0.0 or rate > law.eps_dot_0:
         sigma_y = yield_stress(law, eps_p, rate, T)
     else:
@@ -136,7 +171,9 @@ def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
 def hugoniot_pressure(law, J):
     """Pressure on the Hugoniot, p_H = K eta / (1 - s eta)^2 with eta = 1 - J and K = rho c0^2 (Pa)."""
     eta = 1.0 - J
-    return law.K * eta / (1.0 - law.s * eta) ** 2
+    if on(law.s):
+        return law.K * eta / (1.0 - law.s * eta) ** 2
+    return law.K * eta
 
 
 @njit(cache=True, nogil=True)
@@ -148,9 +185,10 @@ def mie_gruneisen(law, J_old, J, p_old, energy, heat):
     solved together with it (trapezoidal, linear in p).
     """
     dJ = J - J_old
-    cold = hugoniot_pressure(law, J) * (1.0 - 0.5 * law.Gamma0 * (1.0 - J))
+    p = hugoniot_pressure(law, J)
     energy += heat - 0.5 * p_old * dJ
-    p = (cold + law.Gamma0 * energy) / (1.0 + 0.5 * law.Gamma0 * dJ)
+    if on(law.Gamma0):
+        p = (p * (1.0 - 0.5 * law.Gamma0 * (1.0 - J)) + law.Gamma0 * energy) / (1.0 + 0.5 * law.Gamma0 * dJ)
     return p, energy - 0.5 * p * dJ
 
 

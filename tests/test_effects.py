@@ -1,8 +1,12 @@
 """Each effect has its own switch and closed form; the numbers that decide; the range of the models."""
 
 import math
+import re
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from conftest import elastic
@@ -10,11 +14,13 @@ from test_scene import scene_with, several
 
 from coupler import constitutive as law
 from coupler import effects, run
+from coupler.fe import kernels
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.materials import material
 from coupler.plan import plan
 from coupler.plan_text import describe
+from coupler.sph import law as points_law
 from coupler.validity import Extremes, greatest_compression, merged, pressure
 
 
@@ -164,6 +170,133 @@ def test_the_law_without_effects_is_elastic_perfectly_plastic_but_for_hardening(
     )
     assert law.harden(record, 0.1, 1e-9, 1.0, 1e8, 1e8, 0.0, 0.0, 300.0)[2] == 300.0
     assert law.law_record(elastic())[0]["expansion"] == 1.0
+
+
+OF_THE_LAW = (
+    "thermal_softening", "rate_hardening", "plastic_heating", "temperature_dependent_cp", "mie_gruneisen", "thermal_expansion",
+)  # fmt: skip
+CHOICES = {"nothing": {}, **{name: {name: False} for name in OF_THE_LAW}, "all": dict.fromkeys(OF_THE_LAW, False)}
+LEFT_OUT = pytest.mark.parametrize("choice", CHOICES.values(), ids=CHOICES)
+
+
+def flowing(laws: np.ndarray, general: bool) -> dict[str, np.ndarray]:
+    """A block that twists and flows, after ten steps with kernels of its own laws or with the general ones."""
+    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.25))
+    t = Target(m, laws, 400.0, fixed=(), sleeping=False)
+    if general:
+        t._laws_of_pressure = t._laws_of_flow = t.laws
+    x = m.points - 0.5
+    t.v[:] = 500.0 * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], -0.3 * x[:, 2]], axis=1)
+    dt = 0.5 * t.stable_dt()[0]
+    for _ in range(10):
+        t.advance(dt)
+        t.finish()
+    assert np.mean(t.eps_p > 0.0) > 0.5
+    return {
+        name: getattr(t, name)
+        for name in ("x", "fe", "J", "p", "energy", "s", "sigma_y", "eps_p", "rate", "T", "heat", "sums")
+    }
+
+
+POINT = (
+    "eps",
+    "e",
+    "de",
+    "sigma_y",
+    "eps_p",
+    "rate",
+    "T",
+    "J",
+    "p",
+    "energy",
+    "set_e",
+    "work",
+)  # as apply_law takes them
+
+
+def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarray]:
+    """Points under pressure, half of which flow, after two steps of the law."""
+    rng, n = np.random.default_rng(3), 50
+    a = {name: np.zeros(n) for name in POINT}
+    a["J"], a["sigma_y"], a["T"] = rng.uniform(0.96, 1.01, n), rng.uniform(2e8, 4e8, n), rng.uniform(350.0, 800.0, n)
+    a["eps_p"], a["rate"] = rng.uniform(0.1, 1.0, n), np.full(n, 1e7)
+    sums = np.zeros(2)
+    for _ in range(2):
+        stress = np.zeros((n, 6))
+        stress[:, [0, 3, 5]] = (laws["K"][0] * rng.uniform(-0.05, 0.01, n))[:, None]
+        a["eps"] = a["sigma_y"] / 1e9 + np.where(np.arange(n) % 2, 3e-4, 0.0)
+        points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), np.ones(n), stress, *a.values(), sums)
+    return a | {"sums": sums}
+
+
+@LEFT_OUT
+def test_kernels_without_an_effect_agree_with_the_general_ones(choice: dict[str, bool]) -> None:
+    """What is off is a zero to the general kernels, and not there in those that are made for it."""
+    steel, nickel = (law.law_record(material(name), choice, rate_filter=1e-9) for name in ("SS304", "Ni"))
+    special = law.specialised(nickel)
+    assert np.shares_memory(special, nickel)
+    assert special.tolist() == nickel.tolist()
+    for own, general in (
+        (flowing(steel, False), flowing(steel, True)),
+        (squeezed(nickel, special), squeezed(nickel, nickel)),
+    ):
+        for name, values in own.items():
+            np.testing.assert_allclose(
+                values, general[name], rtol=1e-12, atol=1e-12 * np.abs(general[name]).max(), err_msg=name
+            )
+
+
+def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
+    soft, hard = (law.law_record(material("Ni"), {name: False}) for name in ("rate_hardening", "thermal_softening"))
+    record = law.specialised(np.concatenate([soft, hard])).dtype
+    assert all(record[name] == np.float64 for name in record.names or ())
+    assert law.specialised(soft).dtype["C"] == np.int64
+    assert law.specialised(soft, law.PRESSURE).dtype == law.LAW
+    assert law.specialised(law.law_record(material("Ni"))).dtype == law.LAW
+
+
+def compiled(kernel: Any, *args: object) -> Counter[str]:
+    """How often the machine's arithmetic is in a kernel compiled for these arguments: log, pow, and + - * / together."""
+    anew = numba.jit(**kernel.targetoptions)(kernel.py_func)  # numba shows nothing of what it kept
+    types = tuple(numba.typeof(arg) for arg in args)
+    anew.compile(types)
+    text = anew.inspect_llvm(types)
+    calls = Counter(re.findall(r"call [^\n]*@(?:llvm\.)?(log|pow)\b", text))
+    return calls | Counter({"arithmetic": len(re.findall(r" = f(?:add|sub|mul|div) ", text))})
+
+
+def test_an_effect_that_is_off_is_not_in_the_compiled_kernel() -> None:
+    one, six = np.ones(1), np.ones((1, 6))
+
+    def of_points(choice: dict[str, bool]) -> Counter[str]:
+        laws = law.specialised(law.law_record(material("Ni"), choice))
+        return compiled(points_law.apply_law, laws, 1.0, 1.0, one, one, six, *[one] * len(POINT), one)
+
+    found = {name: of_points(choice) for name, choice in CHOICES.items()}
+    assert (found["nothing"]["log"], found["nothing"]["pow"]) == (
+        1,
+        2,
+    )  # of the rate; of plastic strain and temperature
+    assert found["rate_hardening"]["log"] == found["all"]["log"] == 0
+    assert found["thermal_softening"]["pow"] == found["all"]["pow"] == 1
+    for name in OF_THE_LAW:
+        assert found["all"]["arithmetic"] < found[name]["arithmetic"] < found["nothing"]["arithmetic"], name
+
+    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+    made = []
+    for choice in ({}, CHOICES["all"]):
+        t = Target(m, law.law_record(material("Ni"), choice), 300.0)
+        made.append(
+            compiled(
+                kernels.element_forces, 0, 1, 1.0, 1.0, 1.0, t.x, t.v, m.conn, m.B, m.V0, t.volume, t.p, t.J, t._laws_of_flow,
+                t.law_of, t.s, t.sigma_y, t.eps_p, t.rate, t.T, t.heat, t.fe, t.sums,
+            )
+        )  # fmt: skip
+    on, off = made
+    assert (on["log"] - off["log"], on["pow"] - off["pow"]) == (
+        1,
+        1,
+    )  # what is left are strain hardening and `shape_stress`
 
 
 COARSE = {"resolution__spacing": "3.4 um"}  # 200 points

@@ -54,7 +54,7 @@ def test_doors(path: Path) -> None:
     own = {name.split(".")[1] for name in found if name.startswith("coupler.")}
     if here.parts[0] in ROOMS:
         assert not own & (set(ROOMS) - {here.parts[0]} | SCENE_SIDE), "a room of the solver looks into another"
-    if here.name in ("kernels.py", "constitutive.py", "law.py", "motion.py"):
+    if here.name in ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py"):
         outside = {name.split(".")[0] for name in found} - {"coupler"}
         assert outside <= {"numpy", "numba", "math", "typing", "collections"}, "a kernel imports more than arithmetic"
     if here.name == "result.py" or here.parts[0] == "report":

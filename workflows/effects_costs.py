@@ -4,8 +4,10 @@ docs/tables/effects_costs.csv: processor time of a step with everything on, and 
 impacts go on in turn, ten steps of each at a time, so that what slows down one slows down the others; of each ten steps the least of
 several rounds counts.
 
-docs/tables/effects_kernels.csv: the kernels that evaluate the law, on elements and points that all flow: with an effect on; with it
-off in the law's record, as `effects` has it; and compiled from the same source with its numbers written in, so that it cannot be on.
+docs/tables/effects_kernels.csv: the kernels that evaluate the law, on elements and points that all flow, with each effect left out:
+off, in the kernels that are made without it, as runs have it; as a zero in the general kernels; and compiled from the same source
+with its numbers written in, so that it cannot be on. All on the same arrays, in turn; of many calls the least counts. compile_s:
+processor time that numba takes for the kernels without it when those with all effects (`none` left out) are there.
 """
 
 import argparse
@@ -13,7 +15,9 @@ import csv
 import re
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from random import shuffle
 from typing import Any
 
 import numpy as np
@@ -23,21 +27,22 @@ from effects_study import COSTS, CROSSINGS, KERNELS, SCENES, least_of
 from coupler import constitutive
 from coupler.coupling import CHUNK
 from coupler.effects import NAMES
-from coupler.fe import kernels
-from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY
+from coupler.fe import blocks, kernels
+from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, Target
 from coupler.materials import material
 from coupler.sph import law as points_law
 
 SCENE = "Ni on steel, 500 m/s"
 OF_THE_LAW = {
-    "thermal_softening": {"softening": 0.0},
-    "rate_hardening": {"C": 0.0},
-    "plastic_heating": {"taylor_quinney": 0.0},
-    "temperature_dependent_cp": {"cp_slope": 0.0},
-    "mie_gruneisen": {"s": 0.0, "Gamma0": 0.0},
-    "thermal_expansion": {"expansion": 0.0},
-}  # effect -> fields of the law's record, as they are without it
-POINTS, CALLS, H = 5000, 30, 1e9
+    "thermal_softening": {"softening": 0},
+    "rate_hardening": {"C": 0},
+    "plastic_heating": {"taylor_quinney": 0},
+    "temperature_dependent_cp": {"cp_slope": 0},
+    "mie_gruneisen": {"s": 0, "Gamma0": 0},
+    "thermal_expansion": {"expansion": 0},
+}  # effect -> fields of the law's record, as they are without it: integers, known to be off where they are compiled
+POINTS, CALLS, H = 5000, 300, 1e9
+STATE = ("J", "p", "energy", "s", "sigma_y", "eps_p", "rate", "T", "heat")  # of elements, as it is before each call
 
 clock = time.process_time
 
@@ -55,55 +60,64 @@ def impacts(rounds: int) -> list[dict[str, Any]]:
     ]
 
 
-def compiled(fields: dict[str, float]) -> dict[str, Any]:
+def compiled(fields: dict[str, int]) -> dict[str, Any]:
     """The law and the kernels that call it, compiled with these fields of the law's record as numbers in their source."""
     space: dict[str, Any] = {}
-    for module in (constitutive, kernels, points_law):
+    for module in (constitutive, blocks, kernels, points_law):
         text = Path(str(module.__file__)).read_text(encoding="utf-8")
-        text = re.sub(r"^from \.\.constitutive import .*\n", "", text, flags=re.MULTILINE).replace("cache=True, ", "")
+        text = re.sub(r"^from \.(\.constitutive|blocks) import .*\n", "", text, flags=re.MULTILINE).replace(
+            "cache=True, ", ""
+        )
         for name, value in fields.items():
             text = re.sub(rf"\blaw\.{name}\b", repr(value), text)
         exec(compile(text, str(module.__file__), "exec"), space)
     return space
 
 
-def elements_of(space: dict[str, Any], on: dict[str, bool]) -> Callable[[], float]:
-    """A call that updates stresses, pressures and forces of 20 000 tetrahedra that flow; seconds per element."""
-    t = block(4.2e-6, 1, plastic=True)
+def elements_of(
+    t: Target, kept: dict[str, np.ndarray], space: dict[str, Any], on: dict[str, bool], special: bool
+) -> Callable[[], float]:
+    """A call that updates stresses, pressures and forces of tetrahedra in the state `kept`; seconds per element."""
     laws = constitutive.law_record(material("SS304"), on, rate_filter=1e-9)
+    pressing, flowing = (
+        constitutive.specialised(laws, read) if special else laws for read in (constitutive.PRESSURE, constitutive.FLOW)
+    )
     dt, n, m, mesh, sums = 0.3 * t.stable_dt()[0], len(t.x), len(t.mesh.conn), t.mesh, np.zeros(3)
-    kept = {
-        name: getattr(t, name).copy() for name in ("J", "p", "energy", "s", "sigma_y", "eps_p", "rate", "T", "heat")
-    }
 
     def work() -> float:
         for name, values in kept.items():
             getattr(t, name)[...] = values
         start = clock()
         space["nodal_pressure"](
-            0, n, t.start, t.table, t.volume, t.heat, mesh.node_volume, laws, t.law_of_node, t.J, t.p, t.energy
+            0, n, t.start, t.table, t.volume, t.heat, mesh.node_volume, pressing, t.law_of_node, t.J, t.p, t.energy
         )
         space["element_forces"](
             0, m, dt, LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, t.x, t.v, mesh.conn, mesh.B, mesh.V0, t.volume, t.p, t.J,
-            laws, t.law_of, t.s, t.sigma_y, t.eps_p, t.rate, t.T, t.heat, t.fe, sums,
+            flowing, t.law_of, t.s, t.sigma_y, t.eps_p, t.rate, t.T, t.heat, t.fe, sums,
         )  # fmt: skip
         return (clock() - start) / m
 
     return work
 
 
-def points_of(space: dict[str, Any], on: dict[str, bool]) -> Callable[[], float]:
-    """A call that applies the law to points that flow, some compressed and some warm; seconds per point."""
-    laws = constitutive.law_record(material("Ni"), on, rate_filter=1e-9)
-    law, rng, n = laws[0], np.random.default_rng(1), POINTS
+def points() -> dict[str, np.ndarray]:
+    """The state of points that flow, some compressed and some warm."""
+    law, rng, n = constitutive.law_record(material("Ni"))[0], np.random.default_rng(1), POINTS
     J, sigma_y = rng.uniform(0.96, 1.0, n), rng.uniform(2e8, 4e8, n)
     stress = np.zeros((n, 6))
     stress[:, [0, 3, 5]] = -(law["K"] * (1.0 - J) / (1.0 - law["s"] * (1.0 - J)) ** 2)[:, None]  # on the Hugoniot
-    kept = {
-        "eps": (sigma_y + 3e5) / H, "sigma_y": sigma_y, "eps_p": rng.uniform(0.1, 1.0, n), "rate": np.full(n, 1e7),
+    return {
+        "stress": stress, "eps": (sigma_y + 3e5) / H, "sigma_y": sigma_y, "eps_p": rng.uniform(0.1, 1.0, n), "rate": np.full(n, 1e7),
         "T": rng.uniform(350.0, 800.0, n), "J": J, "p": -stress[:, 0], "energy": np.zeros(n), "set_e": np.zeros(n),
     }  # fmt: skip
-    a = {name: values.copy() for name, values in kept.items()}
+
+
+def points_of(
+    a: dict[str, np.ndarray], kept: dict[str, np.ndarray], space: dict[str, Any], on: dict[str, bool], special: bool
+) -> Callable[[], float]:
+    """A call that applies the law to points in the state `kept`; a receives the new one; seconds per point."""
+    plain = constitutive.law_record(material("Ni"), on, rate_filter=1e-9)
+    laws, n = constitutive.specialised(plain) if special else plain, len(a["J"])
     one, de, e, work, sums = np.ones(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(2)
 
     def call() -> float:
@@ -111,7 +125,7 @@ def points_of(space: dict[str, Any], on: dict[str, bool]) -> Callable[[], float]
             a[name][...] = values
         start = clock()
         space["apply_law"](
-            laws, 1e-10, H, one, one, stress, a["eps"], e, de, a["sigma_y"], a["eps_p"], a["rate"], a["T"], a["J"], a["p"],
+            laws, 1e-10, H, one, one, a["stress"], a["eps"], e, de, a["sigma_y"], a["eps_p"], a["rate"], a["T"], a["J"], a["p"],
             a["energy"], a["set_e"], work, sums,
         )  # fmt: skip
         return (clock() - start) / n
@@ -120,23 +134,35 @@ def points_of(space: dict[str, Any], on: dict[str, bool]) -> Callable[[], float]
 
 
 def in_kernels() -> None:
-    """Record a row for each effect of the law: ns per element and per point, on, off, and where it cannot be on."""
-    rows: list[dict[str, Any]] = []
-    general = compiled({})
+    """Record a row for each effect of the law: ns per element and per point without it, in three ways, all of them in turn."""
+    target, cloud, product = block(4.2e-6, 1, plastic=True), points(), compiled({})
+    state = {name: getattr(target, name).copy() for name in STATE}
+    elements, of_cloud = (
+        partial(elements_of, target, state),
+        partial(points_of, {name: values.copy() for name, values in cloud.items()}, cloud),
+    )
+    calls: dict[tuple[str, str], Callable[[], float]] = {}
+    compiling: dict[str, float] = {}
     together = {name: value for fields in OF_THE_LAW.values() for name, value in fields.items()}
-    for effect, fields in {"all six": together, **OF_THE_LAW}.items():
-        special, off = compiled(fields), {name: effect not in ("all six", name) for name in OF_THE_LAW}
-        row: dict[str, Any] = {"effect": effect}
-        for what, of in (("element", elements_of), ("point", points_of)):
-            calls = {"on": of(general, {}), "off": of(general, off), "cannot": of(special, off)}
-            for call in calls.values():
-                call()
-            found: dict[str, list[float]] = {name: [] for name in calls}
-            for _ in range(CALLS):
-                for name, call in calls.items():
-                    found[name].append(call())
-            row |= {f"{what}_{name}_ns": f"{1e9 * min(seconds):.4g}" for name, seconds in found.items()}
-        rows.append(row)
+    for effect, fields in {"none": {}, **OF_THE_LAW, "all six": together}.items():
+        cannot, on = compiled(fields), {name: effect not in ("all six", name) for name in OF_THE_LAW}
+        compiling[effect] = 0.0
+        for what, of in (("element", elements), ("point", of_cloud)):
+            mine = {"off": of(product, on, True), "zero": of(product, on, False), "cannot": of(cannot, on, False)}
+            start = clock()
+            mine["off"]()
+            compiling[effect] += clock() - start
+            mine["cannot"]()
+            calls |= {(effect, f"{what}_{way}_ns"): call for way, call in mine.items()}
+    least, order = dict.fromkeys(calls, np.inf), list(calls)
+    for _ in range(CALLS):
+        shuffle(order)  # what went before has its share in what the caches hold
+        for name in order:
+            least[name] = min(least[name], calls[name]())
+    rows: list[dict[str, Any]] = []
+    for effect, seconds in compiling.items():
+        row = {column: f"{1e9 * found:.4g}" for (of_effect, column), found in least.items() if of_effect == effect}
+        rows.append({"effect": effect, **row, "compile_s": f"{seconds:.2f}"})
         record(KERNELS, rows, "python workflows/effects_costs.py --kernels")
 
 

@@ -326,11 +326,14 @@ def _cost_lines(rows: list[dict[str, str]]) -> list[str]:
 
 
 def _kernel_lines(rows: list[dict[str, str]]) -> list[str]:
-    columns = [f"{what}_{name}_ns" for what in ("element", "point") for name in ("on", "off", "cannot")]
-    heads = [f"{what}, {name}" for what in ("element", "point") for name in ("on", "off", "cannot be on")]
-    lines = ["| ns per step | " + " | ".join(heads) + " |", "|---" * (len(heads) + 1) + "|"]
+    columns = [f"{what}_{name}_ns" for what in ("element", "point") for name in ("off", "zero", "cannot")]
+    heads = [f"{what}, {name}" for what in ("element", "point") for name in ("off", "as a zero", "cannot be on")]
+    lines = ["| ns per step, left out | " + " | ".join(heads) + " | compiling, s |", "|---" * (len(heads) + 2) + "|"]
     return lines + [
-        f"| {row['effect']} | " + " | ".join(f"{float(row[name]):.0f}" for name in columns) + " |" for row in rows
+        f"| {row['effect']} | "
+        + " | ".join(f"{float(row[name]):.0f}" for name in columns)
+        + f" | {float(row['compile_s']):.1f} |"
+        for row in rows
     ]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .. import motion
-from ..constitutive import LAW, sound_speed, yield_stress
+from ..constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from ..errors import SolverError
 from . import kernels as k
 from .heat import Conduction, take_heat
@@ -74,6 +74,7 @@ class Target:
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
+        self._laws_of_pressure, self._laws_of_flow = specialised(self.laws, PRESSURE), specialised(self.laws, FLOW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
         self.law_of_node = np.zeros(n, np.int32)
         self.law_of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
@@ -216,8 +217,8 @@ class Target:
         self._share(
             n,
             lambda lo, hi: k.nodal_pressure(
-                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self.laws, self.law_of_node,
-                self.J, self.p, self.energy,
+                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure,
+                self.law_of_node, self.J, self.p, self.energy,
             ),
         )  # fmt: skip
         self.f, self.f_old = self.f_old, self.f
@@ -228,8 +229,8 @@ class Target:
             sums = np.zeros(3)
             k.element_forces(
                 lo, hi, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0,
-                self.volume, self.p, self.J, self.laws, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T,
-                self.heat, self.fe, sums,
+                self.volume, self.p, self.J, self._laws_of_flow, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate,
+                self.T, self.heat, self.fe, sums,
             )  # fmt: skip
             return sums
 

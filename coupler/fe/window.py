@@ -10,7 +10,9 @@ import numpy as np
 from .mesh import TetMesh
 
 LAYER = 0.2  # of the radius
-ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: to long waves the layer is a dashpot of rho c
+ABSORBED = (
+    3.0  # wave speeds over the layer's thickness, the rate at its end: to long waves the layer is a dashpot of rho c
+)
 
 
 def edge(mesh: TetMesh, elements: int) -> np.ndarray:

@@ -11,7 +11,7 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 import numpy as np
 from numba import njit
 
-from ..constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, softened
+from ..constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -20,6 +20,24 @@ def _machdyn_hugoniot(law, J):
     eta = 1.0 - J
     w = 1.0 - law.s * eta
     return law.K * eta / (w * w), -law.K * (1.0 + law.s * eta) / (w * w * w)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _volume_ratio(law, mean, J, e):
+    """The J at which MACHDYN's equation of state with the energy e (J/kg) gives this mean stress (Pa): Newton from the last J."""
+    if not (on(law.s) or on(law.Gamma0)):
+        return 1.0 + mean / law.K
+    for _ in range(30):
+        pH, slope = _machdyn_hugoniot(law, J)
+        residual = -pH - mean
+        if on(law.Gamma0):
+            residual += law.rho / J * law.Gamma0 * e
+            slope += law.rho / (J * J) * law.Gamma0 * e
+        step = -residual / slope
+        J -= step
+        if abs(step) < 1e-13:
+            break
+    return J
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -35,29 +53,22 @@ def apply_law(
     """
     law = laws[0]
     for i in range(len(eps_p)):
-        # the volume ratio MACHDYN saw: invert its equation of state, Newton from the last J
         mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
-        Ji = J[i]
-        e = set_e[i]
-        for _ in range(30):
-            pH, slope = _machdyn_hugoniot(law, Ji)
-            residual = -pH + law.rho / Ji * law.Gamma0 * e - mean
-            step = residual / (-slope - law.rho / (Ji * Ji) * law.Gamma0 * e)
-            Ji -= step
-            if abs(step) < 1e-13:
-                break
+        Ji = _volume_ratio(law, mean, J[i], set_e[i])  # what MACHDYN saw
         deps = max(machdyn_eps[i] - sigma_y[i] / H, 0.0)
         eps_p[i], rate[i], T[i], sigma_y[i], w = harden(
             law, deps, dt, Ji, sigma_y[i], sigma_y[i], eps_p[i], rate[i], T[i]
         )
-        heat = law.expansion * law.taylor_quinney * w
+        heat = 0.0
+        if on(law.taylor_quinney) and on(law.expansion):
+            heat = law.expansion * law.taylor_quinney * w
+            sums[1] += volume[i] * heat
         p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
         J[i] = Ji
         work[i] += w
         sums[0] += volume[i] * w
-        sums[1] += volume[i] * heat
         machdyn_eps[i] = sigma_y[i] / H
-        if law.Gamma0 > 0.0:
+        if on(law.Gamma0) and law.Gamma0 > 0.0:
             set_e[i] = (hugoniot_pressure(law, Ji) - p[i]) * Ji / (law.rho * law.Gamma0)
         machdyn_e[i] = set_e[i] * mass[i]
         machdyn_de[i] = 0.0

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .. import motion
-from ..constitutive import sound_speed, yield_stress
+from ..constitutive import sound_speed, specialised, yield_stress
 from ..errors import SolverError
 from . import law as k
 
@@ -79,7 +79,7 @@ class Particle:
         comm: the communicator of the ranks that share the particle, by slabs along x, each its part `shares` of the points.
         """
         self.numerics = numerics or Numerics()
-        self.law = law
+        self.law, self._special = law, specialised(law)
         self.X = np.ascontiguousarray(points, float)
         self.total, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
         r = law[0]
@@ -214,7 +214,7 @@ class Particle:
         self.time += self.dt
         self.steps += 1
         k.apply_law(
-            self.law, self.dt, H, self.volume, self._mass, self._stress, self._eps, self._e, self._de, self.sigma_y,
+            self._special, self.dt, H, self.volume, self._mass, self._stress, self._eps, self._e, self._de, self.sigma_y,
             self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self._set_e, self.work, self.sums,
         )  # fmt: skip
         if not np.isfinite(self.sums[0]):
