@@ -195,6 +195,26 @@ def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
     assert contact.penalty_energy == 0.0
 
 
+def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
+    """Neither their forces nor what their springs hold: what sleeps is in equilibrium with them."""
+    b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
+    contact, x = b.touch(), b.target.x.copy()
+    x[b.nodes(1), 2] -= 1e-4
+    f, still = np.zeros_like(x), np.zeros_like(x)
+    contact.search(x, 0.0)
+    contact.forces(1e-9, x, still, f)
+    held, touching = contact.penalty_energy, contact.touching
+    f[:] = 0.0
+    contact.search(x, 0.0, awake=0)
+    contact.forces(1e-9, x, still, f)
+    assert not f.any()
+    assert (contact.penalty_energy, contact.touching) == (held, touching)
+    contact.search(x, 0.0, awake=len(x))
+    contact.forces(1e-9, x, still, f)
+    assert f.any()
+    assert contact.penalty_energy == pytest.approx(held, rel=1e-12)
+
+
 def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     def start() -> tuple[Blocks, BodyContact]:
         b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))

@@ -15,12 +15,13 @@ from coupler import Result, Scene, run
 from coupler.adhesion import Adhesion
 from coupler.bodies import Bodies, level_under
 from coupler.constitutive import law_record
+from coupler.coupling import Watch
 from coupler.deposition import resume
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
-from coupler.joining import jolt_time
+from coupler.joining import jolt_time, point_of_impact
 from coupler.materials import material
 from coupler.relaxation import settle
 from tests.test_parallel import MPIEXEC, numbers
@@ -176,6 +177,26 @@ def test_the_next_one_starts_above_the_surface() -> None:
     assert level_under(ball, x, facets, 0.5) == pytest.approx(5 + 2 + 0.5)
     assert level_under(ball[1:], x, facets, 0.5) == pytest.approx(2.5)
     assert level_under(ball + 100.0, x, facets, 0.5) == -np.inf
+
+
+def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    bodies = substrate().joined([block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), 5e-6, (0, 0, 0), 1.0)
+    assert point_of_impact(bodies, (2e-6, 3e-6)) == pytest.approx((2e-6, 3e-6, 20e-6))  # on the block
+    assert point_of_impact(bodies, (18e-6, 0.0)) == pytest.approx((18e-6, 0.0, 0.0), abs=1e-12)  # beside it
+    assert point_of_impact(bodies, (90e-6, 0.0)) == (90e-6, 0.0, 0.0)  # beside everything
+
+
+def test_a_particle_that_creeps_has_come_to_rest() -> None:
+    """Pressed into a heap that gives way it may sink slowly for long; on a plain target it stops or turns."""
+    creeping, plain = Watch(1e-6, "rest", 1e-9, slow=3.0), Watch(1e-6, "rest", 1e-9)
+    for time, sinking, force in ((1e-9, 500.0, 1.0), (2e-9, 2.0, 0.1), (4e-9, 1.5, 1e-3)):
+        creeping.look(time, sinking, force)
+        plain.look(time, sinking, force)
+    assert creeping.turned == 2e-9
+    assert plain.turned is None
+    assert creeping.look(5e-9, 1.0, 1e-3)
+    assert not plain.look(5e-9, 1.0, 1e-3)
 
 
 @pytest.fixture(scope="module")
