@@ -102,3 +102,15 @@ class Blocks:
 def cubes(side: float) -> Blocks:
     """Two cubes of unlike meshes, one on the other; side in m."""
     return Blocks(((side,) * 3, 0.3 * side, (0, 0, 0)), ((side,) * 3, 0.25 * side, (0, 0, side)))
+
+
+def pinched(mesh: meshes.TetMesh, share: float) -> meshes.TetMesh:
+    """A mesh with one tetrahedron inside pressed flat: by that share of its height."""
+    inside = np.setdiff1d(np.arange(len(mesh.points)), mesh.facets.ravel())
+    e = next(e for e, nodes in enumerate(mesh.conn) if np.isin(nodes, inside).all())
+    a, b, c, d = mesh.points[mesh.conn[e]]
+    normal = np.cross(c - b, d - b)
+    normal /= np.linalg.norm(normal)
+    points = mesh.points.copy()
+    points[mesh.conn[e][0]] -= share * np.dot(a - b, normal) * normal
+    return meshes.prepare(points, mesh.conn.astype(np.int64))

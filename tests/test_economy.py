@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blocks import pinched
 from conftest import elastic
 
 from coupler import Scene, run
@@ -27,23 +28,15 @@ def test_the_step_that_a_mass_buys() -> None:
     assert step_for(mass, safe, 0.0, 100.0) == pytest.approx(1.0)
 
 
-def pinched() -> Bodies:
+def flattened() -> Bodies:
     """A block with an element pressed flat inside."""
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
-    inside = np.setdiff1d(np.arange(len(m.points)), m.facets.ravel())
-    e = next(e for e, nodes in enumerate(m.conn) if np.isin(nodes, inside).all())
-    a, b, c, d = m.points[m.conn[e]]
-    normal = np.cross(c - b, d - b)
-    normal /= np.linalg.norm(normal)
-    points = m.points.copy()
-    points[m.conn[e][0]] -= 0.9 * np.dot(a - b, normal) * normal
-    flat = mesh.prepare(points, m.conn.astype(np.int64), (0.5, 0.5, 0.5))
+    flat = pinched(mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2)), 0.9)
     target = Target(flat, law_record(elastic()), 300.0, fixed=(), sleeping=False)
     return Bodies(target, np.zeros(len(flat.conn), np.int32), (), (), 0.0)
 
 
 def test_heavier_small_elements_take_a_longer_step_and_nothing_else_changes() -> None:
-    bodies = pinched()
+    bodies = flattened()
     t = bodies.target
     whole, step = t.mass.sum(), t.stable_dt()[0]
     report = scale_masses(bodies, 0.01 * whole, np.inf)
@@ -57,7 +50,7 @@ def test_heavier_small_elements_take_a_longer_step_and_nothing_else_changes() ->
 
 
 def test_the_longer_step_is_stable_and_keeps_the_energy() -> None:
-    bodies = pinched()
+    bodies = flattened()
     t = bodies.target
     t.viscous = False
     scale_masses(bodies, 0.01 * t.mass.sum(), np.inf)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from blocks import pinched
 
 from coupler.bodies import Bodies
 from coupler.constitutive import law_record
@@ -18,15 +19,7 @@ def substrate(pinch: float = 0.0, sleeping: bool = False) -> Bodies:
     """A block of steel on a fixed floor, 60 x 60 x 40 um. pinch: of a tetrahedron's height that is taken away."""
     points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
-    inside = np.setdiff1d(np.arange(len(mesh.points)), mesh.facets.ravel())
-    if pinch:
-        e = next(e for e, nodes in enumerate(mesh.conn) if np.isin(nodes, inside).all())
-        a, b, c, d = mesh.points[mesh.conn[e]]
-        normal = np.cross(c - b, d - b)
-        normal /= np.linalg.norm(normal)
-        moved = mesh.points.copy()
-        moved[mesh.conn[e][0]] -= pinch * np.dot(a - b, normal) * normal
-        mesh = meshes.prepare(moved, mesh.conn.astype(np.int64))
+    mesh = pinched(mesh, pinch) if pinch else mesh
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, sleeping=sleeping)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
 
