@@ -77,6 +77,7 @@ class Running:
         self.rescuer = Rescuer(numerics or {})
         self.extremes = Extremes()
         self.over_rim = False  # matter of the particle beside the substrate, below its surface
+        self.in_layer = False  # it touched where the target's window takes velocities away
         speed = float(np.linalg.norm(self.mine.velocity))
         crossing = self.mine.diameter / speed
         self.watch = Watch(self.mine.end_time, self.mine.end_at, 0.1 * crossing, STILL * speed if i else 0.0)
@@ -94,6 +95,7 @@ class Running:
             "impact": self.impact.state(), "watch": self.watch.state(), "greatest": self.greatest,
             "next_output": self.next_output, "next_row": self.next_row, "looped": self.looped,
             "rescues": self.rescuer.state(), "extremes": self.extremes.state(), "over_rim": self.over_rim,
+            "in_layer": self.in_layer,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -102,7 +104,7 @@ class Running:
         self.watch.restore(state["watch"])
         self.rescuer.restore(state["rescues"])
         self.extremes.restore(state["extremes"])
-        for name in ("greatest", "next_output", "next_row", "looped", "over_rim"):
+        for name in ("greatest", "next_output", "next_row", "looped", "over_rim", "in_layer"):
             setattr(self, name, state[name])
 
     def go(
@@ -219,6 +221,8 @@ class Running:
         substrate = self.what.target
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
         self.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
+        facets = self.setting.contact.touching(len(skin))[1]
+        self.in_layer |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
         self.next_row = impact.time + self.row_every
         if not np.isfinite(books["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
@@ -264,6 +268,11 @@ class Running:
             beyond.append(
                 f"impact {self.i + 1}: the particle went over the rim of the substrate ({self.what.target.diameter * 1e6:.4g} um wide),"
                 " which a real one does not have there: make substrate.diameter larger"
+            )
+        if self.in_layer:
+            beyond.append(
+                f"impact {self.i + 1}: the particle touched the rim of its window of {self.mine.window * 1e6:.4g} um, where the"
+                " target is held back: make substrate.window larger"
             )
         eaten = self._eaten()
         if eaten > DISSIPATION_ALARM:

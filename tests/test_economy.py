@@ -167,3 +167,9 @@ def test_a_window_changes_little_of_an_impact(tmp_path: Path) -> None:
     assert part["momentum_error"] < 1e-10
     assert abs(part["energy_drift"]) < 5e-3
     assert kernels.SHAPE_LIMIT == 0.5  # the law is the same
+
+
+@pytest.mark.slow
+def test_a_particle_that_reaches_the_edge_is_told_of(tmp_path: Path) -> None:
+    narrow = run(scene(1, 'window = "14 um"\n[end]\ntime = "25 ns"\n'), tmp_path / "narrow").summary
+    assert any("substrate.window larger" in warning for warning in narrow["warnings"])

@@ -22,7 +22,7 @@ from . import kernels as k
 from .heat import Conduction, take_heat
 from .mesh import TetMesh, facet_areas
 from .stability import HighestFrequency
-from .window import edge, layer
+from .window import LAYER, edge, layer
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
@@ -164,6 +164,11 @@ class Target:
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.active_nodes = self.active_elements = 0
         self._wake(0.0)
+
+    @property
+    def undisturbed(self) -> float:
+        """Distance from the point of impact (m) up to which no window holds the target back."""
+        return (1.0 - LAYER) * self.horizon
 
     def _awake(self, reach: float) -> tuple[int, int]:
         """How many nodes and elements a front that has come to `reach` m has woken."""
