@@ -15,7 +15,7 @@ from .fe.assemble import BodyState
 from .fe.cooling import Links, cool, together
 from .outcome import rebounds, velocity_ratio
 from .plan import Plan
-from .relaxation import JOLT_TIME, settle
+from .relaxation import JOLT_TIME, RELAXED, settle
 from .remeshing import Gate, remeshed
 from .splat.carry import shape_measures
 
@@ -79,6 +79,11 @@ def join(
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
     report |= settle(new, kinetic_0, jolt_time(what))
+    if report["left_J"] > RELAXED * kinetic_0:
+        log(
+            f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
+            f" may still be set free, {RELAXED:.0e} is sought"
+        )
     report["after"] = _held(new)
     report["joining_s"] = clock.perf_counter() - started
     if report["jolt"] > JOLT:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from blocks import pinched
 
+from coupler import relaxation
 from coupler.bodies import Bodies
 from coupler.constitutive import law_record
 from coupler.fe import mesh as meshes
@@ -66,6 +67,15 @@ def test_what_is_left_is_what_was_asked_for_and_is_not_set_free() -> None:
     again = settle(bodies, KINETIC)
     assert again["taken_J"] < 0.01 * report["taken_J"]
     assert again["settle_steps"] < 0.5 * report["settle_steps"]
+
+
+def test_what_does_not_get_there_says_what_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(relaxation, "RELAX_STEPS", 25)
+    bodies = substrate()
+    press(bodies)
+    report = settle(bodies, KINETIC)
+    assert report["settle_steps"] == 25
+    assert report["left_J"] > RELAXED * KINETIC
 
 
 def test_a_crushed_element_does_not_make_it_slower() -> None:
