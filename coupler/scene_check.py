@@ -23,6 +23,7 @@ _COATING_EXAMPLE = {
     "coating": {"material": "Ni", "number": "40", "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
 }
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
+_LEAST_WINDOW = 0.6  # particles' widths: the footprint of a splat
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
 _LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
@@ -122,6 +123,14 @@ def _room(scene: Scene) -> Iterator[Problem]:
                 f"substrate.{name} = {_text(extent, 'um')}: too small for {_size(particle)} and its crater;"
                 f" at least {units.rounded(least, 'um')} is needed",
             )
+    widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
+    least = _LEAST_WINDOW * max(widest.diameter, widest.width)
+    if substrate.window is not None and substrate.window < least * (1 - 1e-9):
+        yield (
+            (*_fields(scene, *_EXTENT), "substrate.window"),
+            f"substrate.window = {_text(substrate.window, 'um')}: holds less than what {_size(widest)} covers;"
+            f" at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use",
+        )
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         D = particle.diameter
         away = math.hypot(*particle.offset)

@@ -11,6 +11,7 @@ from coupler import Scene, run
 from coupler.bodies import Bodies
 from coupler.constitutive import law_record, sound_speed
 from coupler.economy import scale_masses, step_for
+from coupler.errors import SceneError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
 from coupler.plan import plan
@@ -167,6 +168,11 @@ def test_a_window_changes_little_of_an_impact(tmp_path: Path) -> None:
     assert part["momentum_error"] < 1e-10
     assert abs(part["energy_drift"]) < 5e-3
     assert kernels.SHAPE_LIMIT == 0.5  # the law is the same
+
+
+def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:
+    with pytest.raises(SceneError, match=r"substrate.window = .*5 um.*: holds less .* at least 12 um is needed"):
+        scene(1, 'window = "5 um"\n')
 
 
 @pytest.mark.slow
