@@ -1,4 +1,4 @@
-"""What keeps the cost of an impact from growing with the number of those before it: heavier small elements, and a window.
+"""What keeps the cost of an impact from growing much with the number of those before it: heavier small elements, a window.
 
 A few elements of splats that others have crushed would dictate the time step of all impacts to come: they are made heavier, by
 a small share of a particle's mass in all and at rest, which changes no energy and no momentum. And what is far from the impact
