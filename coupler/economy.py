@@ -22,8 +22,7 @@ def prepare(what: Plan, i: int, bodies: Bodies) -> dict[str, Any]:
     report = scale_masses(bodies, *_allowed(what, i)) if i and what.mass_scaling else {}
     radius = what.impacts[i].window
     if math.isfinite(radius):
-        bodies.target.window(radius)
-        report |= {"window_m": radius, "elements_in_window": bodies.target._awake(math.inf)[1]}
+        report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius)}
     return report
 
 

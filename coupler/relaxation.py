@@ -16,7 +16,7 @@ from .fe.stability import HighestFrequency, masses_for
 STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
 SAFETY = 0.9
 SEARCH_EVERY = 10
-WAY = 0.1  # edges of the smallest element that surfaces may move between two searches, at the velocities now
+WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
 RELAX_STEPS = 2500  # at most
 RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free

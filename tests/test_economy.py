@@ -12,7 +12,7 @@ from coupler.bodies import Bodies
 from coupler.constitutive import law_record, sound_speed
 from coupler.economy import scale_masses, step_for
 from coupler.errors import SceneError
-from coupler.fe import kernels, mesh
+from coupler.fe import mesh
 from coupler.fe.explicit import Target
 from coupler.plan import plan
 
@@ -99,6 +99,7 @@ def test_waves_die_before_the_edge_and_books_close() -> None:
     beyond = t.mesh.reach_node > 3.5
     assert not np.abs(t.x - t.mesh.points)[beyond].any()
     left, kept = ((q.kinetic() + q.elastic()) / start for q in (t, hard))
+    # in and out of the layer a wave keeps exp(-2) of its energy where it comes straight on, more where it comes aslant
     assert left < 0.3 * kept
     assert left + (t.absorbed + float(t.sums[1])) / start == pytest.approx(1.0, abs=5e-3)
 
@@ -167,7 +168,6 @@ def test_a_window_changes_little_of_an_impact(tmp_path: Path) -> None:
         assert part[name] == pytest.approx(all_of_it[name], rel=most), name
     assert part["momentum_error"] < 1e-10
     assert abs(part["energy_drift"]) < 5e-3
-    assert kernels.SHAPE_LIMIT == 0.5  # the law is the same
 
 
 def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:

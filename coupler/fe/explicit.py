@@ -144,15 +144,16 @@ class Target:
         self.inertia[:] = inertia
         self._weigh()
 
-    def window(self, radius: float) -> None:
+    def window(self, radius: float) -> int:
         """Compute nothing farther than `radius` m from the point of impact, and let waves die before it (`fe.window`).
 
-        What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target.
+        What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
+        elements are within.
         """
         self.horizon = radius
         n, m = self._awake(np.inf)
         if m == len(self.mesh.conn):
-            return
+            return m
         self.fixed = np.union1d(self.fixed, edge(self.mesh, m))
         self.inv_mass[self.fixed] = 0.0
         nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
@@ -164,6 +165,7 @@ class Target:
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.active_nodes = self.active_elements = 0
         self._wake(0.0)
+        return m
 
     @property
     def undisturbed(self) -> float:

@@ -10,15 +10,13 @@ import numpy as np
 from .mesh import TetMesh
 
 LAYER = 0.2  # of the radius
-ABSORBED = (
-    3.0  # wave speeds over the layer's thickness, the rate at its end: to long waves the layer is a dashpot of rho c
-)
+ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: a dashpot of rho c to long waves
 
 
 def edge(mesh: TetMesh, elements: int) -> np.ndarray:
     """Nodes (k,) that the first so many elements share with the others."""
     inside = np.unique(mesh.conn[:elements])
-    return np.intersect1d(inside, mesh.conn[elements:], assume_unique=False)
+    return np.intersect1d(inside, mesh.conn[elements:])
 
 
 def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[np.ndarray, np.ndarray]:
