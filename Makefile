@@ -2,7 +2,7 @@
 # make test   format, lint, types and tests
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
 # make studies effects  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
-# make accuracy  what accuracy costs in time, into docs/accuracy.md and coupler/accuracy/bands.csv (an hour; rows that are there are kept)
+# make accuracy  what accuracy costs in time, into docs/accuracy.md and coupler/plan/bands.csv (an hour; rows that are there are kept)
 # make effects  what each effect changes and costs, and everything on against auto, into docs/effects.md (half an hour; rows that are there are kept)
 # make stability  hard scenes into docs/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
 # make fuzz   random scenes: each a result or a clear refusal; N=300 SEED=1 say how many and which

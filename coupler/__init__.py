@@ -9,14 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .deposition import run
-    from .result import Result
-    from .scene import Scene
+    from .deposition.run import run
+    from .files.result import Result
+    from .scene.model import Scene
 
 __version__ = "0.1.0"
 __all__ = ["Result", "Scene", "run"]
 
-_HOME = {"Scene": "scene", "run": "deposition", "Result": "result"}
+_HOME = {"Scene": "scene.model", "run": "deposition.run", "Result": "files.result"}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,5 +1,5 @@
 """`python -m coupler ...` is `coldspray ...`; what mpiexec starts."""
 
-from .cli import main
+from .commands.main import main
 
 raise SystemExit(main())

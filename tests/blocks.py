@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from conftest import elastic
 
-from coupler.constitutive import law_record
 from coupler.contact.bodies import BodyContact
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import Surfaces, interface
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
+from coupler.physics.constitutive import law_record
 
 Place = tuple[tuple[float, float, float], float, tuple[float, float, float]]  # edges, element size, lowest corner
 

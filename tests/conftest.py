@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coupler.materials import material
+from coupler.physics.materials import material
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -26,7 +26,7 @@ def update_golden(request: pytest.FixtureRequest) -> bool:
 @pytest.fixture(scope="session", autouse=True)
 def _a_machine_that_is_timed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """`check` finds this machine's pace known: tests neither wait for it nor touch the user's cache."""
-    from coupler.accuracy import pace
+    from coupler.studies import pace
 
     folder = tmp_path_factory.mktemp("cache")
     (folder / "pace.json").write_text(json.dumps({pace.machine(): {"steps": 1.0, "points": 1.0, "date": "2026-01-01"}}))

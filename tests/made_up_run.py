@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from coupler.store import Store
+from coupler.files.store import Store
 
 UM = 1e-6
 SCENE = """name = "made_up"

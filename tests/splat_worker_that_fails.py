@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from coupler import tetrahedra
+from coupler.geometry import tetrahedra
 from coupler.splat import worker
 
 real = tetrahedra.fill

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from test_scene import scene_with, several
 
-from coupler import cli, estimates
-from coupler.accuracy import bands, command, draw, fit, ladder, pace
+from coupler.commands import accuracy as command
+from coupler.commands import main as cli
 from coupler.errors import ColdsprayError, SolverError, StoreError
-from coupler.plan import plan
-from coupler.scene import Scene
+from coupler.plan import bands
+from coupler.plan import cost as estimates
+from coupler.plan.planning import plan
+from coupler.scene.model import Scene
+from coupler.studies import accuracy_figures as draw
+from coupler.studies import accuracy_fit as fit
+from coupler.studies import ladder, pace
 
 MEASURED = {
     "flattening_ratio": (0.57, -0.2), "flattening_ratio_total": (0.38, -0.4), "crater_depth_m": (5e-6, 0.6),
@@ -351,7 +356,7 @@ def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
     def breaks(*_, **__):
         raise SolverError("it broke\nin two lines")
 
-    monkeypatch.setattr("coupler.deposition.run", breaks)
+    monkeypatch.setattr("coupler.deposition.run.run", breaks)
     scene = Scene.from_text(SMALL, "small")
     found = ladder.compute(scene, ladder.Setting("dt", "2 dt", 300), tmp_path / "run")
     assert found["failed"] == "it broke in two lines"

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coupler import materials
-from coupler.adhesion import Adhesion, critical_velocity, critical_velocity_linear
 from coupler.errors import ColdsprayError, SceneError
+from coupler.physics import materials
+from coupler.physics.adhesion import Adhesion, critical_velocity, critical_velocity_linear
 
 
 def test_schmidts_formula_by_hand() -> None:

@@ -7,14 +7,14 @@ import pytest
 from blocks import Blocks, cubes
 from scipy.spatial.transform import Rotation
 
-from coupler.constitutive import law_record
 from coupler.contact.bodies import BodyContact
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit
 from coupler.fe.explicit import Target
-from coupler.materials import material
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
 
 SLAB = ((2.0, 1.0, 0.4), 0.25, (0.0, 0.0, 0.0))
 SLIDER = ((0.5, 0.5, 0.3), 0.2, (0.3, 0.25, 0.4))

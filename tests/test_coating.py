@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from coupler import Scene
-from coupler.coating import Columns, Splats, over_depth, per_layer, roughness
 from coupler.errors import SceneError
 from coupler.fe import mesh as meshes
-from coupler.result import Fields
+from coupler.files.result import Fields
+from coupler.studies.coating import Columns, Splats, over_depth, per_layer, roughness
 
 COATING = """
 preset = "draft"

@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from coupler import constitutive as law
-from coupler.materials import material
+from coupler.physics import constitutive as law
+from coupler.physics.materials import material
 
 
 @pytest.mark.parametrize("name", ["Ni", "Ti", "SS304"])

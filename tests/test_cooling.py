@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler.constitutive import law_record
 from coupler.fe import mesh as meshes
 from coupler.fe.cooling import Links, cool
 from coupler.fe.explicit import Target
+from coupler.physics.constitutive import law_record
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)

@@ -8,13 +8,13 @@ from blocks import pinched
 from conftest import elastic
 
 from coupler import Scene, run
-from coupler.bodies import Bodies
-from coupler.constitutive import law_record, sound_speed
-from coupler.economy import scale_masses, step_for
+from coupler.deposition.mass_scaling import scale_masses, step_for
 from coupler.errors import SceneError
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
-from coupler.plan import plan
+from coupler.impact.bodies import Bodies
+from coupler.physics.constitutive import law_record, sound_speed
+from coupler.plan.planning import plan
 
 # ---- masses ------------------------------------------------------------------------------------------------------
 

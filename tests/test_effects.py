@@ -12,16 +12,17 @@ import pytest
 from conftest import elastic
 from test_scene import scene_with, several
 
-from coupler import constitutive as law
-from coupler import effects, run
+from coupler import run
 from coupler.fe import kernels
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
-from coupler.materials import material
-from coupler.plan import plan
-from coupler.plan_text import describe
+from coupler.impact.validity import Extremes, greatest_compression, merged, pressure
+from coupler.physics import constitutive as law
+from coupler.physics.materials import material
+from coupler.plan import effects
+from coupler.plan.planning import plan
+from coupler.plan.text import describe
 from coupler.sph import law as points_law
-from coupler.validity import Extremes, greatest_compression, merged, pressure
 
 
 def test_every_effect_has_a_threshold_and_says_why() -> None:
@@ -305,10 +306,10 @@ WIDE = {"substrate__diameter": "800 um", "substrate__height": "400 um"}
 
 def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without effects nothing of them is built, and none of their code is called in a step; with all of them it is."""
-    from coupler.coupling import Impact
-    from coupler.deposition import build
+    from coupler.deposition.run import build
     from coupler.fe import explicit
-    from coupler.heat_paths import HeatPaths
+    from coupler.impact.heat import HeatPaths
+    from coupler.impact.loop import Impact
     from coupler.sph.heat import PointConduction
 
     called: list[str] = []

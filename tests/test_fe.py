@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler.constitutive import law_record, sound_speed
 from coupler.errors import SolverError
 from coupler.fe import explicit, kernels, mesh
 from coupler.fe.explicit import Target
-from coupler.materials import material
+from coupler.physics.constitutive import law_record, sound_speed
+from coupler.physics.materials import material
 
 
 @pytest.fixture(scope="module")

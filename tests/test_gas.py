@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.special import erf
 
-from coupler import gas, nozzles
 from coupler.errors import ColdsprayError
-from coupler.flight import carlson_hoglund, fly, henderson, integrate, nusselt
-from coupler.gas import GASES, Flow, Piece, State
-from coupler.materials import material
+from coupler.physics.materials import material
+from coupler.spray import gas, nozzles
+from coupler.spray.flight import carlson_hoglund, fly, henderson, integrate, nusselt
+from coupler.spray.gas import GASES, Flow, Piece, State
 
 N2, D42 = GASES["N2"], nozzles.library()["D42PBI"]
 

@@ -7,13 +7,14 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from coupler import cli, nozzles
+from coupler.commands import main as cli
 from coupler.errors import SceneError
-from coupler.flight import DRAG_LAWS, fly
-from coupler.gas import GASES, Flow
-from coupler.materials import material
-from coupler.plan import describe, plan
-from coupler.scene import GasConditions, Scene
+from coupler.physics.materials import material
+from coupler.plan.planning import describe, plan
+from coupler.scene.model import GasConditions, Scene
+from coupler.spray import nozzles
+from coupler.spray.flight import DRAG_LAWS, fly
+from coupler.spray.gas import GASES, Flow
 
 D42 = nozzles.library()["D42PBI"]
 SPRAY = {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler.constitutive import law_record
 from coupler.errors import SolverError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
 from coupler.fe.heat import Conduction
-from coupler.materials import material, names
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material, names
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)

@@ -123,7 +123,7 @@ def test_effects_that_are_off_are_off(tmp_path: Path) -> None:
 
 
 def test_a_ledger_that_does_not_close_is_not_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from coupler import running
+    from coupler.impact import running
 
     monkeypatch.setattr(running, "DRIFT_BOUND", 1e-9)
     with pytest.raises(SolverError, match="ledger does not close"):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from blocks import Blocks, cubes
 
-from coupler.adhesion import Adhesion
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import Surfaces, interface
+from coupler.physics.adhesion import Adhesion
 
 SIDE = 1e-3
 

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from made_up_run import write
 
-from coupler import cli, sweep
-from coupler.adhesion import critical_velocity
+from coupler.commands import main as cli
 from coupler.errors import SceneError, StoreError
-from coupler.maps import AXES, BAND, COLUMNS, interpolate, table, varying, write_table
-from coupler.materials import material
-from coupler.scene import Scene
-from coupler.sweep import Sweep
+from coupler.physics.adhesion import critical_velocity
+from coupler.physics.materials import material
+from coupler.scene.model import Scene
+from coupler.studies import sweep
+from coupler.studies.maps import AXES, BAND, COLUMNS, interpolate, table, varying, write_table
+from coupler.studies.sweep import Sweep
 
 ROOT = Path(__file__).parents[1]
 SHARED = {"preset": "draft", "substrate": {"material": "SS304"}}
@@ -252,7 +253,7 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
         return tmp_path
 
     monkeypatch.setattr(Sweep, "run", run)
-    monkeypatch.setattr("coupler.map_command.draw", lambda rows, folder: [f"{len(rows)} rows drawn"])
+    monkeypatch.setattr("coupler.commands.map.draw", lambda rows, folder: [f"{len(rows)} rows drawn"])
     runpy.run_path(str(ROOT / "workflows" / "map_example.py"))
     said = capsys.readouterr().out
     assert said.startswith("12 points, the first: Ni_10um_300ms_300K")

@@ -1,7 +1,7 @@
 import pytest
 
-from coupler import materials
 from coupler.errors import ColdsprayError, SceneError
+from coupler.physics import materials
 
 PAPER = {  # doi 10.1016/j.jestch.2023.101579, table 1: rho, G, T_m, c0, Gamma0, s, A, B, C, n, m
     "Ni": (8906, 76e9, 1726, 4542, 1.83, 1.5, 163e6, 648e6, 0.006, 0.33, 1.44),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coupler.fe import mesh as meshes
-from coupler.measures import YIELDED, contact_pressure, plastic_zone
+from coupler.impact.measure import YIELDED, contact_pressure, plastic_zone
 
 
 def test_a_round_contact_has_its_area_and_the_mean_pressure(rng: np.random.Generator) -> None:

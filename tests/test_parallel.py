@@ -13,7 +13,7 @@ import pytest
 
 from coupler import Scene, run
 from coupler.errors import PlacementError
-from coupler.parallel import Ranks, arrange
+from coupler.ranks.ranks import Ranks, arrange
 
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
 NI = """

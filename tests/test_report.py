@@ -9,13 +9,13 @@ import pytest
 from made_up_run import ball, block, flattened, write
 
 from coupler.errors import StoreError
+from coupler.files.result import Result
+from coupler.files.store import Store
+from coupler.geometry.sections import crossing, cut_tets, section_loops
 from coupler.report import section_picture, summary_table
 from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.picture import cut, stage, window
 from coupler.report.profiles import on_vertical, profiles
-from coupler.result import Result
-from coupler.section import crossing, cut_tets, section_loops
-from coupler.store import Store
 
 
 @pytest.fixture(scope="module")

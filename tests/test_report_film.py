@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 
-from coupler import cli
+from coupler.commands import main as cli
 from coupler.errors import StoreError
+from coupler.files.result import Result
 from coupler.report.animation import animate, frames
 from coupler.report.compare import compare, comparison_table, differences, names_of
-from coupler.result import Result
 
 
 @pytest.fixture(scope="module")

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 
-from coupler import cli
+from coupler.commands import main as cli
 from coupler.errors import StoreError
+from coupler.files.result import Result
+from coupler.files.store import Store
 from coupler.report import charts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import stage
 from coupler.report.solid import TOP, frames, solid, thinned
-from coupler.result import Result
-from coupler.store import Store
 
 NI = """
 [particle]

@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 import pytest
 
-import coupler.result
+import coupler.files.result
 from coupler.errors import StoreError
-from coupler.result import Result
-from coupler.store import Store
+from coupler.files.result import Result
+from coupler.files.store import Store
 
 POINTS = np.random.default_rng(0).random((20, 3)) * 1e-5
 TETS = np.arange(16).reshape(4, 4)
@@ -96,7 +96,7 @@ def test_history(folder):
 
 
 def test_file_without_a_step(folder):
-    from coupler.vtkhdf import VtkHdfWriter
+    from coupler.files.vtkhdf import VtkHdfWriter
 
     VtkHdfWriter(folder / "surface.vtkhdf").close()
     assert len(Result(folder).times("surface")) == 0
@@ -194,7 +194,7 @@ def test_cells_must_point_at_points(folder):
 
 
 def test_reading_imports_no_solver():
-    reading = Path(coupler.result.__file__)
+    reading = Path(coupler.files.result.__file__)
     for path in (reading, *reading.with_name("report").glob("*.py")):
         source = path.read_text()
         imported = {

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coupler import Result, Scene, checkpoint, run
-from coupler.checkpoint import CheckpointError
-from coupler.deposition import resume
+from coupler import Result, Scene, run
+from coupler.deposition.run import resume
 from coupler.errors import StoreError
+from coupler.files import checkpoint
+from coupler.files.checkpoint import CheckpointError
 from tests.test_parallel import MPIEXEC, NI, numbers
 
 SHORT = NI + '[end]\ntime = "36 ns"\n[output]\nevery = "5 ns"\n'

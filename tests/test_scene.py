@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from coupler import estimates
 from coupler.errors import SceneError
-from coupler.scene import SHAPES, Scene
+from coupler.plan import cost as estimates
+from coupler.scene.model import SHAPES, Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
 CP = [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]

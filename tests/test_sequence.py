@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from coupler import Result, Scene, run
-from coupler.adhesion import Adhesion
-from coupler.bodies import Bodies, level_under
-from coupler.constitutive import law_record
-from coupler.coupling import Watch
-from coupler.deposition import resume
+from coupler.deposition.equilibrium import settle
+from coupler.deposition.joining import jolt_time, point_of_impact
+from coupler.deposition.run import resume
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
-from coupler.joining import jolt_time, point_of_impact
-from coupler.materials import material
-from coupler.relaxation import settle
+from coupler.impact.bodies import Bodies, level_under
+from coupler.impact.loop import Watch
+from coupler.physics.adhesion import Adhesion
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
 from tests.test_parallel import MPIEXEC, numbers
 from tests.test_resume import Enough
 

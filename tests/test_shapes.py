@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial import cKDTree
 from test_scene import problems_with, scene_with
 
-from coupler import Scene, morphology, run
-from coupler.plan import describe, plan
-from coupler.scene import SHAPES, Shape
+from coupler import Scene, run
+from coupler.physics import shapes as morphology
+from coupler.plan.planning import describe, plan
+from coupler.scene.model import SHAPES, Shape
 from coupler.sph import packing, shapes
-from coupler.splat.carry import CarriedSurface, volume
+from coupler.sph.carried_surface import CarriedSurface, volume
 
 D = 25e-6
 V = np.pi / 6 * D**3

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from coupler import constitutive
 from coupler.errors import SolverError
-from coupler.materials import material
+from coupler.physics import constitutive
+from coupler.physics.materials import material
 from coupler.sph import packing
 from coupler.sph.machdyn import Numerics, Particle
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler import constitutive
 from coupler.contact.penalty import PointContact
-from coupler.materials import material
+from coupler.physics import constitutive
+from coupler.physics.materials import material
 from coupler.sph import machdyn, packing, shapes
+from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.machdyn import Numerics, Particle
-from coupler.splat.carry import CarriedSurface
 
 HERE = Path(__file__).parent
 PUBLISHED = tomllib.loads((HERE / "data" / "sph_references.toml").read_text())

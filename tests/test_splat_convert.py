@@ -8,9 +8,9 @@ import pytest
 
 from coupler.errors import SplatError
 from coupler.sph import packing, shapes
+from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat import convert as door
 from coupler.splat import quality, surface, volume
-from coupler.splat.carry import CarriedSurface
 from coupler.splat.convert import Cloud, convert
 
 D = 25e-6

@@ -6,11 +6,11 @@ import meshio
 import numpy as np
 import pytest
 
-from coupler import mesh_command
-from coupler.cli import main
+from coupler.commands import mesh as mesh_command
+from coupler.commands.main import main
 from coupler.errors import SplatError
+from coupler.files.store import Store
 from coupler.sph import packing
-from coupler.store import Store
 
 D = 25e-6
 SCENE = """
@@ -173,6 +173,6 @@ def test_the_file_to_read_is_never_written(ball, tmp_path: Path) -> None:
 
 
 def mesh_parser():
-    from coupler.cli import _parser
+    from coupler.commands.main import _parser
 
     return _parser()

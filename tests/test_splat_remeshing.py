@@ -6,19 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coupler import Scene, joining, run
-from coupler.bodies import Bodies
-from coupler.deposition import bodies_from, build_bodies
+from coupler import Scene, run
+from coupler.deposition import joining
+from coupler.deposition.equilibrium import settle
+from coupler.deposition.remeshing import Gate, crater_diameter, remeshed
+from coupler.deposition.run import bodies_from, build_bodies
 from coupler.errors import SplatError
 from coupler.fe.patch import patch_of, pinched
-from coupler.materials import material
-from coupler.plan import plan
-from coupler.relaxation import settle
-from coupler.remeshing import Gate, crater_diameter, remeshed
+from coupler.geometry.tetrahedra import fill_apart
+from coupler.impact.bodies import Bodies
+from coupler.physics.materials import material
+from coupler.plan.planning import plan
 from coupler.splat import quality
 from coupler.splat.renew import closest, renewed_surface
 from coupler.splat.surface import open_or_double
-from coupler.tetrahedra import fill_apart
 
 SCENE = """
 [[particle]]
@@ -154,7 +155,7 @@ def test_a_mesher_that_fails_leaves_the_target(hit: dict[str, Any], monkeypatch:
     def no(*_: Any, **__: Any) -> None:
         raise SplatError("gmsh was ended by SIGSEGV")
 
-    monkeypatch.setattr("coupler.remeshing.fill_apart", no)
+    monkeypatch.setattr("coupler.deposition.remeshing.fill_apart", no)
     old = bodies_from(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old
@@ -166,8 +167,10 @@ def test_nothing_is_tried_where_the_worst_elements_must_stay(
     hit: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the step would stay what it is: every try would cost a mesher's run after every impact."""
-    monkeypatch.setattr("coupler.remeshing._loose", lambda bodies: np.zeros(len(bodies.target.mesh.conn), bool))
-    monkeypatch.setattr("coupler.remeshing._one", lambda *_: pytest.fail("tried"))
+    monkeypatch.setattr(
+        "coupler.deposition.remeshing._loose", lambda bodies: np.zeros(len(bodies.target.mesh.conn), bool)
+    )
+    monkeypatch.setattr("coupler.deposition.remeshing._one", lambda *_: pytest.fail("tried"))
     old = bodies_from(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old

@@ -5,9 +5,9 @@ import pytest
 
 from coupler.errors import SplatError
 from coupler.sph import packing
+from coupler.sph.carried_surface import volume
 from coupler.splat import field as fields
 from coupler.splat import quality, remesh, stuffing, surface
-from coupler.splat.carry import volume
 
 R = 1.0
 BALL = 4.0 / 3.0 * np.pi * R**3
@@ -148,8 +148,8 @@ def test_quality_of_known_tetrahedra() -> None:
 def test_step_length_is_the_solvers_bound() -> None:
     from types import SimpleNamespace
 
-    from coupler.constitutive import law_record, sound_speed
     from coupler.fe import kernels
+    from coupler.physics.constitutive import law_record, sound_speed
 
     nu, E, rho = 0.3, 200e9, 7800.0
     steel = SimpleNamespace(

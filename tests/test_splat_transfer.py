@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coupler.materials import material
+from coupler.physics.materials import material
 from coupler.sph import packing
 from coupler.splat import field as fields
 from coupler.splat import quality, stuffing

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coupler import Result, Scene, rescue, run
-from coupler.deposition import resume
+from coupler import Result, Scene, run
+from coupler.deposition.run import resume
 from coupler.errors import SolverError
-from coupler.rescue import MEASURES, Measure, Rescuer, numerics_of
+from coupler.impact import retry as rescue
+from coupler.impact.retry import MEASURES, Measure, Rescuer, numerics_of
 from tests.test_parallel import NI, finish, numbers, start
 from tests.test_resume import Enough
 from tests.test_sequence import DOUBLE

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from coupler.errors import StoreError
-from coupler.store import Store
-from coupler.vtkhdf import VtkHdfWriter
+from coupler.files.store import Store
+from coupler.files.vtkhdf import VtkHdfWriter
 
 TETS = np.array([[0, 1, 2, 3], [1, 2, 3, 4]])
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1.0]]) * 1e-6
@@ -168,7 +168,7 @@ WRITING = """
 
 @pytest.mark.parametrize("delay", [0.3, 0.55, 0.8])
 def test_files_are_readable_after_kill_9(tmp_path, delay):
-    from coupler.result import Result
+    from coupler.files.result import Result
 
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(WRITING), str(tmp_path / "run")], stdout=subprocess.PIPE

@@ -1,6 +1,6 @@
 """What accuracy costs in time, for the cases of docs/accuracy.md: computes their ladders and writes all that rests on them.
 
-    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, coupler/accuracy/bands.csv, docs/accuracy.md
+    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, coupler/plan/bands.csv, docs/accuracy.md
     python workflows/accuracy.py --docs      # runs nothing: from the tables that are there
 
 Rows that are there are kept; a stopped ladder goes on where it was.
@@ -11,12 +11,14 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from coupler import estimates
-from coupler.accuracy import bands, fit, ladder
-from coupler.accuracy.draw import diagram, order_of, preset_of
+from coupler.plan import bands
+from coupler.plan import cost as estimates
 from coupler.progress import Progress
 from coupler.report.picture import save
-from coupler.scene import Scene
+from coupler.scene.model import Scene
+from coupler.studies import accuracy_fit as fit
+from coupler.studies import ladder
+from coupler.studies.accuracy_figures import diagram, order_of, preset_of
 
 # name -> heading, scene, points, reference, points of the other settings (0: not tried)
 CASES: dict[str, tuple[str, str, tuple[int, ...], int, int]] = {
@@ -25,7 +27,7 @@ CASES: dict[str, tuple[str, str, tuple[int, ...], int, int]] = {
     "ni1000": ("Ni at 1000 m/s", "fast_ni", ladder.POINTS, 16000, 0),
     "triple": ("three Ni, 500 to 610 m/s", "triple_ni", (600, 1000, 2000, 3500), 8000, 0),
 }  # fmt: skip
-TABLES, DOCS, PACKAGED = Path("docs/tables"), Path("docs/accuracy.md"), Path("coupler/accuracy/bands.csv")
+TABLES, DOCS, PACKAGED = Path("docs/tables"), Path("docs/accuracy.md"), Path("coupler/plan/bands.csv")
 REMAKE = "remake: make accuracy (rows that are here are kept)"
 BEGIN, END = "<!-- tables: written by workflows/accuracy.py -->", "<!-- end of tables -->"
 PACE, PACE_MARKS = TABLES / "pace.csv", ("<!-- pace: written by workflows/accuracy.py -->", "<!-- end of pace -->")
@@ -59,7 +61,7 @@ def about(name: str) -> dict[str, Any]:
 
 
 def package() -> list[dict[str, Any]]:
-    """Write coupler/accuracy/bands.csv; its rows."""
+    """Write coupler/plan/bands.csv; its rows."""
     whole = {n: table_of(n).rows for n in CASES if fit.reference(table_of(n).rows) is not None}
     rows = fit.packaged({CASES[name][0]: (about(name), found) for name, found in whole.items()})
     with PACKAGED.open("w", newline="", encoding="utf-8") as file:

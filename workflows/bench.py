@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from coupler.constitutive import law_record
-from coupler.coupling import Impact
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
-from coupler.materials import material
-from coupler.plan import plan
-from coupler.scene import Scene
+from coupler.impact.loop import Impact
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
+from coupler.plan.planning import plan
+from coupler.scene.model import Scene
 
 STEPS, REPEATS = 40, 7
 
@@ -98,7 +98,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     Plain LAMMPS, without our callback and law, runs the same deck on an unhurt body in turn with the impact, a stretch of
     each at a time: what slows down one slows down the other.
     """
-    from coupler.deposition import build
+    from coupler.deposition.run import build
     from coupler.sph.machdyn import Particle
 
     scene = Scene.from_text(

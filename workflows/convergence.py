@@ -21,7 +21,7 @@ from unittest import mock
 import numpy as np
 
 from coupler import Scene, run
-from coupler.deposition import resume
+from coupler.deposition.run import resume
 from coupler.errors import SolverError
 from coupler.sph import shapes
 from coupler.sph.packing import Lattice

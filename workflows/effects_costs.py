@@ -24,12 +24,12 @@ import numpy as np
 from bench import block
 from effects_study import COSTS, CROSSINGS, KERNELS, SCENES, least_of
 
-from coupler import constitutive
-from coupler.coupling import CHUNK
-from coupler.effects import NAMES
 from coupler.fe import blocks, kernels
 from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, Target
-from coupler.materials import material
+from coupler.impact.loop import CHUNK
+from coupler.physics import constitutive
+from coupler.physics.materials import material
+from coupler.plan.effects import NAMES
 from coupler.sph import law as points_law
 
 SCENE = "Ni on steel, 500 m/s"

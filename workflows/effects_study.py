@@ -2,7 +2,7 @@
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --docs     # runs nothing: writes the tables into docs/effects.md and coupler/effects_study.csv
+    python workflows/effects_study.py --docs     # runs nothing: writes the tables into docs/effects.md and coupler/plan/effects_study.csv
 
 Rows that are there are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
 of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.
@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 
 from coupler import Scene, run
-from coupler.coupling import Impact
-from coupler.deposition import build
-from coupler.effects import LEFT_OUT, NAMES, THRESHOLDS, largest_threshold, worst_change
+from coupler.deposition.run import build
 from coupler.errors import ColdsprayError
-from coupler.plan import plan
+from coupler.impact.loop import Impact
+from coupler.plan.effects import LEFT_OUT, NAMES, THRESHOLDS, largest_threshold, worst_change
+from coupler.plan.planning import plan
 
 STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
 COSTS, KERNELS = Path("docs/tables/effects_costs.csv"), Path("docs/tables/effects_kernels.csv")
-PACKAGED, DOCS = Path("coupler/effects_study.csv"), Path("docs/effects.md")
+PACKAGED, DOCS = Path("coupler/plan/effects_study.csv"), Path("docs/effects.md")
 PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "diameter", "T_mean", "T_p99", "cost_share"]
 MEASURES = {
     "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",

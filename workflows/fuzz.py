@@ -130,7 +130,7 @@ def verdict(code: int | None, err: str) -> str:
 def read(text: str) -> tuple[int | None, str, float]:
     """As `tried`, for a text that is no scene: refused, as the command would; None for one that is."""
     from coupler.errors import SceneError
-    from coupler.scene import Scene
+    from coupler.scene.model import Scene
 
     try:
         Scene.from_text(text, "scene.toml")
@@ -214,7 +214,7 @@ class Worker:
 
 def serve() -> None:
     """Compute the scenes in the folders that come in, one a line; answer with exit code and seconds of processor time."""
-    from coupler.cli import main as coldspray
+    from coupler.commands.main import main as coldspray
 
     out = os.fdopen(os.dup(1), "w")
     for line in sys.stdin:

@@ -4,7 +4,7 @@
 # has been computed is kept in runs/map_example and not computed again.
 
 # %% The points: every combination of these is a run of its own
-from coupler.sweep import Sweep
+from coupler.studies.sweep import Sweep
 
 sweep = Sweep.from_dict(
     {
@@ -23,7 +23,7 @@ print(len(sweep.points), "points, the first:", next(iter(sweep.points)))
 folder = sweep.run()
 
 # %% What came out: a list of rows, one for each point, in SI units
-from coupler.maps import interpolate, table  # noqa: E402
+from coupler.studies.maps import interpolate, table  # noqa: E402
 
 rows = table(folder)
 for row in rows:
@@ -49,7 +49,7 @@ hottest = result.fields(-1).data["T"].max()
 print(f"20 um at 650 m/s: rebound {result.rebound_velocity_m_s:.0f} m/s, hottest point {hottest:.0f} K")
 
 # %% The maps as pictures, as `coldspray map runs/map_example` draws them
-from coupler.map_command import draw  # noqa: E402
+from coupler.commands.map import draw  # noqa: E402
 
 for line in draw(rows, folder):
     print(line)

@@ -1,7 +1,7 @@
 """How well `coldspray check` foretells time: ten scenes that nothing was fitted on, twice, and the fits themselves.
 
     python workflows/pace.py            # the scenes, each run in one thread: docs/tables/pace.csv
-    python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/estimates.py to docs/tables and prints them
+    python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/plan/cost.py to docs/tables and prints them
 
 The machine is timed anew before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
 start of the program and the loading of compiled kernels. Rows that are there are kept.
@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from coupler import estimates, run
-from coupler.accuracy import ladder, pace
-from coupler.materials import material
-from coupler.plan import plan
-from coupler.scene import Scene
+from coupler import run
+from coupler.physics.materials import material
+from coupler.plan import cost as estimates
+from coupler.plan.planning import plan
+from coupler.scene.model import Scene
+from coupler.studies import ladder, pace
 
 TABLES = Path("docs/tables")
 OUT = TABLES / "pace.csv"
@@ -153,7 +154,7 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def fit() -> None:
-    """Print the constants for coupler/estimates.py."""
+    """Print the constants for coupler/plan/cost.py."""
     from scipy.optimize import least_squares
 
     F, rest, cfl = impacts()

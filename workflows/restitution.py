@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from coupler import Scene, run
-from coupler.adhesion import critical_velocity, critical_velocity_linear
 from coupler.contact.hold import REACH
-from coupler.heat_paths import vertex_areas
-from coupler.materials import Material, material
+from coupler.impact.heat import vertex_areas
+from coupler.physics.adhesion import critical_velocity, critical_velocity_linear
+from coupler.physics.materials import Material, material
 from coupler.progress import Progress
 
 TABLES, PAGE = Path("docs/tables"), Path("docs/bonding.md")

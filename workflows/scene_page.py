@@ -14,9 +14,13 @@ from annotated_types import Ge, Gt, Le, Lt
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from coupler import effects, estimates, materials, nozzles, units
-from coupler.scene import Scene
-from coupler.scene_tables import Quantity, Section
+from coupler import units
+from coupler.physics import materials
+from coupler.plan import cost as estimates
+from coupler.plan import effects
+from coupler.scene.model import Scene
+from coupler.scene.tables import Quantity, Section
+from coupler.spray import nozzles
 
 PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
 WORDS = {
@@ -127,7 +131,7 @@ def page() -> str:
     lines = [
         "# A scene, key by key",
         "",
-        "<!-- written by workflows/scene_page.py from coupler/scene_tables.py: change those -->",
+        "<!-- written by workflows/scene_page.py from coupler/scene/tables.py: change those -->",
         "",
         'A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is',
         "wrong is said at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds",

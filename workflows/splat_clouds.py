@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from coupler import Scene, run
-from coupler.materials import material
+from coupler.physics.materials import material
 from coupler.sph import packing, shapes
-from coupler.splat.carry import CarriedSurface
+from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
 SCENE = """

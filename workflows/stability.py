@@ -221,7 +221,7 @@ class Silent:
 def restarted(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """1000 m/s at 45 degrees, broken off and resumed from a checkpoint in the middle: the same end to 1e-9."""
     from coupler import Scene, run
-    from coupler.deposition import resume
+    from coupler.deposition.run import resume
 
     class Enough(Exception):
         pass
@@ -252,12 +252,12 @@ def flying(folder: Path) -> tuple[dict[str, Any], list[str]]:
     Its own turning strains it by about rho v_rim^2 / E; that stays elastic as long as rho v_rim^2 is below the yield stress.
     """
     from coupler import Scene
-    from coupler.coupling import Impact
-    from coupler.deposition import build
+    from coupler.deposition.joining import cloud_of
+    from coupler.deposition.run import build
     from coupler.fe.assemble import BodyState, domain_of
     from coupler.fe.explicit import Target
-    from coupler.joining import cloud_of
-    from coupler.plan import plan
+    from coupler.impact.loop import Impact
+    from coupler.plan.planning import plan
     from coupler.splat.convert import convert
 
     what = plan(Scene.from_dict(scene(particle()), "hard"))

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from coupler.constitutive import law_record
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import cylinder, prepare
-from coupler.materials import material
-from coupler.plan import RATE_FILTER_OVER_CROSSING
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
+from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "docs" / "tables" / "taylor_bar.csv"

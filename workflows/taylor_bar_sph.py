@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from coupler.constitutive import law_record
-from coupler.materials import material
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
 from coupler.sph import shapes
+from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.machdyn import Numerics, Particle
-from coupler.splat.carry import CarriedSurface
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "docs" / "tables" / "taylor_bar_sph.csv"

@@ -25,9 +25,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from coupler import Result, Scene, run
-from coupler.deposition import resume
+from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
-from coupler.measures import contact_pressure, von_mises_of
+from coupler.impact.measure import contact_pressure, von_mises_of
 from coupler.report.picture import stage
 from coupler.report.profiles import on_vertical, profiles
 

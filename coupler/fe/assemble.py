@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ..constitutive import hugoniot_pressure, yield_stress
+from ..physics.constitutive import hugoniot_pressure, yield_stress
 from .mesh import TetMesh, prepare_ordered
 
 NODE_STATE = ("x", "v", "f", "f_old", "total", "J", "p", "energy")

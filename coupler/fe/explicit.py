@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import motion
-from ..constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from ..errors import SolverError
+from ..physics import motion
+from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from . import kernels as k
 from .heat import Conduction, take_heat
 from .mesh import TetMesh, facet_areas

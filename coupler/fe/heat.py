@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ..constitutive import conductivity, heat_capacity, heated, softened
+from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .mesh import TetMesh
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel

@@ -11,7 +11,7 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..constitutive import bulk_stiffness, harden, mie_gruneisen, on
+from ..physics.constitutive import bulk_stiffness, harden, mie_gruneisen, on
 from .blocks import BLOCK, ROWS, _cofactor, kinematics, nodal_forces, rows_of
 
 SHAPE_LIMIT = 0.5

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import tetrahedra
 from ..errors import SolverError
-from ..estimates import COARSEST
+from ..geometry import tetrahedra
+from ..plan.cost import COARSEST
 
 
 @dataclass(frozen=True)

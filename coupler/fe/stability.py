@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numba import njit
 
-from ..constitutive import bulk_stiffness
+from ..physics.constitutive import bulk_stiffness
 from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StoreError
-from ..result import Result
+from ..files.result import Result
 from .picture import beyond, colour_range, cut, drawable, panels, stage, stored_steps, window
 from .words import title
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
-from ..result import Result
+from ..files.result import Result
 from . import charts, parts
 from .page import Page, embedded, write_text
 from .picture import (

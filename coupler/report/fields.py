@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result import Fields
+from ..files.result import Fields
 
 NEAR = 12  # points whose average is the value at a place inside the particle
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StoreError
-from ..result import Result
+from ..files.result import Result
 from . import charts, parts
 from .fields import FIELDS
 from .picture import (

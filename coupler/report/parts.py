@@ -8,7 +8,7 @@ from html import escape
 from typing import Any
 
 from ..errors import ColdsprayError, StoreError
-from ..result import Result
+from ..files.result import Result
 from .words import bands, columns, grouped, impacts, shown, words
 
 TILES = ("flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_p99", "T_p99_K", "rebound_velocity_m_s")
@@ -133,8 +133,8 @@ def asked(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
 
 def effects(result: Result) -> str:
     """Which effects took part, and why: decided again from the stored scene, as `coldspray check` does."""
-    from ..plan import plan
-    from ..scene import Scene
+    from ..plan.planning import plan
+    from ..scene.model import Scene
 
     used = _taking_part(result.summary.get("effects"))
     try:
@@ -165,7 +165,7 @@ def effects(result: Result) -> str:
 
 def material_data(result: Result) -> str:
     """The constants of the scene's materials with their sources, folded away; nothing if the scene cannot be read."""
-    from ..scene import Scene
+    from ..scene.model import Scene
 
     try:
         scene = Scene.from_text(result.scene_text)
@@ -196,8 +196,8 @@ def warnings(given: Any) -> str:
 
 def planned_warnings(result: Result) -> list[str]:
     """What `coldspray check` warns of in the scene of a run that has no summary yet."""
-    from ..plan import plan
-    from ..scene import Scene
+    from ..plan.planning import plan
+    from ..scene.model import Scene
 
     try:
         return list(plan(Scene.from_text(result.scene_text)).warnings)

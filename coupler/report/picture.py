@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StoreError
-from ..result import DOMAINS, Fields, Result
-from ..section import crossing, cut_tets, cut_triangles, section_loops
+from ..files.result import DOMAINS, Fields, Result
+from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from .fields import FIELDS, at_nodes, from_points
 from .words import title
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result import Result
+from ..files.result import Result
 from .fields import at_nodes, from_points, in_tets
 from .picture import MICRO, Stage
 

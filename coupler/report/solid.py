@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..result import Fields, Result
-from ..section import crossing, cut_tets, cut_triangles, section_loops
+from ..files.result import Fields, Result
+from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from .fields import FIELDS, at_nodes, from_points
 from .picture import MICRO, Stage, boundary_faces, read
 

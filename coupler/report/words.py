@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
-from ..result import Result
+from ..files.result import Result
 
 if TYPE_CHECKING:
     from rich.table import Table

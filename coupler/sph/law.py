@@ -5,13 +5,13 @@ plastic strength model with a zero offset returns the deviator to H x eff_plasti
 eff_plastic_strain each step prescribes the yield stress, and what MACHDYN then adds to it is the plastic strain of
 the step. Its shock equation of state gives the mean stress -p_H + rho Gamma e, in which heat pulls where it should
 push and the Hugoniot term is too stiff; writing into esph the e that makes that sum equal -p of
-`coupler.constitutive` mends both. Both lag by one step.
+`coupler.physics.constitutive` mends both. Both lag by one step.
 """
 
 import numpy as np
 from numba import njit
 
-from ..constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
+from ..physics.constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import motion
-from ..constitutive import sound_speed, specialised, yield_stress
 from ..errors import SolverError
+from ..physics import motion
+from ..physics.constitutive import sound_speed, specialised, yield_stress
 from . import law as k
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.

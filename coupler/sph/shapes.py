@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .. import morphology
+from ..physics import shapes as morphology
 from . import packing
 
 _FLAT = {"flake": (2,), "angular": (0, 1, 2)}  # axes that end in flat faces
@@ -44,7 +44,7 @@ def shape(
 ) -> Body:
     """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about so many points.
 
-    tilt: rad, about y, see `coupler.morphology`. edge: length of the surface's edges over the points' spacing. lattice: of
+    tilt: rad, about y, see `coupler.physics.shapes`. edge: length of the surface's edges over the points' spacing. lattice: of
     the points, before the tilt.
     """
     form = morphology.form(name, diameter)

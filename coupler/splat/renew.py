@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
+from ..sph.carried_surface import volume
 from . import remesh
-from .carry import volume
 from .surface import area, open_or_double
 
 NEAR = 24  # triangles, by their centres, that the closest point of a surface is looked for on

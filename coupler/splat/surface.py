@@ -4,8 +4,8 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..sph.carried_surface import volume
 from . import remesh
-from .carry import volume
 from .field import Field
 from .quality import compact
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .. import tetrahedra
 from ..errors import SplatError
+from ..geometry import tetrahedra
+from ..sph.carried_surface import volume
 from . import field as fields
 from . import quality, stuffing, surface
-from .carry import volume
 
 if TYPE_CHECKING:
     from .convert import Cloud

@@ -1,0 +1,201 @@
+"""The command `coldspray accuracy`, and what `check` and `run` say and choose of accuracy and time."""
+
+import argparse
+import math
+import re
+import sys
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import StoreError
+
+if TYPE_CHECKING:
+    from ..plan.bands import Kind
+    from ..plan.planning import Plan
+    from ..scene.model import Scene
+    from ..studies.pace import Pace
+
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser's subcommands."""
+    parser = commands.add_parser("accuracy", help="compute a scene at many settings: what accuracy costs in time")
+    parser.set_defaults(command=run)
+    parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
+    option = parser.add_argument
+    option("--out", type=Path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
+    option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
+    option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
+    option(
+        "--knobs-at",
+        type=int,
+        metavar="N",
+        help="points at which the other settings are tried; 0: not at all (default: 1000)",
+    )
+    option("--quiet", action="store_true", help="print errors only")
+
+
+def add_to_run(parser: argparse.ArgumentParser) -> None:
+    """The options of `run` that choose the resolution."""
+    parser.add_argument(
+        "--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"'
+    )
+    parser.add_argument(
+        "--accuracy", metavar="PERCENT", help='choose the resolution for this uncertainty of the splat\'s shape: "2%%"'
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Climb the ladder of a scene, or go on with it, and draw."""
+    from ..progress import Progress
+    from ..scene.model import Scene
+    from ..studies import ladder
+    from ..studies.accuracy_figures import write
+
+    scene = Scene.load(arguments.scene)
+    out = arguments.out or Path("runs") / f"accuracy-{scene.name}"
+    knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
+    for name, numbers in {"points": arguments.points or [], "knobs-at": [knobs] if knobs else []}.items():
+        if any(n < ladder.FEWEST_POINTS for n in numbers):
+            raise StoreError(f"--{name} {min(numbers)} is too coarse: {ladder.FEWEST_POINTS} points at least")
+    rungs = ladder.settings(arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None)
+    same_scene(scene, out)
+    say = ladder.announce(arguments.quiet)
+    table = ladder.Table(out / "accuracy.csv", "made by: coldspray accuracy (rows that are here are kept)")
+    try:
+        ladder.climb(scene, out, rungs, table, lambda: Progress(quiet=arguments.quiet), say)
+    except KeyboardInterrupt:
+        say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} of {len(rungs)} settings")
+        raise
+    wanted = {rung.key for rung in rungs}
+    rows = [row for row in table.rows if (row["axis"], row["setting"], row["points"]) in wanted]
+    picture, page = write(rows, out, scene.name, scene.particles[-1].temperature)
+    if not arguments.quiet:
+        print(f"table in {table.path}\nfigure in {picture}\npage in {page}")
+    return 0
+
+
+def same_scene(scene: "Scene", out: Path) -> None:
+    """Keep the scene beside its ladder. Raises StoreError if the folder holds the ladder of another one."""
+    path, text = out / "scene.toml", scene.to_toml()
+    if path.exists():
+        try:
+            known = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise StoreError(f"{path} cannot be read: {error}") from None
+        if known != tomllib.loads(text):
+            raise StoreError(f"{out} holds the ladder of another scene: name another folder with --out, or remove it")
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+
+
+def here(recalibrate: bool = False) -> "Pace":
+    """The pace of this machine; a terminal is told when it has to be measured."""
+    from ..studies import pace
+
+    def say(text: str) -> None:
+        if sys.stderr.isatty():
+            print(text, file=sys.stderr, flush=True)
+
+    return pace.of_this_machine(recalibrate, say)
+
+
+def kind_of(what: "Plan") -> "Kind":
+    """What the bands of a plan depend on: its last impact, which the summary is about."""
+    from ..plan.bands import Kind
+
+    last = what.impacts[-1]
+    plain = last.shape == "sphere" and last.velocity[0] == 0.0
+    return Kind(last.points, math.hypot(*last.velocity), len(what.impacts), plain)
+
+
+def outlook(what: "Plan", pace: "Pace") -> str:
+    """How long a plan takes here, and how accurate it will be, as lines for `check`."""
+    from ..plan.bands import WORDS, band
+    from ..plan.text import duration
+
+    kind = kind_of(what)
+    found = {name: got for name in WORDS if (got := band(name, kind)) is not None}
+    lines = [f"  wall time  about {duration(pace.seconds(what))} on one core here, after compilation; {pace.said}"]
+    if found:
+        cells = [f"{WORDS[name]} {100 * got.share:.2g} %" for name, got in found.items()]
+        half = -(-len(cells) // 2)
+        lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
+        widest = max(found.values(), key=lambda got: got.share)
+        lines.append(f"             the widest by {widest.why}")
+        lines.append("             of the discretisation alone (docs/accuracy.md); local maxima do not converge")
+    return "\n".join(lines)
+
+
+def seconds(text: str) -> float:
+    """A wall time such as "60s", "5 min", "1.5h", in s. Raises StoreError with what was expected."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(s|min|h)\s*", text)
+    if match is None or float(match.group(1)) <= 0.0:
+        raise StoreError(f'--within {text!r} is no time: expected a number with s, min or h, such as "60s"')
+    return float(match.group(1)) * _SECONDS[match.group(2)]
+
+
+def share(text: str) -> float:
+    """An uncertainty such as "2%" as a share. Raises StoreError with what was expected."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
+    if match is None or not 0.0 < float(match.group(1)) <= 100.0:
+        raise StoreError(f'--accuracy {text!r} is no uncertainty: expected a percentage above zero, such as "2%"')
+    return float(match.group(1)) / 100.0
+
+
+def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
+    """The scene with the resolution that was asked for, and a line about it.
+
+    within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises StoreError for text
+    that is no time or percentage, AccuracyError where no resolution will do.
+    """
+    from ..plan import cost as estimates
+    from ..plan.bands import LEAST, MOST, WORDS, AccuracyError, points_for, worst
+    from ..plan.planning import plan
+    from ..plan.text import duration
+
+    limit = seconds(within) if within else math.inf
+    asked = share(accuracy) if accuracy else None
+    volumes = [p.volume for p in scene.particles]
+    largest, last = max(volumes), volumes[-1]
+    coarsest = max(
+        LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes))
+    )  # the smallest needs points too
+    pace = here() if within else None
+
+    def takes(points: int) -> float:
+        return pace.seconds(plan(at_points(scene, points))) if pace else 0.0
+
+    kind = kind_of(plan(scene))
+    if asked is not None:
+        points = max(min(round(points_for(asked, kind) * largest / last), MOST), coarsest)
+        if (needed := takes(points)) > limit:
+            raise AccuracyError(
+                f"--accuracy {accuracy} needs {points} points and about {duration(needed)} here, more than --within"
+                f" {within}: allow that time, or less accuracy"
+            )
+    else:
+        if (needed := takes(coarsest)) > limit:
+            raise AccuracyError(
+                f"--within {within} is too short: at {coarsest} points, the coarsest there is, this scene takes about"
+                f" {duration(needed)} here; allow that, or end it earlier with [end]"
+            )
+        low, high = coarsest, max(MOST, coarsest)
+        while high - low > 0.02 * high:
+            middle = round(math.sqrt(low * high))
+            low, high = (middle, high) if takes(middle) <= limit else (low, middle)
+        points = high if takes(high) <= limit else low
+    made = at_points(scene, points)
+    name, width = worst(kind_of(plan(made)))
+    took = f", about {duration(takes(points))} here" if pace else ""
+    return made, f"resolution chosen: {points} points{took}; shape within {100 * width:.2g} % ({WORDS[name]})"
+
+
+def at_points(scene: "Scene", points: int) -> "Scene":
+    """The scene with so many points in its largest particle, its elements in the usual ratio to their spacing."""
+    from ..studies.ladder import Setting, scene_at
+
+    return scene_at(scene, Setting("points", "", points))

@@ -1,0 +1,83 @@
+"""The command `coldspray coating`: what a sequence of impacts has built, in a table, a picture and meshes."""
+
+import argparse
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+from ..errors import StoreError
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser's subcommands."""
+    parser = commands.add_parser("coating", help="measure a coating: thickness, roughness, porosity, stress over depth")
+    parser.set_defaults(command=run)
+    parser.add_argument("run", type=Path, metavar="DIR", help="folder of a run of several impacts, finished or not")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the files go (default: DIR/coating)")
+    parser.add_argument(
+        "--window", metavar="L", help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)'
+    )
+    parser.add_argument("--section", metavar="L", default="0 um", help="the plane y of the cut (default: 0 um)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from .. import units
+    from ..files.result import Result
+    from ..studies import coating, coating_files
+
+    def length(name: str, text: str, positive: bool) -> float:
+        try:
+            value = units.parse(text, "length")
+        except units.UnitError as error:
+            raise StoreError(f"--{name} {text}: {error}") from None
+        if positive and not value > 0.0:
+            raise StoreError(f"--{name} {text}: must be more than zero")
+        return value
+
+    radius = length("window", arguments.window, True) if arguments.window is not None else None
+    plane = length("section", arguments.section, False)
+    result = Result(arguments.run)
+    found = coating.measure(result, radius)
+    folder = arguments.out or arguments.run / "coating"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot write to {folder}: {error.strerror}") from None
+    coating_files.write_measures(folder, found)
+    heading = (
+        f"{found['impacts']} of {found['of']} impacts" if found["impacts"] < found["of"] else f"{found['of']} impacts"
+    )
+    coating_files.section(
+        result, folder / "section.png", 1.3 * found["window_radius_m"] / coating.WINDOW, heading, plane
+    )
+    with contextlib.redirect_stdout(io.StringIO()):  # meshio speaks of what it thinks of the fields
+        meshes = coating_files.write_meshes(coating.read(result), folder)
+    print("\n".join(describe(found)))
+    print(f"coating.json, coating_depth.csv, section.png, coating.vtu and {len(meshes) - 1} surfaces in {folder}")
+    return 0
+
+
+def describe(found: dict[str, Any]) -> list[str]:
+    """The measures as lines for a terminal. found: as `coating.measure` gives it."""
+    um = {name: f"{1e6 * value:.1f} um" for name, value in found.items() if name.endswith("_m")}
+    lines = [*found["warnings"]]
+    lines += [
+        f"deposition efficiency  {found['deposition_efficiency']:.1%}: {found['rebounded']} of {found['impacts']} particles have left",
+        f"thickness              {um['thickness_mean_m']} (mean), {um['thickness_min_m']} to {um['thickness_max_m']},"
+        f" in a window of {um['window_radius_m']} radius; bare: {found['bare_share']:.1%} of it",
+        f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
+        f"porosity               {found['porosity_closed']:.2%} closed, {found['porosity_open']:.2%} open; voids lower than"
+        f" {1e6 * found['void_limit_m']:.2f} um are not resolved",
+        "",
+        "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
+    ]
+    for row in found["layers"]:
+        name = f"{row['layer']}" if row["layer"] else "substrate"
+        lines.append(
+            f"{name:9} {row['splats']:7d} {row['eps_p_mean']:14.2f} {row['eps_p_p99']:6.2f} {row['eps_p_max']:6.2f}"
+            f" {row['T_mean']:13.0f} {row['T_p99']:6.0f} {row['T_max']:6.0f}"
+            f" {row['von_mises_mean'] * 1e-6:23.0f} {row['von_mises_p99'] * 1e-6:6.0f} {row['von_mises_max'] * 1e-6:6.0f}"
+        )
+    return lines

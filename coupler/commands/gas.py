@@ -1,0 +1,193 @@
+"""The command `coldspray gas`: impact velocity and temperature over particle diameters, as a table, a file, a picture."""
+
+import argparse
+import shlex
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..scene.model import GasConditions
+    from ..spray.flight import Flight
+    from ..spray.gas import Flow
+    from ..spray.nozzles import Nozzle
+
+DIAMETERS = ("5 um", "10 um", "15 um", "20 um", "25 um", "30 um", "40 um", "50 um", "60 um")
+_FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "powder_temperature", "drag")
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser's subcommands."""
+    parser = commands.add_parser("gas", help="impact velocity and temperature from gas, nozzle and particle diameter")
+    parser.set_defaults(command=run)
+    option = parser.add_argument
+    option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
+    option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
+    option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
+    option("--nozzle", metavar="NAME", help="a nozzle of the library (see --list), or of --nozzles FILE")
+    option("--nozzles", type=Path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
+    option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
+    option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
+    option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
+    option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
+    option("--powder-temperature", metavar="T", default="20 degC", help="of the powder when fed (default: 20 degC)")
+    option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
+    option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
+    option("--csv", type=Path, metavar="FILE", help="write the table to a file too")
+    option("--png", type=Path, metavar="FILE", help="draw velocity and temperature along the axis")
+    option("--list", action="store_true", help="print the nozzles with their sources and stop")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..physics import materials
+    from ..scene import gas as scene_gas
+    from ..spray import flight
+
+    nozzles = _nozzles(arguments.nozzles)
+    if arguments.list:
+        print("\n\n".join(_shown(nozzle) for nozzle in nozzles.values()))
+        return 0
+    conditions, diameters = _read(arguments, nozzles)
+    material = materials.material(arguments.material)
+    flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
+    law = flight.DRAG_LAWS[conditions.drag]
+    flights = [flight.fly(flow, material, D, conditions.powder_temperature, law) for D in diameters]
+    print("\n".join(_table(flow, material.name, diameters, flights)))
+    if arguments.csv:
+        _write_csv(arguments, flow, diameters, flights)
+    if arguments.png:
+        _draw(arguments.png, flow, material.name, diameters, flights)
+    return 0
+
+
+def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple[GasConditions, list[float]]":
+    """The checked conditions and the diameters, m. Raises SceneError with every problem."""
+    from ..errors import SceneError
+    from ..physics import materials
+    from ..scene import gas as scene_gas
+    from ..spray.nozzles import unknown
+
+    given = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}
+    conditions, found = scene_gas.read(given | {"bow_shock": arguments.bow_shock})
+    problems = []
+    for field, problem in found:
+        said = f' "{given[field][:40]}"' if field in given else ""
+        problems.append(f"{_option(field)}{said} {problem}")
+    if arguments.nozzle is not None and arguments.nozzle not in nozzles:
+        problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
+    if arguments.material not in materials.names():
+        problems.append(f"--material: {materials.unknown(arguments.material, dict.fromkeys(materials.names()))}")
+    diameters = []
+    for text in arguments.diameter:
+        try:
+            diameters.append(scene_gas.diameter(text))
+        except ValueError as error:
+            problems.append(f'--diameter "{text[:40]}" {error}')
+    if problems or conditions is None:
+        raise SceneError(problems, "gas")
+    return conditions, diameters
+
+
+def _option(field: str) -> str:
+    return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
+
+
+def _nozzles(path: Path | None) -> "dict[str, Nozzle]":
+    import tomllib
+
+    from ..errors import SceneError
+    from ..spray import nozzles
+
+    if path is None:
+        return nozzles.library()
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
+    known, problems = nozzles.from_tables(tables)
+    if problems:
+        raise SceneError(problems, str(path))
+    return known
+
+
+def _shown(nozzle: "Nozzle") -> str:
+    from ..units import show
+
+    lengths = ("inlet", "throat", "exit", "converging", "diverging", "barrel", "chamber")
+    said = ", ".join(f"{name} {show(getattr(nozzle, name), 'mm')}" for name in lengths if getattr(nozzle, name))
+    texts = [f"  {name}: {text}" for name in ("source", "assumed") if (text := getattr(nozzle, name))]
+    return "\n".join([f"{nozzle.name}: {said}", *texts])
+
+
+def _table(flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> list[str]:
+    exit_, jet = flow.inside(flow.nozzle.end), flow.jet
+    celsius = flow.T0 - 273.15
+    lines = [
+        f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {celsius:.4g} degC through {flow.nozzle.name},"
+        f" {flow.standoff * 1e3:.3g} mm to the target",
+        f"  flow   {flow.mass_flow * 1e3:.3g} g/s",
+        f"  exit   Mach {flow.exit_mach:.3g}, {exit_.u:.0f} m/s, {exit_.T:.0f} K, {flow.exit_pressure / 1e5:.3g} bar",
+        f"  jet    {jet.u:.0f} m/s, {jet.T:.0f} K, at {flow.ambient / 1e5:.3g} bar; core {flow.core * 1e3:.3g} mm",
+        *([f"  shock  {flow.layer * 1e3:.2g} mm before the target"] if flow.layer else []),
+        "",
+        f"  {material + ' diameter':>14}  {'at exit':>10}  {'at impact':>10}  {'temperature':>12}  {'in flight':>10}",
+    ]
+    for D, flight in zip(diameters, flights, strict=True):
+        lines.append(
+            f"  {D * 1e6:>11.4g} um  {_at_exit(flow, flight):>6.0f} m/s  {flight.velocity:>6.0f} m/s"
+            f"  {flight.temperature:>10.0f} K  {flight.t[-1] * 1e3:>7.2f} ms"
+        )
+    notes = [*flow.notes, *([f"assumed of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
+    wrapped = [textwrap.fill(note, 110, initial_indent="  note: ", subsequent_indent=" " * 8) for note in notes]
+    return [*lines, "", *wrapped] if notes else lines
+
+
+def _at_exit(flow: "Flow", flight: "Flight") -> float:
+    """The particle's velocity at the nozzle's exit, m/s: where the piece inside the nozzle ends."""
+    return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
+
+
+def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
+    said = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
+    options = [f"{_option(field)}={value}" for field, value in said.items() if value is not None]
+    switches = ["--bow-shock"] if arguments.bow_shock else []
+    rows = [
+        f"# remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}",
+        "diameter_um,exit_velocity_m_s,velocity_m_s,temperature_K,flight_time_ms",
+    ]
+    for D, flight in zip(diameters, flights, strict=True):
+        values = (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
+        rows.append(",".join(f"{value:.6g}" for value in values))
+    arguments.csv.write_text("\n".join(rows) + "\n", encoding="utf-8")
+
+
+def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
+    """Velocity and temperature of gas and particles over the axis, as a PNG."""
+    from matplotlib import colormaps
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 7.0), dpi=150, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, 1, sharex=True)
+    gas = flights[0]
+    above.plot(gas.x * 1e3, gas.u, "k--", linewidth=1.2, label=flow.gas.name)
+    below.plot(gas.x * 1e3, gas.T_gas, "k--", linewidth=1.2, label=flow.gas.name)
+    for i, (D, flight) in enumerate(zip(diameters, flights, strict=True)):
+        colour = colormaps["viridis"](0.9 * i / max(len(flights) - 1, 1))
+        above.plot(flight.x * 1e3, flight.v, color=colour, linewidth=1.4, label=f"{D * 1e6:.4g} µm")
+        below.plot(flight.x * 1e3, flight.T, color=colour, linewidth=1.4)
+    places = {"throat": 0.0, "exit": flow.nozzle.end, "target": flow.target}
+    for axis in (above, below):
+        for x in places.values():
+            axis.axvline(x * 1e3, color="0.75", linewidth=0.8, zorder=0)
+    for name, x in places.items():
+        above.annotate(name, (x * 1e3, 1.0), (2, 3), xycoords=("data", "axes fraction"), textcoords="offset points")
+    above.set_ylabel("velocity (m/s)")
+    below.set(ylabel="temperature (K)", xlabel="distance from the throat (mm)")
+    above.set_ylim(bottom=0)
+    above.legend(title=material, fontsize=8, loc="upper left")
+    head = f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
+    figure.suptitle(head, fontsize=11)
+    figure.savefig(path, format="png")

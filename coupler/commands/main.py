@@ -1,0 +1,258 @@
+"""The command `coldspray`. Heavy packages are imported where used, so that --help answers at once."""
+
+import argparse
+import os
+import re
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import ColdsprayError, speaks
+from . import accuracy as accuracy_command
+from . import coating as coating_command
+from . import gas as gas_command
+from . import map as map_command
+from . import mesh as mesh_command
+
+if TYPE_CHECKING:
+    from ..files.result import Result
+    from ..progress import Progress
+
+# shared library that a wheel expects from the system -> Debian package
+_PACKAGES = {
+    "libGLU.so.1": "libglu1-mesa",
+    "libXft.so.2": "libxft2",
+    "libXcursor.so.1": "libxcursor1",
+    "libXinerama.so.1": "libxinerama1",
+    "libXrender.so.1": "libxrender1",
+    "libXext.so.6": "libxext6",
+    "libXfixes.so.3": "libxfixes3",
+    "libfontconfig.so.1": "libfontconfig1",
+    "libgomp.so.1": "libgomp1",
+    "libX11.so.6": "libx11-6",
+    "libGL.so.1": "libgl1",
+    "libEGL.so.1": "libegl1",
+}
+_INTERRUPTED = 130  # as shells do: 128 + SIGINT
+_BROKEN_PIPE = 141
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line. argv: arguments without the program's name. Returns the exit code."""
+    arguments = _parser().parse_args(argv)
+    try:
+        code = arguments.command(arguments)
+        sys.stdout.flush()
+        return code
+    except ColdsprayError as error:
+        return _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        # the reader went away (`| head`): also keep the interpreter from flushing into it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    except KeyboardInterrupt:
+        return _fail("stopped", _INTERRUPTED)
+    except (OSError, ImportError) as error:
+        message = missing_library(error) or _file_problem(error)
+        if message is None:
+            raise
+        return _fail(message, 2)
+
+
+def missing_library(error: Exception) -> str | None:
+    """What to install when an import lacked a shared library or a package; None if that is not what happened."""
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != __package__:
+        return f"the Python package {error.name} is missing: set the environment up again with `make setup`"
+    match = re.match(r"(\S+\.so[.\d]*): cannot open shared object file", str(error))
+    if match is None:
+        return None
+    library = match.group(1)
+    if library in _PACKAGES:
+        return f"the system library {library} is missing: apt-get install {_PACKAGES[library]}"
+    return f"the library {library} is missing: set the environment up again with `make setup`"
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="coldspray", description="Cold spray impacts: SPH particle, FE target.")
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
+    check.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
+    check.add_argument("--recalibrate", action="store_true", help="time this machine anew for the estimate")
+    check.set_defaults(command=_check)
+    run = commands.add_parser("run", help="compute a scene")
+    run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
+    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
+    run.add_argument("--force", action="store_true", help="overwrite a finished run")
+    accuracy_command.add_to_run(run)
+    run.set_defaults(command=_run)
+    report = commands.add_parser("report", help="write all about a run as one HTML page")
+    report.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
+    report.add_argument("--out", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    report.set_defaults(command=_report)
+    film = commands.add_parser("animate", help="write a film of the cut through particle and target")
+    film.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
+    film.add_argument("--out", type=Path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
+    film.add_argument("--field", default="T", help="T, eps_p or von_mises (default: T)")
+    film.add_argument("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
+    film.set_defaults(command=_animate)
+    compare = commands.add_parser("compare", help="print runs side by side and draw them")
+    compare.add_argument("runs", type=Path, nargs="+", metavar="DIR", help="folders of runs, two or more")
+    compare.add_argument("--out", type=Path, default=Path("comparison.png"), metavar="FILE",
+                         help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
+    compare.set_defaults(command=_compare)
+    resume = commands.add_parser("resume", help="go on with an unfinished run")
+    resume.add_argument("folder", type=Path, metavar="DIR", help="folder of the run")
+    resume.set_defaults(command=_resume)
+    for computing in (run, resume):
+        computing.add_argument("--quiet", action="store_true", help="print errors only")
+        computing.add_argument(
+            "--threads",
+            type=int,
+            metavar="N",
+            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)",
+        )
+        computing.add_argument(
+            "--placement",
+            metavar="HOW",
+            help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
+            " particle on all ranks)",
+        )
+        computing.add_argument(
+            "--checkpoint",
+            type=float,
+            default=60.0,
+            metavar="SECONDS",
+            help="wall time between two checkpoints (default: 60)",
+        )
+    gas_command.add(commands)
+    mesh_command.add(commands)
+    coating_command.add(commands)
+    accuracy_command.add(commands)
+    map_command.add(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    def __call__(self, parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
+        from importlib.metadata import version
+
+        print(f"coldspray {version('coldspray')}")
+        parser.exit()
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from ..plan.planning import describe, plan
+    from ..scene.model import Scene
+
+    what = plan(Scene.load(arguments.scene))
+    outlook = accuracy_command.outlook(what, accuracy_command.here(arguments.recalibrate))
+    print(describe(what, outlook))
+    return 0
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from ..scene.model import Scene
+
+    scene = Scene.load(arguments.scene)
+    out = arguments.out or Path("runs") / scene.name
+    if arguments.within or arguments.accuracy:
+        scene, said = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
+        if not arguments.quiet and speaks():
+            print(said)
+
+    def work(**how: Any) -> "Result":
+        from ..deposition.run import run
+
+        return run(scene, out=out, force=arguments.force, **how)
+
+    return _compute(arguments, out, work)
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    def work(**how: Any) -> "Result":
+        from ..deposition.run import resume
+
+        return resume(arguments.folder, **how)
+
+    return _compute(arguments, arguments.folder, work)
+
+
+def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
+    """Run or go on, show how far it is, and what came out."""
+    from ..progress import Progress
+
+    progress = Progress(quiet=arguments.quiet)
+    how: dict[str, Any] = {"progress": progress, "checkpoint_every": arguments.checkpoint}
+    if arguments.placement:
+        how["placement"] = arguments.placement
+    if arguments.threads is not None:
+        how["threads"] = max(arguments.threads, 1)
+    try:
+        result = work(**how)
+    except KeyboardInterrupt as interrupt:
+        number = getattr(interrupt, "signal", signal.SIGINT)
+        return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
+    finally:
+        progress.stop()
+    if not arguments.quiet and speaks():
+        from rich.console import Console
+
+        from ..report import summary_table
+
+        Console().print(summary_table(result))
+        print(f"results in {out}")
+    return 0
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from ..files.result import Result
+    from ..report.page import write_report
+
+    print(f"page in {write_report(Result(arguments.run), arguments.out)}")
+    return 0
+
+
+def _animate(arguments: argparse.Namespace) -> int:
+    from ..files.result import Result
+    from ..report.animation import animate
+
+    print(f"film in {animate(Result(arguments.run), arguments.out, arguments.field, arguments.fps)}")
+    return 0
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from rich.console import Console
+
+    from ..files.result import Result
+    from ..report.compare import compare, comparison_table
+
+    results = [Result(folder) for folder in arguments.runs]
+    Console().print(comparison_table(results))
+    print(f"comparison in {compare(results, arguments.out)}")
+    return 0
+
+
+def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
+    go_on = f"; go on with coldspray resume {out}" if saved else ""
+    if progress.time != progress.time:  # nan, also on a rank that does not follow the time
+        return ("stopped" if saved else "stopped before the first step") + go_on
+    return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
+
+
+def _file_problem(error: Exception) -> str | None:
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return None
+
+
+def _fail(message: str, code: int) -> int:
+    if not speaks():  # every rank ends with the same error; one says so
+        return code
+    try:
+        print(f"coldspray: {message}", file=sys.stderr)
+    except BrokenPipeError:
+        return _BROKEN_PIPE
+    return code

@@ -1,0 +1,226 @@
+"""The command `coldspray map`: the table of a sweep, and maps of it with their uncertainty."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ..studies.maps import Interpolation, Row
+
+# quantity -> title, unit, factor to that unit, colour map (all of them in even steps of lightness)
+QUANTITIES = {
+    "flattening_ratio": ("flattening", "", 1.0, "viridis"),
+    "T_p99_K": ("temperature, 99 % of the particle", "K", 1.0, "inferno"),
+    "restitution": ("rebound velocity / impact velocity", "", 1.0, "cividis"),
+    "velocity_ratio": ("velocity / critical velocity", "", 1.0, "PuOr_r"),
+    "T_mean_K": ("mean temperature of the particle", "K", 1.0, "inferno"),
+    "eps_p_mean": ("mean plastic strain of the particle", "", 1.0, "viridis"),
+    "crater_depth_m": ("depth of the crater", "µm", 1e6, "viridis"),
+    "splat_diameter_m": ("diameter of the splat", "µm", 1e6, "viridis"),
+    "rebound_velocity_m_s": ("rebound velocity", "m/s", 1.0, "cividis"),
+    "bonded_area_end_m2": ("bonded area at the end", "µm²", 1e12, "viridis"),
+    "numerical_dissipation": ("energy lost to the schemes", "%", 100.0, "viridis"),
+}
+DRAWN = ("flattening_ratio", "T_p99_K", "restitution", "velocity_ratio")
+LABELS = {
+    "velocity_m_s": ("velocity (m/s)", 1.0),
+    "diameter_m": ("diameter (µm)", 1e6),
+    "temperature_K": ("initial temperature (K)", 1.0),
+}
+GRID = 61  # places along each side of a map
+
+
+def add(commands: Any) -> None:
+    """Add the command to a parser's subcommands."""
+    parser = commands.add_parser("map", help="draw maps of a sweep, or of any folder of runs")
+    parser.set_defaults(command=run)
+    option = parser.add_argument
+    option(
+        "folder", type=Path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
+    )
+    option("--show", nargs="+", choices=tuple(QUANTITIES), default=DRAWN, metavar="QUANTITY",
+           help=f"what to draw, of {', '.join(QUANTITIES)} (default: {', '.join(DRAWN)})")  # fmt: skip
+    option("--out", type=Path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..studies import maps
+
+    rows = maps.table(arguments.folder)
+    out = arguments.out or arguments.folder
+    out.mkdir(parents=True, exist_ok=True)
+    count = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "unfinished")}
+    print(f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items()))
+    for row in rows:
+        if row["status"] != "done":
+            print(f"  {row['point']}: {row['status']}" + (f": {row['reason'][:160]}" if row["reason"] else ""))
+    for line in draw(rows, out, arguments.show):
+        print(line)
+    # last: whoever waits for the table finds the pictures beside it
+    maps.write_table(rows, out / "map.csv", "written by coldspray map; SI units")
+    print(f"table in {out / 'map.csv'}")
+    return 0
+
+
+def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) -> list[str]:
+    """Draw quantities of a map's table into out/map_<material>_<quantity>.png, one row of panels for each value of a third axis.
+
+    Returns what is to be said of each: where it is and how good its interpolation, or why it is not drawn.
+    """
+    from ..errors import StoreError
+    from ..studies.maps import interpolate, varying
+
+    said = []
+    for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
+        mine = [row for row in rows if row["material"] == material]
+        axes = varying([row for row in mine if row["status"] == "done"])
+        if len(axes) < 2:
+            said.append(
+                f"{material}: no map; its points that are done vary in {len(axes)} of velocity, diameter and temperature, and a"
+                " map needs two: coldspray compare puts single runs side by side"
+            )
+            continue
+        for quantity in quantities:
+            path = out / f"map_{material}_{quantity}.png"
+            title, unit, factor, _ = QUANTITIES[quantity]
+            if quantity == "velocity_ratio":
+                if any(row[quantity] for row in mine):
+                    _figure(path, mine, axes, quantity, None)
+                    said.append(f"{material}, {title}: by the formula, nothing interpolated; {path}")
+                else:
+                    said.append(f"{material}, {title}: no map; {material} has no tensile strength sigma_TS")
+                continue
+            try:
+                fit = interpolate(mine, quantity, axes)
+            except StoreError as error:
+                said.append(f"{material}, {title}: no map; {error}")
+                continue
+            _figure(path, mine, axes, quantity, fit)
+            gaps = "".join(
+                f", a whole {LABELS[axis][0].split(' (')[0]} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items()
+            )
+            said.append(
+                f"{material}, {title}: rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
+                + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band; {path}"
+            )
+    return said or ["no map: no point is done"]
+
+
+def _figure(
+    path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation | None"
+) -> None:
+    """Mean and half width of the 95 % band side by side, a row for each value of the third axis; one panel for a formula."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    title, unit, factor, _ = QUANTITIES[quantity]
+    x_axis, y_axis, *third = axes
+    done = [row for row in rows if row["status"] == "done" and row[quantity] is not None]
+    slices = sorted({row[third[0]] for row in done}) if third else [None]
+    columns = 1 if fit is None else 2
+    figure = Figure(figsize=(5.4 * columns, 4.3 * len(slices)), dpi=130, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(len(slices), columns, squeeze=False, sharex=True, sharey=True)
+    fields = [_fields(done, axes, quantity, value, fit) for value in slices]
+    for number in range(columns):
+        levels = _levels([factor * field[2 + number] for field in fields], quantity, number == 1)
+        for at, value, (x, y, *values) in zip(panels[:, number], slices, fields, strict=True):
+            here = [row for row in rows if not third or row[third[0]] == value]
+            _panel(figure, at, (x, y, factor * values[number]), levels, number == 1, quantity, unit)
+            _points(at, here, x_axis, y_axis)
+            at.set_xlabel(LABELS[x_axis][0])
+            at.set_ylabel(LABELS[y_axis][0] if number == 0 else "")
+            at.set_title(
+                ("95 % band, half width" if number else "") if not third else f"{LABELS[third[0]][0]} {value:g}",
+                fontsize=9,
+            )
+    substrates = ", ".join(dict.fromkeys(row["substrate"] for row in done))
+    figure.suptitle(f"{rows[0]['material']} on {substrates}: {title}", fontsize=11)
+    figure.savefig(path, format="png")
+
+
+def _fields(
+    done: "Sequence[Row]", axes: tuple[str, ...], quantity: str, value: float | None, fit: "Interpolation | None"
+) -> tuple[Any, ...]:
+    """x, y, mean and half width of the band on a grid over the range of the points; of a formula, x, y and its value."""
+    import numpy as np
+
+    from ..studies.maps import BAND, LOGARITHMIC
+
+    sides = []
+    for axis in axes[:2]:
+        values = [row[axis] for row in done]
+        space = np.geomspace if axis in LOGARITHMIC else np.linspace
+        sides.append(space(min(values), max(values), GRID))
+    x, y = np.meshgrid(*sides)
+    if fit is None:
+        # critical velocity of each temperature of the points: the formula has nothing else of theirs in it
+        critical = {row["temperature_K"]: row["velocity_m_s"] / row[quantity] for row in done}
+        T = (
+            y
+            if axes[1] == "temperature_K"
+            else np.full_like(x, value if value is not None else done[0]["temperature_K"])
+        )
+        known = sorted(critical)
+        return x, y, x / np.interp(T, known, [critical[t] for t in known])
+    at = (x, y) if value is None else (x, y, np.full_like(x, value))
+    mean, std = fit(*at)
+    return x, y, mean, BAND * std
+
+
+def _levels(fields: Sequence[Any], quantity: str, band: bool) -> Any:
+    """Round levels over the range of several fields; about 1 in the middle for a ratio to a critical value."""
+    import numpy as np
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = min(float(np.min(f)) for f in fields), max(float(np.max(f)) for f in fields)
+    if band:
+        low = 0.0
+    if quantity == "velocity_ratio":
+        reach = max(high - 1.0, 1.0 - low)
+        low, high = 1.0 - reach, 1.0 + reach
+    if high - low < 1e-12 * max(abs(high), 1e-12):
+        high = low + max(abs(low), 1e-12)
+    return MaxNLocator(6 if band else 10).tick_values(low, high)
+
+
+def _panel(
+    figure: Any, at: Any, field: tuple[Any, Any, Any], levels: Any, band: bool, quantity: str, unit: str
+) -> None:
+    x, y, values = field
+    colours = at.contourf(x, y, values, levels, cmap="Greys" if band else QUANTITIES[quantity][3], extend="neither")
+    lines = at.contour(x, y, values, levels, colors="k" if band else "w", linewidths=0.5)
+    at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}")
+    if quantity == "velocity_ratio":
+        at.contour(x, y, values, [1.0], colors="k", linewidths=2.0)
+    bar = figure.colorbar(colours, ax=at)
+    bar.ax.set_ylabel(unit, rotation=0, labelpad=10)
+
+
+def _points(at: Any, rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:
+    """The points: full where done, open where the run says that the particle did not bond, crosses where failed."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    from ..studies.maps import LOGARITHMIC
+
+    kinds = {
+        "done": ([r for r in rows if r["status"] == "done" and r["bonded"] in (None, True)], {"marker": "o", "c": "w"}),
+        "not bonded": ([r for r in rows if r["status"] == "done" and r["bonded"] not in (None, True)], {"marker": "v", "c": "w"}),
+        "failed": ([r for r in rows if r["status"] != "done"], {"marker": "X", "c": "#d55e00"}),
+    }  # fmt: skip
+    for label, (mine, look) in kinds.items():
+        mine = [row for row in mine if row[x_axis] is not None and row[y_axis] is not None]
+        if mine:
+            at.scatter([r[x_axis] for r in mine], [r[y_axis] for r in mine], s=22, edgecolors="k", linewidths=0.8,
+                       label=label, zorder=3, clip_on=False, **look)  # fmt: skip
+    for name, axis, side in (("x", at.xaxis, x_axis), ("y", at.yaxis, y_axis)):
+        if side in LOGARITHMIC:
+            getattr(at, f"set_{name}scale")("log")
+        ticks = sorted({row[side] for row in rows if row[side] is not None})
+        if len(ticks) <= 8:
+            axis.set_ticks(ticks)
+            axis.set_minor_locator(NullLocator())
+        factor = LABELS[side][1]
+        axis.set_major_formatter(FuncFormatter(lambda v, _, f=factor: f"{v * f:.4g}"))

@@ -1,0 +1,139 @@
+"""Coming to rest between impacts: dynamic relaxation, with masses and damping made for it and for nothing else.
+
+Real masses would make a handful of crushed elements dictate the step, and hundreds of them the way to equilibrium. Here every
+element is given the mass with which it just bears the same step, so that the number of steps follows from how many elements
+there are across the bodies and not from their sizes. Damping is that of the lowest frequency now in motion, which a Rayleigh
+quotient of forces and velocities says in each step (Underwood 1983, in Belytschko & Hughes, Computational methods for transient
+analysis, section 5.5). Positions, stresses, plastic flow, bonds, contact and friction go their way as in the explicit solver.
+"""
+
+import numpy as np
+
+from ..fe.explicit import Target
+from ..fe.stability import HighestFrequency, masses_for
+from ..impact.bodies import Bodies
+
+STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
+SAFETY = 0.9
+SEARCH_EVERY = 10
+WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
+LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
+RELAX_STEPS = 2500  # at most
+RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free
+JOLT_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
+
+
+def settle(bodies: Bodies, kinetic_0: float, jolt_time: float = JOLT_TIME) -> dict[str, float]:
+    """Let all bodies come to rest in equilibrium; they wake for it, and sleep afterwards.
+
+    kinetic_0: J of the impact, by which what is left is judged; jolt_time: s of real motion in which is measured what is set free
+    after all. The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
+    left. Raises SolverError when a tetrahedron inverts.
+    """
+    t = bodies.target
+    reach = t.reach
+    held = _held(bodies) + t.kinetic()
+    t.rest()
+    t.wake_all()
+    conduction, t.conduction = t.conduction, None
+    try:
+        with t.quasi_static():
+            report = _relax(bodies, RELAXED * kinetic_0)
+        taken = held - _held(bodies)
+        jolt = _run_for(bodies, jolt_time)
+        t.rest()
+    finally:
+        t.conduction = conduction
+    t.sleep_beyond(reach)
+    return report | {"taken_J": taken, "jolt_J": jolt, "jolt": jolt / kinetic_0}
+
+
+def _held(bodies: Bodies) -> float:
+    """Energy (J) of all that is not motion: what it loses, damping has taken."""
+    t = bodies.target
+    return t.elastic() + float(t.sums[0]) + bodies.energy
+
+
+def _relax(bodies: Bodies, enough: float) -> dict[str, float]:
+    """Steps of dynamic relaxation until what may still be set free is below `enough`, J."""
+    t = bodies.target
+    _search(bodies, STEP)
+    own = t.mass, t.inv_mass, t.dt_last
+    free = own[1] > 0.0
+    try:
+        dt = _weigh(bodies, free)
+        t.dt_last = dt
+        steps, left = 0, np.inf
+        before, damping, inverse = t.total.copy(), MOST_DAMPING, t.inv_mass
+        while steps < RELAX_STEPS and left > enough:
+            if steps % SEARCH_EVERY == 0:
+                _search(bodies, dt)
+            # v = ((1 - a) v + dt f / m) / (1 + a), stable up to the step without damping
+            t.v *= (1.0 - damping) / (1.0 + damping)
+            t.inv_mass = inverse / (1.0 + damping)
+            _step(bodies, dt)
+            steps += 1
+            kinetic, omega2 = _lowest(t, before, free, dt)
+            before[:] = t.total
+            damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
+            if steps > 2 * SEARCH_EVERY:
+                left = max(kinetic, _loose(t, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
+        return {"settle_steps": float(steps), "left_J": float(left)}
+    finally:
+        t.rest()
+        t.mass, t.inv_mass, t.dt_last = own
+
+
+def _weigh(bodies: Bodies, free: np.ndarray) -> float:
+    """Give the nodes the masses with which elements and all springs between bodies bear one step; that step, s.
+
+    The elements' bound is safe but short (`fe.stability`): the step is the one that the elements really bear with the masses for
+    STEP, and the springs, whose bound is sharp, get theirs for that.
+    """
+    t = bodies.target
+    n, m = len(t.x), len(t.mesh.conn)
+    mass = masses_for(t, STEP)
+    t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
+    dt = SAFETY * HighestFrequency(n, m).longest_step(t, STEP, n, m)
+    for springs in (bodies.bond, bodies.contact):
+        if springs is not None:
+            mass += 0.25 * dt * dt * springs.load(n)
+    t.inv_mass = np.where(free, 1.0 / mass, 0.0)
+    return dt
+
+
+def _lowest(t: Target, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
+    """Kinetic energy (J) in the masses of the relaxation, and the squared frequency (1/s2) of what moves now."""
+    twice = float(t.mass[free] @ np.einsum("ai,ai->a", t.v[free], t.v[free]))
+    stiffness = -float(np.einsum("ai,ai->", t.v[free], t.total[free] - before[free])) / dt
+    return 0.5 * twice, max(stiffness / twice, 0.0) if twice > 0.0 else 0.0
+
+
+def _loose(t: Target, free: np.ndarray) -> float:
+    """Sum of f^2 / 2 m over the forces that nothing balances; over omega^2 an energy, J."""
+    return 0.5 * float(np.einsum("ai,ai->a", t.total[free], t.total[free]) @ (1.0 / t.mass[free]))
+
+
+def _run_for(bodies: Bodies, time: float) -> float:
+    """Let go, with real masses; the largest kinetic energy (J) on the way."""
+    t, largest, left = bodies.target, 0.0, time
+    while left > 0.0:
+        _search(bodies, SEARCH_EVERY * t.stable_dt()[0])
+        dt = min(0.9 * bodies.stable_dt(1.0), left)
+        for _ in range(SEARCH_EVERY):
+            _step(bodies, dt)
+            left -= dt
+        largest = max(largest, 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.v, t.v)))
+    return largest
+
+
+def _search(bodies: Bodies, dt: float) -> None:
+    t = bodies.target
+    fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
+    bodies.search(3.0 * fastest * SEARCH_EVERY * dt + WAY * float(np.cbrt(t.mesh.V0.min())))
+
+
+def _step(bodies: Bodies, dt: float) -> None:
+    bodies.target.advance(dt)
+    bodies.forces(dt)
+    bodies.target.finish()

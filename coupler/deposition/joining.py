@@ -1,0 +1,200 @@
+"""Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
+
+import time as clock
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..contact.surfaces import interface
+from ..errors import SolverError
+from ..fe.assemble import BodyState
+from ..fe.cooling import Links, cool, together
+from ..impact.bodies import NEAR, Bodies, level_under
+from ..impact.rebound import rebounds, velocity_ratio
+from ..physics.constitutive import sound_speed
+from ..plan.planning import Plan
+from ..sph.carried_surface import shape_measures
+from .equilibrium import JOLT_TIME, RELAXED, settle
+from .mass_scaling import prepare
+from .remeshing import Gate, remeshed
+
+_CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
+JOLT = 0.005  # of an impact's kinetic energy: more must not be set free after a splat has joined
+
+
+def join(
+    what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], None], hold: Any = None
+) -> tuple[Bodies, dict[str, Any]]:
+    """The bodies that impact i + 1 meets, and what it took to make them.
+
+    setting: of the finished impact i (`deposition.Setting`); hold: what held its particle (`contact.hold.Hold`). A particle that is
+    not bonded and moves away has rebounded and does not join. Raises SplatError when it cannot be meshed, SolverError when it does
+    not come to rest.
+    """
+    from ..splat.convert import convert
+
+    started = clock.perf_counter()
+    p, following = what.impacts[i], what.impacts[i + 1]
+    team = setting.particle
+    kinetic_0 = 0.5 * float(team.mass.sum()) * float(np.dot(p.velocity, p.velocity))
+    upwards = float(team.momentum()[2] / team.mass.sum())
+    report: dict[str, Any] = {"impact": i + 1, "adhesion": what.adhesion.kind, "velocity_z_m_s": upwards}
+    report["velocity_ratio"] = ratio = velocity_ratio(what, i)
+    left = rebounds(what, i, upwards, hold)
+    origin = point_of_impact(bodies, following.offset, None if left else setting)
+    bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
+    if report["remeshing"]["remeshed"]:
+        old, made = report["remeshing"]["before"], report["remeshing"]["after"]
+        log(
+            f"impact {i + 1} has distorted the target: remeshed, its step is {made['step_s'] * 1e12:.0f} ps instead of"
+            f" {old['step_s'] * 1e12:.0f}"
+        )
+    if left:
+        log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+        new = bodies.renumbered(origin)
+        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, jolt_time(what))}
+        return _ready(what, i, new, origin, kinetic_0, report), report
+    cloud = cloud_of(setting)
+    splat = convert(cloud, what.splat_element_size, what.splat_method)
+    report |= {
+        "rebounded": False,
+        "bodies": len(splat.bodies),
+        "lost_mass_kg": splat.lost_mass,
+        "conversion": splat.report,
+    }
+    law = team.law
+    states = [
+        BodyState(
+            points=b.points, tets=b.tets, mass=float(cloud.mass[b.cloud_index].sum()), law=law,
+            **{name: np.asarray(getattr(b, name)) for name in _CARRIED},
+        )
+        for b in splat.bodies
+    ]  # fmt: skip
+    report["meshing_s"] = clock.perf_counter() - started
+    where = hold_places(setting, hold) if what.adhesion.in_impact else None
+    new = bodies.joined(states, what.adhesion, what.splat_element_size, origin, ratio, where)
+    report |= {
+        "bonds": len(new.bond) if new.bond is not None else 0,
+        "elements": len(new.target.mesh.conn), "before": _held(new),
+    }  # fmt: skip
+    report |= settle(new, kinetic_0, jolt_time(what))
+    if report["left_J"] > RELAXED * kinetic_0:
+        log(
+            f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
+            f" may still be set free, {RELAXED:.0e} is sought"
+        )
+    report["after"] = _held(new)
+    report["joining_s"] = clock.perf_counter() - started
+    if report["jolt"] > JOLT:
+        raise SolverError(
+            f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
+            " try a finer preset, or another [splat] method"
+        )
+    return _ready(what, i, new, origin, kinetic_0, report), report
+
+
+def point_of_impact(bodies: Bodies, offset: tuple[float, float], setting: Any = None) -> tuple[float, float, float]:
+    """Where the axis of a particle at `offset` (m) meets what lies there, (x, y, z) m: from there waves and windows are reckoned.
+
+    setting: of the impact whose particle is about to join, and lies there too.
+    """
+    axis, t = np.array([[*offset, 0.0]]), bodies.target
+    z = level_under(axis, t.x, t.mesh.facets[bodies.reachable()], 0.0)
+    if setting is not None:
+        surface = setting.surface
+        z = max(z, level_under(axis, surface.positions(setting.particle.x), surface.triangles, 0.0))
+    return (*offset, z if np.isfinite(z) else 0.0)
+
+
+def _ready(
+    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+) -> Bodies:
+    """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `economy`."""
+    bodies = _paused(what, i, bodies, origin, kinetic_0, report)
+    report["economy"] = prepare(what, i + 1, bodies)
+    return bodies
+
+
+def jolt_time(what: Plan) -> float:
+    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
+    return JOLT_TIME * min(max(impact.diameter for impact in what.impacts) / 25e-6, 1.0)
+
+
+def hold_places(setting: Any, hold: Any) -> np.ndarray:
+    """Where the particle is still held, (k,3) m: its new body is bonded there and nowhere else."""
+    return setting.surface.contacts(setting.particle.x)[hold.rows[hold.whole]] if hold is not None else np.zeros((0, 3))
+
+
+def _paused(
+    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+) -> Bodies:
+    """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
+
+    The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
+    in perfect contact. Stresses of the heat that has left are let go of at the end.
+    """
+    if what.impacts[i].dwell == 0.0 or not what.effects.on("cooling"):
+        return bodies
+    started = clock.perf_counter()
+    t = bodies.target
+    facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
+    cooling = cool(
+        t, what.impacts[i].dwell, np.unique(facets), what.target.temperature, _links(bodies, what.splat_element_size)
+    )
+    settled = settle(bodies, kinetic_0, jolt_time(what))
+    report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
+    report["cooling"]["wall_s"] = clock.perf_counter() - started
+    return bodies if what.effects.on("ahead_of_waves") else bodies.renumbered(origin)
+
+
+def _links(bodies: Bodies, size: float) -> Links:
+    """Where splats lie on each other or on the substrate. size: of their elements, m."""
+    surfaces, x = bodies.surfaces, bodies.target.x
+    found = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
+    return together([Links(f.nodes, surfaces.facets[f.facet], f.weights, f.area) for f in found])
+
+
+def cloud_of(setting: Any) -> Any:
+    """The points of a finished impact with all they carry (`splat.convert.Cloud`)."""
+    from ..splat.convert import Cloud
+
+    team, surface = setting.particle, setting.surface
+    law = team.law[0]
+    return Cloud(
+        x=np.array(team.x), volume=team.whole("volume"), spacing=team.spacing, rho=float(law["rho"]), velocity=np.array(team.v),
+        stress=team.stress(), eps_p=np.array(team.eps_p), T=np.array(team.T), J=np.array(team.J), energy=np.array(team.energy),
+        surface=(surface.positions(team.x), surface.triangles), X=setting.body.points + setting.place,
+        wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
+    )  # fmt: skip
+
+
+def _held(bodies: Bodies) -> dict[str, float]:
+    """What the last body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
+    t = bodies.target
+    own = bodies.body == bodies.count - 1
+    weight, s = t.volume[own], t.s[own]
+    von_mises = np.sqrt(1.5 * (np.sum(s[:, :3] ** 2, axis=1) + 2.0 * np.sum(s[:, 3:] ** 2, axis=1)))
+    pressure = t.p[t.mesh.conn[own]].mean(axis=1)
+    values = {"von_mises_Pa": von_mises, "pressure_Pa": pressure, "eps_p": t.eps_p[own], "T_K": t.T[own]}
+    return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
+
+
+def splats_at_end(
+    what: Plan, records: list[dict[str, Any]], joins: list[dict[str, Any]], bodies: Bodies, surface: np.ndarray
+) -> None:
+    """Add to each impact's record how its splat stands at the end of the run, as `at_end`. surface (k,3): of the last one, m."""
+    first = 1
+    for i, record in enumerate(records):
+        if i + 1 == len(records):
+            vertices = surface
+        else:
+            count = joins[i]["bodies"]
+            if count == 0:
+                record["at_end"] = None  # it has left
+                continue
+            sets, mesh = [f"splat{first + k}" for k in range(count)], bodies.target.mesh
+            nodes = np.unique(np.concatenate([mesh.facets[mesh.sets[name]].ravel() for name in sets]))
+            vertices, first = bodies.target.x[nodes], first + count
+        level = np.array([0.0, 0.0, record["surface_level_m"]])
+        record["at_end"] = shape_measures(vertices - level, what.impacts[i].diameter)

@@ -1,0 +1,267 @@
+"""Read what a run left behind. Imports no solver, and takes every file for data from a stranger.
+
+Nothing is unpickled or executed; a file cannot make the reader open another file or fill the memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, overload
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+
+# Names are repeated here so that reading needs nothing of the writing side.
+DOMAINS = ("particle", "surface", "target")
+CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
+DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
+TEXT_LIMIT = 256 * 1024**2  # bytes of a text file that we are ready to read
+
+
+@dataclass(frozen=True)
+class Fields:
+    """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points.
+
+    data: name -> (n, ...) for values at points, (m, ...) for values in cells; SI units; stress (.., 6) in the
+    order xx yy zz xy yz xz. A name that is given both at points and in cells holds the values at points.
+    """
+
+    time: float
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    data: dict[str, NDArray[np.float32]]
+
+
+class Result:
+    """A run's folder, finished or not. Keys of the summary read like attributes: `result.flattening_ratio`.
+
+    Raises StoreError if the folder is not there or holds no run.
+    """
+
+    def __init__(self, directory: str | Path):
+        self.directory = Path(directory)
+        if not self.directory.is_dir():
+            raise StoreError(f"{self.directory} is not a folder of results")
+        known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in DOMAINS)]
+        if not any((self.directory / name).is_file() for name in known):
+            raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
+        self._summary: dict[str, Any] = {}
+
+    @classmethod
+    def open(cls, directory: str | Path) -> Result:
+        """The same as Result(directory)."""
+        return cls(directory)
+
+    def __repr__(self) -> str:
+        return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
+
+    @property
+    def finished(self) -> bool:
+        return (self.directory / "summary.json").is_file()
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Contents of summary.json; empty while the run is not finished. StoreError if it is damaged."""
+        if not self._summary and self.finished:
+            path = self.directory / "summary.json"
+            try:
+                summary = json.loads(_text(path), parse_constant=_no_constant)
+            except (ValueError, RecursionError) as error:
+                raise StoreError(f"{path} is damaged: {error}") from error
+            if not isinstance(summary, dict):
+                raise StoreError(f"{path} is damaged: not a JSON object")
+            self._summary = summary
+        return self._summary
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        summary = self.summary
+        if name in summary:
+            return summary[name]
+        if not summary:
+            raise AttributeError(
+                f"{name!r} is not known: the run in {self.directory} is not finished (no summary.json); "
+                "history() and fields() give what was written so far"
+            )
+        near = difflib.get_close_matches(name, summary, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"the summary in {self.directory} has no {name!r}{hint}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.summary]
+
+    @property
+    def scene_text(self) -> str:
+        """The scene with every default filled in, as TOML."""
+        return _text(self.directory / "scene.toml")
+
+    def times(self, domain: str = "particle") -> NDArray[np.float64]:
+        """Times of the stored steps of a domain, (steps,), s; empty if nothing of it was written yet."""
+        path = self._path(domain)
+        if not path.is_file():
+            return np.zeros(0)
+        with _opened(path) as root:
+            return _times(root)
+
+    def fields(self, step: int = -1, domain: str = "particle") -> Fields:
+        """Points, cells and data of "particle", "surface" or "target" at a stored step; -1 is the last.
+
+        Raises StoreError if the file is missing or damaged, IndexError if there is no such step.
+        """
+        path = self._path(domain)
+        if not path.is_file():
+            raise StoreError(f"{path} is missing: the run stored nothing of the {domain}")
+        with _opened(path) as root:
+            times = _times(root)
+            if not -len(times) <= step < len(times):
+                raise IndexError(f"{path} has {len(times)} steps, there is no step {step}")
+            return _read_step(root, step % len(times), times)
+
+    @overload
+    def history(self) -> dict[str, NDArray[np.float64]]: ...
+    @overload
+    def history(self, column: str) -> NDArray[np.float64]: ...
+    def history(self, column: str | None = None) -> dict[str, NDArray[np.float64]] | NDArray[np.float64]:
+        """Columns of history.csv: all as a dict of (rows,) arrays, or one of them; SI units.
+
+        A last line that was cut short is left out. Raises StoreError if the file is missing or damaged,
+        KeyError for an unknown column.
+        """
+        path = self.directory / "history.csv"
+        text = _text(path)
+        whole = text[: text.rfind("\n") + 1]  # a line without its end is not whole
+        rows = list(csv.reader(whole.splitlines()))
+        names = rows[0] if rows else []
+        try:
+            if any(len(row) != len(names) for row in rows):
+                raise ValueError("lines of different length")
+            values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(names))
+        except ValueError as error:
+            raise StoreError(f"{path} is damaged: {error}") from error
+        table = {name: values[:, number] for number, name in enumerate(names)}
+        if column is None:
+            return table
+        if column not in table:
+            near = difflib.get_close_matches(column, table, n=1)
+            raise KeyError(
+                f"history has no column {column!r}; " + (f"did you mean {near[0]!r}?" if near else f"has {names}")
+            )
+        return table[column]
+
+    def _path(self, domain: str) -> Path:
+        if domain not in DOMAINS:
+            raise ValueError(f"unknown domain {domain!r}, have {', '.join(DOMAINS)}")
+        return self.directory / f"{domain}.vtkhdf"
+
+
+def _text(path: Path) -> str:
+    try:
+        if path.stat().st_size > TEXT_LIMIT:
+            raise StoreError(f"{path} is larger than {TEXT_LIMIT // 1024**2} MiB: not a file of ours")
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise StoreError(f"{path} is missing") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise StoreError(f"cannot read {path}: {error}") from error
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[_Root]:
+    """The VTKHDF group of a file; whatever is wrong with the file comes out as a StoreError."""
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            limit = DEFLATE_LIMIT * path.stat().st_size + 2**20
+            yield _Root(_child(file, "VTKHDF", h5py.Group), limit)
+    except IndexError:
+        raise
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        raise StoreError(f"{path} is damaged or not a file of ours: {error}") from error
+
+
+@dataclass(frozen=True)
+class _Root:
+    """The VTKHDF group, and how many bytes one reading may ask for."""
+
+    group: h5py.Group
+    limit: int
+
+    def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
+        """Rows start..start+count of a plain numeric data set (all without count)."""
+        group = self.group
+        *folders, last = name.split("/")
+        for folder in folders:
+            group = _child(group, folder, h5py.Group)
+        data = _child(group, last, h5py.Dataset)
+        if data.is_virtual or data.external:
+            raise ValueError(f"{name} points to another file")
+        if data.dtype.kind not in kinds or data.ndim not in (1, 2):
+            raise ValueError(f"{name} has an unexpected type or shape")
+        count = len(data) - start if count is None else count
+        if start < 0 or count < 0 or start + count > len(data):
+            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {start + count} are asked for")
+        width = data.shape[1] if data.ndim == 2 else 1
+        if count * width * data.dtype.itemsize > self.limit:
+            raise ValueError(f"{name} claims more data than the file can hold")
+        return data[start : start + count]
+
+    def number(self, name: str, row: int) -> int:
+        return int(self.rows(name, row, 1, kinds="iu").ravel()[0])
+
+    def names(self, name: str) -> list[str]:
+        return list(_child(self.group, name, h5py.Group))
+
+
+def _child(group: h5py.Group, name: str, kind: type) -> Any:
+    # A link may lead into another file of the reader's machine; ours never do.
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        raise ValueError(f"{name} is missing or leads elsewhere")
+    item = group[name]
+    if not isinstance(item, kind):
+        raise ValueError(f"{name} is not what it should be")
+    return item
+
+
+def _times(root: _Root) -> NDArray[np.float64]:
+    count = int(_child(root.group, "Steps", h5py.Group).attrs["NSteps"])
+    if count == 0:  # a run that died before its first step
+        return np.zeros(0)
+    # One that died at the wrong moment has counted a step and not yet given it a time.
+    return root.rows("Steps/Values")[:count].astype(np.float64)
+
+
+def _read_step(root: _Root, step: int, times: NDArray[np.float64]) -> Fields:
+    part = root.number("Steps/PartOffsets", step)
+    point_count, cell_count = root.number("NumberOfPoints", part), root.number("NumberOfCells", part)
+    id_count = root.number("NumberOfConnectivityIds", part)
+    points = root.rows("Points", root.number("Steps/PointOffsets", step), point_count).astype(np.float64)
+    types = root.rows("Types", root.number("Steps/CellOffsets", step), cell_count, kinds="iu")
+    kind = int(types[0]) if cell_count else 1
+    if points.ndim != 2 or points.shape[1] != 3 or kind not in CELL_COLUMNS or (types != kind).any():
+        raise ValueError("points or cell types are not what they should be")
+    columns = CELL_COLUMNS[kind]
+    if id_count != columns * cell_count:
+        raise ValueError("connectivity does not fit the cells")
+    start = root.number("Steps/ConnectivityIdOffsets", step)
+    cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
+    if cells.size and (cells.min() < 0 or cells.max() >= point_count):
+        raise ValueError("cells refer to points that are not there")
+    data: dict[str, NDArray[np.float32]] = {}
+    for group, count in (("CellData", cell_count), ("PointData", point_count)):
+        for name in root.names(group):
+            offset = root.number(f"Steps/{group}Offsets/{name}", step)
+            data[name] = root.rows(f"{group}/{name}", offset, count, kinds="f").astype(np.float32)
+    return Fields(float(times[step]), points, cells, data)

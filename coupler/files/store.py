@@ -1,0 +1,280 @@
+"""The folder of one run: written while it runs, readable at every moment, never in two hands at once.
+
+particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
+history.csv                                    one line for each record
+scene.toml                                     the scene with every default filled in
+summary.json                                   written last: its presence says that the run is finished
+checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.files.checkpoint`
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import json
+import math
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import StoreError
+from . import checkpoint
+from .vtkhdf import VtkHdfWriter
+
+DOMAINS = ("particle", "surface", "target")
+HISTORY, SCENE, SUMMARY, PICTURE = "history.csv", "scene.toml", "summary.json", "section.png"
+
+
+class Store:
+    """Files of one run. Make it with `Store.create`; a context manager that closes what it opened.
+
+    Every failure to write becomes a StoreError that names the file; steps written before stay readable.
+    """
+
+    def __init__(self, directory: Path, lock: int | None = None):
+        self.directory = directory
+        self._lock = lock
+        self._writers: dict[str, VtkHdfWriter] = {}
+        self._history: TextIO | None = None
+        self._columns: list[str] = []
+        self._rows = 0
+
+    @classmethod
+    def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False) -> Store:
+        """Make the folder, or empty it of an earlier run, and put the scene in it.
+
+        Only files with the names of this module are ever removed, and a finished run only with `force`.
+        Raises StoreError: a finished run is there, another run writes there, or the folder is not writable.
+        """
+        directory = Path(out_dir)
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            if (directory / SUMMARY).exists() and not force:
+                raise StoreError(
+                    f"{directory} holds a finished run; add --force to replace it, or choose another folder with --out"
+                )
+            if checkpoint.found(directory) and not force:
+                raise StoreError(
+                    f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add --force to replace it,"
+                    " or choose another folder with --out"
+                )
+            store = cls(directory, _lock(directory))
+            try:
+                # The summary first: a run that replaces a finished one is unfinished from its first moment.
+                for name in (SUMMARY, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
+                    (directory / name).unlink(missing_ok=True)
+                checkpoint.clear(directory)
+                _replace(directory / SCENE, scene_toml)
+            except BaseException:
+                store.close()
+                raise
+        except OSError as error:
+            raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
+        return store
+
+    @classmethod
+    def reopen(cls, out_dir: str | Path) -> Store:
+        """Take the folder of an unfinished run. Raises StoreError: another run writes there, or it is not writable."""
+        directory = Path(out_dir)
+        try:
+            return cls(directory, _lock(directory))
+        except OSError as error:
+            raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
+
+    def state(self) -> dict[str, Any]:
+        """How much of each file is written: what `go_on` goes on from."""
+        return {"rows": self._rows, "steps": {domain: writer.steps for domain, writer in self._writers.items()}}
+
+    def go_on(self, state: Mapping[str, Any] | None, log: Any) -> None:
+        """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
+
+        Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
+        be read starts anew, with a line to log(text).
+        """
+        steps = dict(state["steps"]) if state else {}
+        for domain in DOMAINS:
+            path = self.directory / f"{domain}.vtkhdf"
+            with _named(path):
+                if steps.get(domain):
+                    self._copy_steps(domain, path, int(steps[domain]), log)
+                else:
+                    path.unlink(missing_ok=True)
+        path = self.directory / HISTORY
+        with _named(path):
+            lines = path.read_text(encoding="ascii").splitlines(keepends=True) if path.exists() else []
+            kept = lines[: int(state["rows"]) + 1] if state and int(state["rows"]) else []
+            if kept:
+                _replace(path, "".join(kept))
+                self._columns = kept[0].strip().split(",")
+                self._rows = len(kept) - 1
+                self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
+            else:
+                path.unlink(missing_ok=True)
+
+    def go_back(self, state: Mapping[str, Any], log: Any) -> None:
+        """As `go_on`, of a store that has gone on writing since."""
+        with _named(self.directory):
+            for writer in self._writers.values():
+                writer.close()
+            if self._history is not None:
+                self._history.close()
+        self._writers, self._history, self._rows = {}, None, 0
+        self.go_on(state, log)
+
+    def _copy_steps(self, domain: str, path: Path, steps: int, log: Any) -> None:
+        from .result import Result
+
+        old, part = Result(self.directory), path.with_suffix(".part")
+        writer = VtkHdfWriter(part)
+        try:
+            for step in range(steps):
+                f = old.fields(step, domain)
+                at_points = {name: data for name, data in f.data.items() if len(data) == len(f.points)}
+                in_cells = {name: data for name, data in f.data.items() if name not in at_points}
+                if domain == "particle":
+                    at_points, in_cells = f.data, {}
+                writer.write(f.time, f.points, f.cells, at_points, in_cells)
+        except (StoreError, IndexError) as error:
+            log(f"{path} cannot be read ({error}): it starts anew at the checkpoint")
+            writer.close()
+            writer = VtkHdfWriter(part)
+        os.replace(part, path)
+        writer.path = path
+        self._writers[domain] = writer
+
+    def write(
+        self,
+        domain: str,
+        time: float,
+        points: ArrayLike,
+        cells: ArrayLike,
+        point_data: Mapping[str, ArrayLike] | None = None,
+        cell_data: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        """Append one time step to `DIR/<domain>.vtkhdf`.
+
+        domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" (tets (m, 4)). time: s.
+        Shapes and units as in `VtkHdfWriter.write`. Raises StoreError, for example when the disk is full.
+        """
+        if domain not in DOMAINS:
+            raise ValueError(f"unknown domain {domain!r}, have {DOMAINS}")
+        path = self.directory / f"{domain}.vtkhdf"
+        with _named(path):
+            if domain not in self._writers:
+                self._writers[domain] = VtkHdfWriter(path)
+            self._writers[domain].write(time, points, cells, point_data, cell_data)
+
+    def record(self, row: Mapping[str, float]) -> None:
+        """Append one line to history.csv; the first row names the columns, later rows carry the same ones."""
+        path = self.directory / HISTORY
+        with _named(path):
+            if self._history is None:
+                self._columns = list(row)
+                self._history = open(path, "w", encoding="ascii")  # noqa: SIM115  (closed by close)
+                self._history.write(",".join(self._columns) + "\n")
+            if row.keys() != set(self._columns):
+                raise ValueError(f"history has the columns {self._columns}, got {list(row)}")
+            self._history.write(",".join(f"{float(row[name]):.10g}" for name in self._columns) + "\n")
+            self._history.flush()
+            self._rows += 1
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Write summary.json whole or not at all. Numbers that are not finite become null."""
+        text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
+        with _named(self.directory / SUMMARY):
+            _replace(self.directory / SUMMARY, text)
+
+    def close(self) -> None:
+        """Close all files; never raises: what could not be written has been reported by the write itself."""
+        with contextlib.suppress(Exception):
+            if self._history is not None:
+                self._history.close()
+        for writer in self._writers.values():
+            with contextlib.suppress(Exception):
+                writer.close()
+        self._writers = {}
+        self._history = None
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def __enter__(self) -> Store:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _lock(directory: Path) -> int | None:
+    """Hold the folder for this process; the system lets go of it when the process ends, however it ends."""
+    descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise StoreError(f"another run is writing to {directory}; choose another folder with --out") from None
+    except OSError:  # a file system without locks is no reason to refuse a run
+        os.close(descriptor)
+        return None
+    return descriptor
+
+
+class _named(contextlib.AbstractContextManager[None]):
+    """Turn a failure to write into a StoreError that names the file."""
+
+    def __init__(self, path: Path):
+        self.path = path
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, (OSError, RuntimeError)):
+            raise StoreError(f"cannot write {self.path}: {_reason(error)}; steps written before are kept") from error
+
+
+def _reason(error: Exception) -> str:
+    # HDF5 puts the number into its text only.
+    found = re.search(r"errno = (\d+)", str(error))
+    number = int(found[1]) if found else getattr(error, "errno", None)
+    if number == errno.ENOSPC:
+        return "no space left on the disk"
+    if number == errno.EBADF or number is None:
+        return str(error)
+    return os.strerror(number)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a text file whole or not at all."""
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        with open(temporary, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can hold: numpy becomes plain numbers and lists, numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

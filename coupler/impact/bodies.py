@@ -1,0 +1,323 @@
+"""The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..contact.bodies import BodyContact
+from ..contact.bond import Bond, penalty
+from ..contact.surfaces import Interface, Surfaces, interface
+from ..errors import SolverError
+from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
+from ..fe.explicit import Target
+from ..fe.mesh import TetMesh
+from ..physics.adhesion import Adhesion
+
+NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
+LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
+
+
+@dataclass
+class Bodies:
+    """Substrate (body 0) and splats. target: the one domain; body (m,): whose each element is; names: of the facet sets that are
+    fixed and absorbing; bond, contact: between bodies, None while there is only the substrate."""
+
+    target: Target
+    body: np.ndarray
+    fixed: tuple[str, ...]
+    absorbing: tuple[str, ...]
+    friction: float
+    contact: BodyContact | None = None
+    bond: Bond | None = None
+    buried: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # facets that nothing can reach
+    placed: np.ndarray | None = None  # positions (n,3) m at which the contact was set up
+
+    @property
+    def count(self) -> int:
+        """How many bodies there are, the substrate among them."""
+        return len(self.target.laws)
+
+    @property
+    def surfaces(self) -> Surfaces:
+        mesh = self.target.mesh
+        return Surfaces.of(mesh.facets, mesh.facet_element, self.body)
+
+    def reachable(self) -> np.ndarray:
+        """Facets (ids) that a particle can hit: the substrate's top and sides and the splats', less what is buried between them.
+
+        Without the sides a point that slides over the rim would lie behind the top for good, and be pulled back by it.
+        """
+        sets = self.target.mesh.sets
+        ids = np.concatenate(
+            [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith("splat"))]
+        )
+        return np.setdiff1d(ids, self.buried)
+
+    # ---- in the loop ---------------------------------------------------------------------------------------------
+
+    def search(self, travel: float) -> None:
+        """Find what can touch before surfaces have moved `travel` m; give the heat of friction to the elements."""
+        if self.contact is not None:
+            self.target.warm(*self.contact.heat())
+            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes)
+
+    def forces(self, dt: float) -> None:
+        """Add what bodies do to each other at this instant to the target's outer forces."""
+        t = self.target
+        if self.contact is not None:
+            self.contact.forces(dt, t.x, t.v, t.f_ext)
+        if self.bond is not None:
+            self.bond.forces(t.x, t.f_ext)
+
+    def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
+        """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
+        dt = self.target.stable_dt(enough, ahead)[0]
+        if self.contact is not None:
+            dt = self.contact.stable_dt(self.target.mass, dt)
+        if self.bond is not None:
+            dt = self.bond.stable_dt(self.target.mass, dt)
+        return dt
+
+    @property
+    def energy(self) -> float:
+        """What contact and bonds between bodies hold and have dissipated, J."""
+        c, b = self.contact, self.bond
+        held = c.penalty_energy + c.friction_heat + c.lost if c is not None else 0.0
+        return held + (b.stored + b.dissipated if b is not None else 0.0)
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs beside the mesh, `body`, the laws and `buried`."""
+        return {
+            "target": self.target.state(),
+            "contact": self.contact.state() if self.contact is not None else None,
+            "bond": self.bond.state() if self.bond is not None else None,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into bodies of the same meshes."""
+        self.target.restore(state["target"])
+        if self.contact is not None:
+            self.contact.restore(state["contact"])
+        if state["bond"] is not None:
+            self.bond = Bond.from_state(state["bond"])
+
+    def whole(self) -> dict[str, Any]:
+        """All there is, for a checkpoint: see `from_whole`."""
+        return {
+            "mesh": asdict(self.target.mesh), "laws": self.target.laws, "body": self.body, "buried": self.buried,
+            "placed": self.placed, "state": self.state(), "fe": self.target.fe,
+        }  # fmt: skip
+
+    def whole_with(self, state: Mapping[str, Any]) -> dict[str, Any]:
+        """As `whole`, with another `state` of the same meshes, "fe" in it: its arrays are taken as they are."""
+        mesh = {part.name: getattr(self.target.mesh, part.name) for part in fields(TetMesh)}
+        return {
+            "mesh": mesh, "laws": self.target.laws, "body": self.body, "buried": self.buried, "placed": self.placed,
+            "state": state, "fe": state["fe"],
+        }  # fmt: skip
+
+    @classmethod
+    def from_whole(
+        cls,
+        whole: Mapping[str, Any],
+        fixed: tuple[str, ...],
+        absorbing: tuple[str, ...],
+        friction: float,
+        conduction: bool,
+    ) -> "Bodies":
+        """Bodies as `whole` described them."""
+        mesh, state = TetMesh(**whole["mesh"]), whole["state"]
+        T = state["target"]["T"]
+        target = Target(
+            mesh, whole["laws"], T, law_of=whole["body"], fixed=fixed, absorbing=absorbing, conduction=conduction
+        )
+        target.fe[:] = whole["fe"]
+        one = cls(
+            target, np.array(whole["body"]), fixed, absorbing, friction, buried=whole["buried"], placed=whole["placed"]
+        )
+        if one.placed is not None:
+            one.contact = BodyContact(one.surfaces, one.placed, [float(K) for K in target.laws["K"]], friction)
+        one.restore(state)
+        return one
+
+    # ---- between impacts -----------------------------------------------------------------------------------------
+
+    def joined(
+        self,
+        splats: list[BodyState],
+        adhesion: Adhesion,
+        size: float,
+        origin: tuple[float, float, float],
+        ratio: float,
+        where: np.ndarray | None = None,
+    ) -> "Bodies":
+        """These bodies and finished splats, bonded where `adhesion` says, numbered outwards from origin (m). size: of elements, m;
+        ratio: velocity of the impact over the critical one; where (k,3) m: the places at which the impact has left it bonded, in
+        place of the criterion.
+
+        The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
+        equilibrium: see `relaxation.settle`. Raises SolverError when a splat cannot be put in place.
+        """
+        fitted = [self._fitted(splat, size) for splat in splats]
+        parts = [domain_now(self.target, self.body)]
+        parts += [domain_of(splat, f"splat{self.count + i}") for i, splat in enumerate(fitted)]
+        domain, rank = merge(parts, origin)
+        new = bodies_of(domain, self.target, self.fixed, self.absorbing, self.friction)
+        bonds = []
+        if self.bond is not None:
+            self.bond.renumber(rank)
+            bonds.append(self.bond)
+        surfaces, x = new.surfaces, new.target.x
+        buried = [self.buried]
+        for body in range(self.count, new.count):
+            found = interface(surfaces, x, body, NEAR * size)
+            buried.append(_covered(found, surfaces, x, body, NEAR * size))
+            chosen = _bonded(found, surfaces, new.target, adhesion, ratio)
+            if where is not None:
+                chosen = _near(x[found.nodes], where, size)
+            if chosen.any():
+                K = float(new.target.laws["K"].min())
+                stiffness = penalty(K, surfaces.spacing(x, body))
+                bonds.append(Bond(found.only(chosen), surfaces, x, stiffness, **adhesion.law()))
+        new.bond = Bond.joined(bonds) if bonds else None
+        new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
+        new.placed = x.copy()
+        new.contact = BodyContact(surfaces, new.placed, [float(K) for K in new.target.laws["K"]], self.friction)
+        if self.contact is not None:
+            new.contact.follow(self.contact, rank[: len(self.target.x)])
+        return new
+
+    def renumbered(self, origin: tuple[float, float, float]) -> "Bodies":
+        """The same, numbered outwards from another point, asleep but for what is near it."""
+        domain, rank = merge([domain_now(self.target, self.body)], origin)
+        new = bodies_of(domain, self.target, self.fixed, self.absorbing, self.friction)
+        if self.bond is not None:
+            self.bond.renumber(rank)
+        new.bond, new.buried = self.bond, self.buried
+        if self.contact is not None:
+            new.placed = new.target.x.copy()
+            moduli = [float(K) for K in new.target.laws["K"]]
+            new.contact = BodyContact(new.surfaces, new.placed, moduli, self.friction)
+            new.contact.follow(self.contact, rank)
+        return new
+
+    def _fitted(self, splat: BodyState, size: float) -> BodyState:
+        """A splat with the nodes that lie on other bodies put on their facets, as far as its tetrahedra bear it."""
+        n, t = len(self.target.x), self.target
+        facets, element = _boundary(splat.tets)
+        x = np.concatenate([t.x, splat.points])
+        surfaces = Surfaces(
+            np.concatenate([t.mesh.facets, facets + n]).astype(np.int64),
+            np.concatenate([self.body[t.mesh.facet_element], np.full(len(facets), self.count)]).astype(np.int64),
+            np.concatenate([t.mesh.facet_element, element + len(t.mesh.conn)]).astype(np.int64),
+        )
+        found = interface(surfaces, x, self.count, NEAR * size)
+        before = _volumes(splat.points, splat.tets)
+        wanted = found.fitted(x, surfaces)[n:]
+        share = np.ones(len(wanted))  # of the way that each node goes
+        for _ in range(8):
+            points = splat.points + share[:, None] * (wanted - splat.points)
+            bad = _volumes(points, splat.tets) < LEAST_QUALITY * before
+            if not bad.any():
+                break
+            share[np.unique(splat.tets[bad])] *= 0.5
+        else:
+            points = splat.points
+        return BodyState(
+            points,
+            splat.tets,
+            splat.stress,
+            splat.eps_p,
+            splat.T,
+            splat.J,
+            splat.velocity,
+            splat.energy,
+            splat.mass,
+            splat.law,
+        )
+
+
+def bodies_of(
+    domain: Domain, before: Target, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float
+) -> Bodies:
+    """Bodies from a domain, the books going on from those of `before`."""
+    target = Target(
+        domain.mesh, domain.laws, domain.state["T"], law_of=domain.body, fixed=fixed, absorbing=absorbing,
+        conduction=before.conduction is not None, sleeping=bool(np.isfinite(before.reach)),
+    )  # fmt: skip
+    target.take(domain.state, before)
+    return Bodies(target, domain.body, fixed, absorbing, friction)
+
+
+def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: float) -> float:
+    """Height z (m) to which a body must be lifted so that its surface clears the facets by `gap`, measured vertically.
+
+    vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
+    """
+    corners = x[facets]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    det = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    up = det > 1e-12 * np.abs(det).max()
+    a, b, c, det = a[up], b[up], c[up], det[up]
+    highest = -np.inf
+    for chunk in np.array_split(vertices, max(1, len(vertices) * len(a) // 4_000_000)):
+        px, py = chunk[:, 0, None], chunk[:, 1, None]
+        wb = ((px - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (py - a[:, 1])) / det
+        wc = ((b[:, 0] - a[:, 0]) * (py - a[:, 1]) - (px - a[:, 0]) * (b[:, 1] - a[:, 1])) / det
+        inside = (wb >= -1e-9) & (wc >= -1e-9) & (wb + wc <= 1 + 1e-9)
+        z = a[:, 2] + wb * (b[:, 2] - a[:, 2]) + wc * (c[:, 2] - a[:, 2])
+        lift = np.where(inside, z, -np.inf).max(axis=1) - chunk[:, 2]
+        highest = max(highest, float(lift.max()))
+    return highest + gap
+
+
+def _bonded(found: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float) -> np.ndarray:
+    """Which nodes of an interface the scene's criterion bonds; of both sides the larger strain and pressure counts."""
+    n = len(found.nodes)
+    if adhesion.kind == "none" or n == 0:
+        return np.zeros(n, bool)
+    strain = np.maximum(*found.behind(surfaces, target.eps_p))
+    pressure = np.maximum(*found.behind(surfaces, target.p[target.mesh.conn].mean(axis=1)))
+    return adhesion.bonded(n, strain, pressure, ratio)
+
+
+def _near(points: np.ndarray, places: np.ndarray, distance: float) -> np.ndarray:
+    """Mask (n,) of points (n,3) m no farther than `distance` m from one of the places (k,3) m."""
+    if len(places) == 0:
+        return np.zeros(len(points), bool)
+    return cKDTree(places).query(points)[0] <= distance
+
+
+def _covered(found: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:
+    """Facets of a body and of those before it that lie on each other, with all their nodes and all facets around these.
+
+    So those that stick out from under a rim stay, and a ring inside of it: at the edge of a hole in a surface a point before it may
+    seem to be deep behind it, because the facet that it is before is missing.
+    """
+    covered = []
+    for one, others in ((body, None), *((b, (body,)) for b in range(body))):
+        nodes = found.nodes if others is None else interface(surfaces, x, one, tolerance, others).nodes
+        own = surfaces.facets_of(one)
+        corners = surfaces.facets[own]
+        rim = np.unique(corners[~np.isin(corners, nodes).all(axis=1)])
+        covered.append(own[~np.isin(corners, rim).any(axis=1)])
+    return np.concatenate(covered)
+
+
+def _volumes(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    edge = points[tets[:, 1:]] - points[tets[:, :1]]
+    return np.linalg.det(edge) / 6.0
+
+
+def _boundary(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boundary triangles (k,3) of positively oriented tetrahedra, normals outwards, and the element behind each."""
+    faces = np.concatenate([tets[:, [0, 2, 1]], tets[:, [0, 1, 3]], tets[:, [0, 3, 2]], tets[:, [1, 2, 3]]])
+    element = np.tile(np.arange(len(tets)), 4)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    if len(first) == 0:
+        raise SolverError("a splat without elements cannot join the target")
+    once = first[count == 1]
+    return faces[once], element[once]

@@ -1,0 +1,70 @@
+"""Where heat goes in an impact beside staying where it arose: among the particle's points, and across the contact."""
+
+from typing import Any
+
+import numpy as np
+
+from ..sph.heat import PointConduction
+
+
+class HeatPaths:
+    """The ways that are open. friction: whether its heat warms what rubbed. points: conduction in the particle, or None.
+    conductance: W/m2K of the contact between particle and target; infinite for perfect contact, 0 for none."""
+
+    def __init__(self, friction: bool = True, points: PointConduction | None = None, conductance: float = 0.0):
+        self.friction, self.points, self.conductance = friction, points, conductance
+
+    def share(self, time: float, particle: Any, target: Any, surface: Any, contact: Any) -> None:
+        """Let heat flow for `time` s: particle (`team.Team`), target (`fe.explicit.Target`), surface, contact (`contact.penalty`)."""
+        if self.points is not None:
+            particle.warm(self.points.share(time, particle.x, particle.T))
+        if self.conductance > 0.0:
+            rows, elements, heat = self.crossing(time, particle, target, surface, contact)
+            if len(rows):
+                into = np.zeros(surface.touching.shape[0])
+                into[rows] = -heat
+                particle.warm(surface.spread_heat(into))
+                target.warm(elements, heat)
+
+    def crossing(
+        self, time: float, particle: Any, target: Any, surface: Any, contact: Any
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.
+
+        Two lumps in contact, a layer one spacing thick and the element's part: they level out exponentially, so that no
+        time is too long. The resistance is the contact's and that of what lies between it and where temperatures are known.
+        """
+        rows, facets = contact.touching(len(surface.weights.indptr) - 1)
+        if len(rows) == 0:
+            return rows, rows, np.zeros(0)
+        elements = target.mesh.facet_element[facets].astype(np.int64)
+        skin, inside = surface.positions(particle.x), surface.values(particle.x)[rows]
+        area = vertex_areas(skin, surface.triangles)[rows]
+        T_a, T_b = surface.values(particle.T)[rows], target.T[elements]
+        deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
+        deep_b = 0.75 * target.volume[elements] / _facet_areas(target, facets)  # of a tetrahedron's centre
+        a, b = particle.law[0], target.laws[target.law_of[elements]]
+        resistance = deep_a / _at(a, "k", T_a) + deep_b / _at(b, "k", T_b) + 1.0 / self.conductance
+        C_a = a["rho"] * _at(a, "cp", T_a) * area * particle.spacing
+        sharing = np.bincount(elements, minlength=len(target.T))[elements]
+        C_b = b["rho"] * _at(b, "cp", T_b) * target.mesh.V0[elements] / sharing
+        together = C_a * C_b / (C_a + C_b)
+        return rows, elements, together * (T_a - T_b) * -np.expm1(-area / resistance * time / together)
+
+
+def _at(law: np.ndarray, name: str, T: np.ndarray) -> np.ndarray:
+    """c_p or k of laws at temperatures T (K): linear between two points, constant beyond."""
+    T0 = law[f"{name}_T0"]
+    return law[f"{name}_0"] + law[f"{name}_slope"] * (np.clip(T, T0, law[f"{name}_T1"]) - T0)
+
+
+def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """What each vertex stands for of a surface (m2): a third of the triangles around it."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
+    return np.bincount(triangles.ravel(), np.repeat(third, 3), len(vertices))
+
+
+def _facet_areas(target: Any, facets: np.ndarray) -> np.ndarray:
+    a, b, c = (target.x[target.mesh.facets[facets, i]] for i in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -1,0 +1,88 @@
+"""What is measured of an impact, always by the same words: shape, strain, temperature, stress, energy."""
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from ..sph.carried_surface import CarriedSurface, shape_measures
+
+YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
+
+
+def von_mises_of(stress: np.ndarray) -> np.ndarray:
+    """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, Pa."""
+    mean = stress[:, :3].mean(axis=1)
+    deviator = stress[:, :3] - mean[:, None]
+    return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
+
+
+def crater_depth(surface: np.ndarray) -> float:
+    """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes.
+
+    The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: a single node hangs
+    on where the mesh happens to have it.
+    """
+    deepest = surface[np.argmin(surface[:, 2])]
+    distance = np.hypot(surface[:, 0] - deepest[0], surface[:, 1] - deepest[1])
+    d = surface[np.argsort(distance, kind="stable")[:16]] - deepest
+    size = float(np.abs(d[:, :2]).max()) or 1.0
+    x, y = d[:, 0] / size, d[:, 1] / size
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    fit = np.linalg.lstsq(terms, d[:, 2], rcond=None)[0]
+    return float(-(deepest[2] + (terms @ fit).min()))
+
+
+def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
+    """Mean pressure (Pa) and area (m2) of a contact: the force (N) along z over the area that the touching points fill, seen along z.
+
+    touching (k,3): positions in m of the points in contact, two or more rings of them; their convex hull is taken, as a round
+    contact has no holes. Fewer than three points, or points in a line, fill no area: both are 0 then.
+    """
+    flat = touching[:, :2]
+    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat[0], tol=1e-12) < 2:
+        return 0.0, 0.0
+    area = float(ConvexHull(flat).volume)
+    return force / area, area
+
+
+def plastic_zone(target: Any) -> tuple[float, float]:
+    """Radius and depth (m) of the zone of the substrate that has yielded, by a plastic strain of YIELDED or more.
+
+    The radius is that of the circle whose area the yielded part of the surface fills, seen from above; the depth, below z = 0, that
+    of the lowest centroid of a yielded element 0 where nothing has yielded. target: `fe.explicit.Target`.
+    """
+    mesh, yielded = target.mesh, target.eps_p >= YIELDED
+    top = mesh.sets["top"]
+    top = top[yielded[mesh.facet_element[top]]]
+    corners = target.x[mesh.facets[top], :2]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
+    depth = -target.x[mesh.conn[yielded], 2].mean(axis=1).min() if yielded.any() else 0.0
+    return float(np.sqrt(area / np.pi)), max(float(depth), 0.0)
+
+
+def measure(
+    particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float, level: float = 0.0
+) -> dict[str, float]:
+    """Measures of this instant, SI. Heights from the surface as the particle found it, z = level; the crater's depth
+    from z = 0; means over mass, percentiles over points.
+
+    particle, target: the two domains; surface: the particle's carried surface; surface_nodes: nodes of the target
+    that can be touched; diameter: the particle's, m.
+    """
+    m = shape_measures(surface.positions(particle.x) - [0.0, 0.0, level], diameter)
+    m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
+    m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
+    m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))
+    m["eps_p_max"] = float(particle.eps_p.max())
+    m["T_mean_K"] = float(np.average(particle.T, weights=particle.mass))
+    m["T_p99_K"] = float(np.percentile(particle.T, 99))
+    m["T_max_K"] = float(particle.T.max())
+    m["von_mises_max_Pa"] = float(von_mises_of(particle.stress()).max())
+    m["target_eps_p_max"] = float(target.eps_p.max())
+    m["target_T_max_K"] = float(target.T.max())
+    m["target_von_mises_max_Pa"] = float(von_mises_of(target.stress()).max())
+    m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
+    m["velocity_z_m_s"] = float(particle.momentum()[2] / particle.mass.sum())
+    return m

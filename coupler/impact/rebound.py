@@ -1,0 +1,60 @@
+"""Did it stick? What became of the particle of an impact, and how much of the powder stayed. SI units."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import ColdsprayError
+from ..physics import adhesion
+from ..plan.planning import Plan
+
+REBOUND = 1.0  # m/s upwards: a splat that nothing holds leaves with more
+
+
+def velocity_ratio(what: Plan, i: int) -> float:
+    """Velocity of impact i over the critical one of its material and temperature (`adhesion.critical_velocity`); nan where the
+    material has none and nothing asks for it. Raises ColdsprayError where the criterion does."""
+    p = what.impacts[i]
+    try:
+        return float(np.linalg.norm(p.velocity)) / adhesion.critical_velocity(p.material, p.temperature)
+    except ColdsprayError:
+        if what.adhesion.criterion == "velocity" and what.adhesion.kind != "none":
+            raise
+        return float("nan")
+
+
+def rebounds(what: Plan, i: int, upwards: float, hold: Any) -> bool:
+    """Whether the particle of impact i leaves the target: nothing holds it and its centre moves off when the impact is over.
+
+    upwards: m/s; hold: the `contact.hold.Hold` of the impact, None if nothing bonded.
+    """
+    law = what.adhesion
+    if law.in_impact:
+        bonded = hold is not None and bool(hold.whole.any())
+    else:
+        bonded = bool(law.bonded(1, velocity_ratio=velocity_ratio(what, i)).any())
+    return not bonded and upwards > REBOUND
+
+
+def outcome(what: Plan, i: int, particle: Any, hold: Any) -> dict[str, Any]:
+    """What is to be said of the finished impact i beside its measures. particle: `team.Team`.
+
+    restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
+    bonded_area_m2, bonded_area_end_m2: where it bonded at its greatest deformation, and what of that held.
+    """
+    mass = float(particle.mass.sum())
+    upwards = float(particle.momentum()[2]) / mass
+    left = rebounds(what, i, upwards, hold)
+    first, last = hold.area if hold is not None else (0.0, 0.0)
+    found: dict[str, Any] = {"rebounded": left, "restitution": upwards / -what.impacts[i].velocity[2] if left else 0.0}
+    if what.adhesion.in_impact:
+        found |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
+    return found | {"velocity_ratio": velocity_ratio(what, i), "particle_mass_kg": mass}
+
+
+def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float:
+    """Mass of the particles that stayed over the mass of all, from the summaries of their impacts."""
+    mass = [record["particle_mass_kg"] for record in records]
+    stayed = [m for m, record in zip(mass, records, strict=True) if not record["rebounded"]]
+    return float(sum(stayed) / sum(mass))

@@ -1,0 +1,114 @@
+"""Where a run has left the range its material models were fitted in: what is noted on the way, and the warnings of it.
+
+Limits: the strain rates that Johnson-Cook sets are measured at (Hopkinson bars, `plan.FITTED_RATE`), nine tenths of the melting
+point (`plan.NEAR_MELTING`), and the pressure of a shock at the particle velocity to which the linear fit U = c0 + s u of a
+metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without Mie-Grueneisen, the compression at which
+a linear equation of state is off by a twentieth.
+"""
+
+import re
+from typing import Any
+
+import numpy as np
+
+from ..plan.planning import FITTED_RATE, NEAR_MELTING
+
+FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
+LINEAR_ERROR = 0.05
+_NAMES = ("rate", "T", "compression")
+
+
+class Extremes:
+    """The largest of an impact so far, by body: 99th percentile of the plastic strain rate, 1/s, where something flows;
+    temperature, K; compression 1 - J."""
+
+    def __init__(self) -> None:
+        self.found: dict[str, dict[str, float]] = {body: dict.fromkeys(_NAMES, 0.0) for body in ("particle", "target")}
+
+    def note(self, particle: Any, target: Any) -> None:
+        """Look at a `team.Team` and the awake part of a `fe.explicit.Target`."""
+        n, m = target.active_nodes, target.active_elements
+        self._keep("particle", particle.rate, particle.T, particle.J)
+        self._keep("target", target.rate[:m], target.T[:m], target.J[:n])
+
+    def _keep(self, body: str, rate: np.ndarray, T: np.ndarray, J: np.ndarray) -> None:
+        flows = rate[rate > 0.0]
+        now = (
+            float(np.percentile(flows, 99)) if len(flows) else 0.0,
+            float(np.max(T, initial=0.0)),
+            1.0 - float(np.min(J, initial=1.0)),
+        )
+        kept = self.found[body]
+        for name, value in zip(_NAMES, now, strict=True):
+            kept[name] = max(kept[name], value)
+
+    def state(self) -> dict[str, dict[str, float]]:
+        return {body: dict(kept) for body, kept in self.found.items()}
+
+    def restore(self, state: dict[str, dict[str, float]]) -> None:
+        self.found = {body: dict(kept) for body, kept in state.items()}
+
+    def warnings(self, impact: int, materials: dict[str, Any], mie_gruneisen: bool) -> list[str]:
+        """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
+        texts = []
+        for body, kept in self.found.items():
+            metal, where = materials[body], f"impact {impact}: in the {body}"
+            if kept["rate"] > FITTED_RATE:
+                texts.append(
+                    f"{where} strain rates went to {kept['rate']:.1e} 1/s (99 %), beyond the {FITTED_RATE:.0e} 1/s that"
+                    " Johnson-Cook is fitted at"
+                )
+            if kept["T"] > NEAR_MELTING * metal.T_m:
+                texts.append(
+                    f"{where} the temperature went to {kept['T']:.0f} K, beyond {NEAR_MELTING * metal.T_m:.0f} K, {NEAR_MELTING:g} of"
+                    f" the melting point of {metal.name}: Johnson-Cook's softening is an extrapolation there"
+                )
+            limit = greatest_compression(metal, mie_gruneisen)
+            if kept["compression"] > limit:
+                shock, linear = "the fit of the shock equation of state", "what a linear equation of state is good for"
+                law = shock if mie_gruneisen else linear
+                GPa = pressure(metal, kept["compression"]) / 1e9
+                texts.append(
+                    f"{where} the volume went down by {kept['compression']:.1%}, {GPa:.3g} GPa, beyond {law}"
+                    f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
+                )
+        return texts
+
+
+def merged(texts: list[str]) -> list[str]:
+    """The warnings of a whole run: of those that several impacts share but for the numbers the one with the largest, and how many.
+
+    Of an impact is what begins with "impact N: "; all else stays as it is, once.
+    """
+    groups: dict[str, list[str]] = {}
+    for text in dict.fromkeys(texts):
+        own = _OF_IMPACT.match(text)
+        groups.setdefault(_NUMBER.sub("#", text[own.end() :]) if own else text, []).append(text)
+    found = []
+    for same in groups.values():
+        worst = max(same, key=_first_number)
+        more = len(same) - 1
+        found.append(worst + (f" (and less in {more} other impact{'s' if more > 1 else ''})" if more else ""))
+    return found
+
+
+_NUMBER = re.compile(r"(?<![A-Za-z])\d[\d.]*(?:e[+-]?\d+)?")
+_OF_IMPACT = re.compile(r"impact \d+: ")
+
+
+def _first_number(text: str) -> float:
+    own = _OF_IMPACT.match(text)
+    number = _NUMBER.search(text, own.end() if own else 0)
+    return float(number[0].rstrip(".")) if number else 0.0
+
+
+def greatest_compression(metal: Any, mie_gruneisen: bool) -> float:
+    """1 - J up to which the equation of state of a `materials.Material` may be trusted."""
+    if mie_gruneisen:
+        return float(FITTED_VELOCITY / (metal.c0 + metal.s * FITTED_VELOCITY))  # u / U across the shock
+    return float(LINEAR_ERROR / (2.0 * metal.s)) if metal.s > 0.0 else 1.0
+
+
+def pressure(metal: Any, compression: float) -> float:
+    """Pressure (Pa) on the Hugoniot at 1 - J = compression."""
+    return float(metal.K * compression / (1.0 - metal.s * compression) ** 2)

@@ -1,0 +1,210 @@
+"""One constitutive law for both domains: Johnson-Cook strength with plastic heat, Mie-Grueneisen pressure.
+
+Everything here works on one material point and is compiled by numba; the SPH particle and the FE target call the
+same functions. The yield stress is explicit by one step: a step returns the trial deviator to the sigma_y that the
+step before left behind, and `harden` then moves plastic strain, rate and temperature on and evaluates the next
+sigma_y. That is what MACHDYN allows (its stress update takes a given yield stress), and at explicit time steps
+(plastic strain per step about 1e-4) the lag is far below the discretisation error.
+
+Johnson & Cook (1983): sigma_y = (A + B eps_p^n)(1 + C ln(rate/eps_dot_0))(1 - theta^m), theta = (T - T_ref)/(T_m -
+T_ref).
+
+An effect that is off is a zero among the law's numbers. In the records that `specialised` gives, such zeros are integers: the type
+tells the compiler that they are zero, and what `on` guards is not in the kernel it makes.
+"""
+
+from collections.abc import Mapping
+from math import log, sqrt
+from typing import Any
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
+
+#: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
+LAW = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "rho", "G", "K", "s", "Gamma0",
+            "A", "B", "n", "C", "m", "eps_dot_0", "T_ref", "T_m", "softening",
+            "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0", "k_slope",
+            "rate_filter", "expansion",
+        )
+    ]
+)  # fmt: skip
+#: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
+PRESSURE = ("s", "Gamma0", "expansion")
+FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion")
+
+
+def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
+    """Pack a material into a LAW record of shape (1,), with effects switched off where `on` says False.
+
+    material: anything with the attributes of `coupler.physics.materials.Material` (SI). rate_filter: s, the time constant
+    over which the plastic strain rate is averaged before Johnson-Cook sees it (0: not averaged). A linear equation
+    of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
+    energy that makes pressure; what compression itself stores there stays.
+    """
+    effects = dict(on or {})
+
+    def active(name: str) -> bool:
+        return effects.get(name, True)
+
+    law = np.zeros(1, LAW)
+    r = law[0]
+    for name in ("rho", "G", "K", "A", "B", "n", "m", "eps_dot_0", "T_ref", "T_m"):
+        r[name] = getattr(material, name)
+    if active("mie_gruneisen"):
+        r["s"], r["Gamma0"] = material.s, material.Gamma0
+    r["C"] = material.C if active("rate_hardening") else 0.0
+    r["softening"] = 1.0 if active("thermal_softening") else 0.0
+    r["taylor_quinney"] = material.taylor_quinney if active("plastic_heating") else 0.0
+    for name, table in (("cp", material.cp), ("k", material.k)):
+        (T0, v0), (T1, v1) = table[0], table[-1]
+        varies = T1 > T0 and active(f"temperature_dependent_{name}")
+        r[f"{name}_T0"], r[f"{name}_T1"], r[f"{name}_0"] = T0, max(T1, T0), v0
+        r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
+    r["rate_filter"] = rate_filter
+    r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
+    return law
+
+
+def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
+    """LAW records (k,) seen with those of the `numbers` that are zero in all of them as integers: kernels without their effects.
+
+    A view: the numbers are those of `laws`, and those that are zero are to stay so. Each combination of zeros is a type of its own,
+    for which numba compiles anew: name only the numbers that the kernel reads.
+    """
+    bits = np.ascontiguousarray(laws, LAW).view(np.int64).reshape(len(laws), -1)
+    off = {name for name, seen in zip(LAW.names or (), bits.T, strict=True) if name in numbers and not seen.any()}
+    return laws.view([(name, np.int64 if name in off else np.float64) for name in LAW.names or ()])
+
+
+def on(number: float) -> bool:
+    """Whether a kernel holds the effect of this number of the law: not if it is an integer. Known when the kernel is compiled.
+
+    A zero in a plain record goes through the arithmetic of its effect, and changes nothing.
+    """
+    return not isinstance(number, int | np.integer)
+
+
+@overload(on)
+def _on(number):
+    holds = not isinstance(number, types.Integer)
+    return lambda number: holds
+
+
+@njit(cache=True, nogil=True, inline="always")
+def heat_capacity(law, T):
+    """c_p(T) in J/kgK: linear between the two points of the material data, constant beyond them."""
+    if not on(law.cp_slope):
+        return law.cp_0
+    return law.cp_0 + law.cp_slope * (min(max(T, law.cp_T0), law.cp_T1) - law.cp_T0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def conductivity(law, T):
+    """k(T) in W/mK: linear between the two points of the material data, constant beyond them."""
+    return law.k_0 + law.k_slope * (min(max(T, law.k_T0), law.k_T1) - law.k_T0)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def heated(law, T, q):
+    """Temperature (K) after a heat of q J/kg at T (K): exact for a c_p that is linear in T."""
+    cp = heat_capacity(law, T)
+    slope = law.cp_slope if law.cp_T0 < T < law.cp_T1 else 0.0
+    return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def softened(law, sigma_y, old, T):
+    """A yield stress (Pa) after the temperature has gone from `old` to T (K) without plastic flow: Johnson-Cook's 1 - theta^m."""
+    if law.softening == 0.0 or max(old, T) <= law.T_ref:
+        return sigma_y
+    span = law.T_m - law.T_ref
+    before = max(1.0 - (max(old - law.T_ref, 0.0) / span) ** law.m, 0.0)
+    after = max(1.0 - (max(T - law.T_ref, 0.0) / span) ** law.m, 0.0)
+    return sigma_y * after / before if before > 0.0 else sigma_y
+
+
+@njit(cache=True, nogil=True)
+def yield_stress(law, eps_p, rate, T):
+    """Johnson-Cook flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K)."""
+    sigma = law.A
+    if eps_p > 0.0:
+        sigma += law.B * eps_p**law.n
+    if on(law.C) and rate > law.eps_dot_0:
+        sigma *= 1.0 + law.C * log(rate / law.eps_dot_0)
+    if on(law.softening) and T > law.T_ref:
+        theta = (T - law.T_ref) / (law.T_m - law.T_ref)
+        sigma *= max(1.0 - law.softening * theta**law.m, 0.0)
+    return sigma
+
+
+@njit(cache=True, nogil=True)
+def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
+    """Advance the plastic state over one step in which the plastic strain grew by `deps` at the mean stress `flow`
+    (Pa).
+
+    Returns (eps_p, rate, T, sigma_y, work): the new state, the yield stress the next step returns to, and the plastic
+    work of this step per reference volume in J/m3. J is the volume ratio, dt in s. Adiabatic: the Taylor-Quinney
+    share of the work becomes heat. sigma_y is the yield stress so far, kept where nothing flowed.
+    """
+    tau = law.rate_filter
+    weight = dt / (tau + dt)
+    rate += weight * (deps / dt - rate)
+    work = 0.0
+    if deps > 0.0:
+        work = J * flow * deps
+        eps_p += deps
+        if on(law.taylor_quinney):
+            T += law.taylor_quinney * work / (law.rho * heat_capacity(law, T))
+    if deps > 0.0 or rate > law.eps_dot_0:
+        sigma_y = yield_stress(law, eps_p, rate, T)
+    else:
+        rate = 0.0
+    return eps_p, rate, T, sigma_y, work
+
+
+@njit(cache=True, nogil=True, inline="always")
+def hugoniot_pressure(law, J):
+    """Pressure on the Hugoniot, p_H = K eta / (1 - s eta)^2 with eta = 1 - J and K = rho c0^2 (Pa)."""
+    eta = 1.0 - J
+    if on(law.s):
+        return law.K * eta / (1.0 - law.s * eta) ** 2
+    return law.K * eta
+
+
+@njit(cache=True, nogil=True)
+def mie_gruneisen(law, J_old, J, p_old, energy, heat):
+    """Pressure (Pa) and energy (J per reference m3) after a change of volume ratio from J_old to J and an input of
+    heat.
+
+    p = p_H (1 - Gamma0 eta / 2) + Gamma0 E with Gamma rho = Gamma0 rho0; the energy equation dE = -p dJ + dq is
+    solved together with it (trapezoidal, linear in p).
+    """
+    dJ = J - J_old
+    p = hugoniot_pressure(law, J)
+    energy += heat - 0.5 * p_old * dJ
+    if on(law.Gamma0):
+        p = (p * (1.0 - 0.5 * law.Gamma0 * (1.0 - J)) + law.Gamma0 * energy) / (1.0 + 0.5 * law.Gamma0 * dJ)
+    return p, energy - 0.5 * p * dJ
+
+
+@njit(cache=True, nogil=True, inline="always")
+def bulk_stiffness(law, J):
+    """-dp/dJ on the Hugoniot in Pa: how the compressed material stiffens; enters the stable time step."""
+    eta = max(1.0 - J, 0.0)
+    return law.K * (1.0 + law.s * eta) / (1.0 - law.s * eta) ** 3
+
+
+@njit(cache=True, nogil=True, inline="always")
+def von_mises(sxx, syy, szz, syz, sxz, sxy):
+    """Equivalent stress of a deviator given by its six components."""
+    return sqrt(1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy)))
+
+
+def sound_speed(rho: float, K: float, G: float) -> float:
+    """Longitudinal wave speed in m/s."""
+    return float(np.sqrt((K + 4.0 * G / 3.0) / rho))

@@ -1,0 +1,243 @@
+"""Materials: the numbers of Johnson-Cook, the shock equation of state and heat, with their sources.
+
+The library is `materials.toml`; a scene may add materials or change numbers of these, in the same form.
+"""
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from .. import units
+from ..errors import ColdsprayError, SceneError
+
+Pairs = tuple[tuple[float, float], tuple[float, float]]
+
+SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", re.ASCII)
+_SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,400}", re.ASCII)
+
+# field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
+_LIMITS: dict[str, tuple[str, float, float]] = {
+    "rho": ("kg/m^3", 500.0, 25e3),
+    "G": ("GPa", 1e8, 1e12),
+    "c0": ("m/s", 100.0, 2e4),
+    "s": ("", 0.0, 5.0),
+    "Gamma0": ("", 0.0, 5.0),
+    "A": ("MPa", 1e5, 2e10),
+    "B": ("MPa", 0.0, 1e11),
+    "n": ("", 0.01, 2.0),
+    "C": ("", 0.0, 1.0),
+    "m": ("", 0.01, 10.0),
+    "eps_dot_0": ("1/s", 1e-6, 1e6),
+    "T_ref": ("K", 1.0, 2000.0),
+    "T_m": ("K", 200.0, 5000.0),
+    "taylor_quinney": ("", 0.0, 1.0),
+    "thermal_expansion": ("1/K", 0.0, 1e-3),
+    "sigma_TS": ("MPa", 1e6, 1e10),
+}
+_PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
+    "cp": ("J/(kg K)", 10.0, 1e4),
+    "k": ("W/(m K)", 0.01, 5000.0),
+}
+_DEFAULTS: dict[str, Any] = {
+    "eps_dot_0": 1.0,
+    "taylor_quinney": 0.9,
+    "thermal_expansion": 0.0,
+    "sigma_TS": None,
+    "source": "",
+    "note": "",
+}
+
+
+@dataclass(frozen=True)
+class Material:
+    """A metal: Johnson-Cook flow stress, shock equation of state, heat. SI units.
+
+    rho kg/m^3; G, A, B Pa; c0 m/s; s, Gamma0, n, C, m, taylor_quinney without unit; eps_dot_0 1/s;
+    T_ref, T_m K; cp ((T, J/(kg K)), (T, J/(kg K))), k ((T, W/(m K)), (T, W/(m K))): linear between the
+    points, constant outside; thermal_expansion (linear) 1/K; sigma_TS Pa: tensile strength at 293 K, for critical velocities,
+    None where it is not known.
+    """
+
+    name: str
+    rho: float
+    G: float
+    c0: float
+    s: float
+    Gamma0: float
+    A: float
+    B: float
+    n: float
+    C: float
+    m: float
+    eps_dot_0: float
+    T_ref: float
+    T_m: float
+    taylor_quinney: float
+    cp: Pairs
+    k: Pairs
+    thermal_expansion: float
+    sigma_TS: float | None
+    source: str
+    note: str
+
+    @property
+    def K(self) -> float:
+        """Bulk modulus, Pa: rho c0^2."""
+        return self.rho * self.c0**2
+
+    @property
+    def E(self) -> float:
+        """Young's modulus, Pa."""
+        return 9 * self.K * self.G / (3 * self.K + self.G)
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio."""
+        return (3 * self.K - 2 * self.G) / (2 * (3 * self.K + self.G))
+
+    @property
+    def wave_speed(self) -> float:
+        """Speed of longitudinal elastic waves, m/s: sqrt((K + 4/3 G) / rho)."""
+        return math.sqrt((self.K + 4 / 3 * self.G) / self.rho)
+
+    def cp_at(self, T: float) -> float:
+        """Specific heat at T (K), J/(kg K)."""
+        return _interpolate(self.cp, T)
+
+    def k_at(self, T: float) -> float:
+        """Conductivity at T (K), W/(m K)."""
+        return _interpolate(self.k, T)
+
+
+_FIELDS = {f.name for f in fields(Material)} - {"name"}
+
+
+def names() -> list[str]:
+    """The materials of the library."""
+    return list(_library())
+
+
+def material(name: str) -> Material:
+    """A material of the library. Raises ColdsprayError, which offers the nearest name, for any other."""
+    library = _library()
+    if name not in library:
+        raise ColdsprayError(unknown(name, library))
+    return library[name]
+
+
+def unknown(name: str, known: Mapping[str, Any]) -> str:
+    """The message for a material that is not there. known: materials by name."""
+    return f"unknown material{units.nearest(name, known)}; known: {', '.join(known)}"
+
+
+def from_table(name: str, table: Mapping[str, Any], base: Material | None = None) -> Material:
+    """Make a material from a table of numbers and texts with units.
+
+    table: fields of Material as in materials.toml; what it lacks is from `base`, else the defaults.
+    Raises SceneError with all problems, each beginning with the field at fault.
+    """
+    problems: list[str] = []
+    values: dict[str, Any] = dict(_DEFAULTS)
+    if base is not None:
+        values |= {field: getattr(base, field) for field in _FIELDS}
+    if not SAFE_NAME.fullmatch(name):
+        problems.append("the name of a material is made of letters, digits, '_', '.' and '-' (at most 40)")
+    for key, value in table.items():
+        if key not in _FIELDS:
+            problems.append(f"{key[:40]!r}: unknown key{units.nearest(key, _FIELDS)}")
+            continue
+        try:
+            values[key] = _read(key, value)
+        except ValueError as error:
+            problems.append(f"{key} {error}")
+    faulty = _FIELDS & set(table) - set(values)
+    missing = [f.name for f in fields(Material) if f.name in _FIELDS - set(values) - faulty]
+    if missing:
+        problems.append(f'missing: {", ".join(missing)} (or name a material to start from: base = "Ni")')
+    if problems:
+        raise SceneError(problems, name)
+    made = Material(name=name, **values)
+    if made.T_m <= made.T_ref:
+        problems.append(f"T_m ({made.T_m:g} K) must be above T_ref ({made.T_ref:g} K)")
+    if made.nu < 0:
+        problems.append(f"G, c0 and rho give Poisson's ratio {made.nu:.2f}; it must be 0 or more")
+    if problems:
+        raise SceneError(problems, name)
+    return made
+
+
+def from_scene(tables: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Material], list[str]]:
+    """The library with the materials of a scene added or changed.
+
+    tables: the scene's [materials.NAME] tables; `base = "Ni"` starts from a material of the library,
+    and a table that has the name of one starts from that. Returns (materials by name, problems).
+    """
+    catalogue, problems = dict(_library()), []
+    for name, table in tables.items():
+        where = f"materials.{name[:40]!r}" if not SAFE_NAME.fullmatch(name) else f"materials.{name}"
+        base_name = table.get("base", name if name in _library() else None)
+        if base_name is not None and (not isinstance(base_name, str) or base_name not in _library()):
+            problems.append(f"{where}.base: {unknown(str(base_name)[:40], _library())}")
+            continue
+        base = _library()[base_name] if base_name is not None else None
+        rest = {key: value for key, value in table.items() if key != "base"}
+        try:
+            made = from_table(name, rest, base)
+            if base is not None and rest and "source" not in rest:
+                made = replace(made, source=f"{base.source}; changed in the scene: {', '.join(rest)}")
+            catalogue[name] = made
+        except SceneError as error:
+            problems += [f"{where}: {problem}" for problem in error.problems]
+    return catalogue, problems
+
+
+@cache
+def _library() -> dict[str, Material]:
+    text = files(__package__).joinpath("materials.toml").read_text(encoding="utf-8")
+    return {name: from_table(name, table) for name, table in tomllib.loads(text).items()}
+
+
+def _read(key: str, value: object) -> Any:
+    if key in ("source", "note"):
+        if not isinstance(value, str) or not _SAFE_TEXT.fullmatch(value):
+            raise ValueError("must be plain text of at most 400 characters")
+        return value
+    if key in _PAIR_LIMITS:
+        return _pairs(value, *_PAIR_LIMITS[key])
+    return _number(value, *_LIMITS[key])
+
+
+def _number(value: object, unit: str, low: float, high: float) -> float:
+    if unit:
+        number = units.parse(value, units.dimension_of(unit))
+        limits = f"{units.rounded(low, unit)} to {units.rounded(high, unit)}"
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a plain number")
+    else:
+        number, limits = value, f"{low:g} to {high:g}"
+    if not low <= number <= high:
+        raise ValueError(f"is outside {limits}")
+    return float(number)
+
+
+def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
+    example = f'[["300 K", "... {unit}"], ["1073 K", "... {unit}"]]'
+    if not isinstance(value, list) or [len(p) if isinstance(p, list) else 0 for p in value] != [2, 2]:
+        raise ValueError(f"must be two pairs, {example}")
+    (T0, v0), (T1, v1) = value
+    first = (_number(T0, "K", 1.0, 5000.0), _number(v0, unit, low, high))
+    second = (_number(T1, "K", 1.0, 5000.0), _number(v1, unit, low, high))
+    if first[0] >= second[0]:
+        raise ValueError("must have the lower temperature first")
+    return first, second
+
+
+def _interpolate(pairs: Pairs, T: float) -> float:
+    (T0, v0), (T1, v1) = pairs
+    x = min(max((T - T0) / (T1 - T0), 0.0), 1.0)
+    return v0 + x * (v1 - v0)

@@ -1,0 +1,181 @@
+"""Size and cost of a run from a handful of numbers, before anything is built: the constants to tune."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..physics.materials import Material
+
+# preset -> points of the particle
+PRESETS = {"draft": 1000, "standard": 5000, "fine": 16000}
+LEAST_POINTS = 200
+
+# Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
+ELEMENT_SIZE_OVER_SPACING = 1.7
+REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
+GROWTH = 0.35  # element size gained per unit of distance outside it
+COARSEST = 1 / 6  # largest element over the target's smaller dimension
+TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
+
+WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
+MANY = 10  # particles from which on that is done
+MASS_SCALING = 0.02  # of the next particle's mass, that the elements with the shortest steps may be made heavier by
+CAP = 3.0  # heights over velocity that an impact may take
+GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
+# Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, convergence_ni500): the
+# logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than 1 / CFL_AT_REST, are these coefficients times
+# [1, ln d_p, ln d_t, ln(N / 1000), sin^2 angle]; d: `damage_numbers`, N: points in a sphere of the particle's diameter.
+REST_FIT = (-0.228, 0.121, 0.252, -0.042, 0.795)
+CFL_AT_REST = 0.41  # c dt / spacing as long as nothing is deformed
+CFL_FIT = (-1.068, 1.053, 0.089, 0.356, 1.752)
+STEP_ON_SPLAT = 0.58  # of an impact on a splat over that on a substrate: 0.5 to 0.66 in docs/tables/validation.csv
+STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
+SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
+SECONDS_PER_POINT = 2.6e-6  # wall time of one step, one core
+SECONDS_PER_ELEMENT = 0.12e-6
+SECONDS_PER_CONTACT_POINT = 0.3e-6
+SECONDS_PER_STEP = 6e-4
+SECONDS_PER_RUN = 0.3  # files and pictures; not the start of the program
+SECONDS_PER_MESHED_ELEMENT = 1e-4
+SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000
+SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
+
+BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
+BYTES_PER_ELEMENT = 6e3
+BYTES_AT_LEAST = 4e8  # the program and its libraries
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Time of a run on one core, s: of its steps by themselves and by their elements, of their points, and of all else."""
+
+    steps: float
+    points: float
+    rest: float
+
+    @property
+    def whole(self) -> float:
+        return self.steps + self.points + self.rest
+
+
+def sphere_volume(diameter: float) -> float:
+    """Volume of a sphere, m^3. diameter: m."""
+    return math.pi / 6 * diameter**3
+
+
+def spacing(volume: float, points: int) -> float:
+    """Distance between points that fill a volume (m^3), each with its cube of it, m."""
+    return (volume / points) ** (1 / 3)
+
+
+def elements(diameter: float, height: float, element_size: float, refined_radius: float, growth: float = GROWTH) -> int:
+    """Tetrahedra of a graded mesh of a cylinder (m): element_size near the impact, growing outside refined_radius.
+
+    Sum of TETS_PER_H3 / h(r)^3 over shells of a half ball that has the volume of the cylinder, h(r) = element_size +
+    growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
+    """
+    outer = (3 / 8 * diameter**2 * height) ** (1 / 3)
+    shells, total = 400, 0.0
+    for i in range(shells):
+        r = (i + 0.5) / shells * outer
+        h = min(element_size + growth * max(0.0, r - refined_radius), COARSEST * min(diameter, height))
+        total += TETS_PER_H3 * 2 * math.pi * r**2 * (outer / shells) / h**3
+    return round(total)
+
+
+def splat_elements(volume: float, element_size: float) -> int:
+    """Tetrahedra of a splat of `volume` m^3 with edges of element_size m."""
+    return round(SPLAT_TETS_PER_H3 * volume / element_size**3)
+
+
+def flow_stress(material: Material, T: float, rate: float) -> float:
+    """Johnson-Cook flow stress, Pa, at a plastic strain of STRAIN_OF_FLOW. T: K, rate: 1/s."""
+    m = material
+    softened = 1.0 - min(max((T - m.T_ref) / (m.T_m - m.T_ref), 0.0), 0.95) ** m.m
+    return (m.A + m.B * STRAIN_OF_FLOW**m.n) * (1.0 + m.C * math.log(max(rate / m.eps_dot_0, 1.0))) * softened
+
+
+def damage_numbers(
+    materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
+) -> tuple[float, float]:
+    """Johnson's damage numbers rho v^2 / Y of an impact: the particle's density over the flow stress of particle and target.
+
+    materials, temperatures (K): of particle and target; velocity m/s, diameter m.
+    """
+    inertia = materials[0].rho * velocity**2
+    first, second = (
+        inertia / flow_stress(m, T, velocity / diameter) for m, T in zip(materials, temperatures, strict=True)
+    )
+    return first, second
+
+
+def _fitted(fit: tuple[float, ...], damage: tuple[float, float], points: float, angle: float) -> float:
+    terms = (1.0, math.log(damage[0]), math.log(damage[1]), math.log(points / 1000.0), math.sin(angle) ** 2)
+    return math.exp(sum(a * b for a, b in zip(fit, terms, strict=True)))
+
+
+def expected_time(
+    cap: float, height: float, velocity: float, end_at: str, damage: tuple[float, float], points: float, angle: float
+) -> float:
+    """Simulated time, s, that an impact may be expected to take of its `cap` s. height m, velocity m/s; end_at: "rest",
+    "greatest" or "time"; damage: of `damage_numbers`; points: of a sphere of its size; angle: rad, from the normal."""
+    if end_at == "time":
+        return cap
+    rest = _fitted(REST_FIT, damage, points, angle) * height / velocity
+    return min(cap, rest * (GREATEST_OVER_REST if end_at == "greatest" else 1.0))
+
+
+def time_step(
+    spacing: float,
+    wave_speed: float,
+    damage: tuple[float, float],
+    points: float,
+    angle: float,
+    slenderness: float = 1.0,
+) -> float:
+    """Mean time step of an impact to rest, s: the spacing shrinks as the particle deforms. spacing m, wave_speed m/s;
+    slenderness: height over the diameter of the sphere of equal volume; the rest as for `expected_time`."""
+    excess = _fitted(CFL_FIT, damage, points, angle) * max(slenderness, 1.0)
+    return spacing / wave_speed / (1.0 / CFL_AT_REST + excess)
+
+
+def memory(points: float, n_elements: float) -> float:
+    """Memory of a run, bytes."""
+    return BYTES_AT_LEAST + BYTES_PER_POINT * points + BYTES_PER_ELEMENT * n_elements
+
+
+def machine_memory() -> float:
+    """Memory of this machine, bytes; infinite where the system does not tell."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, OSError, ValueError):
+        return math.inf
+
+
+def run_time(n_elements: float) -> float:
+    """Time of a run but its steps, on one core, s: mesh, files, pictures; not the start of the program."""
+    return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
+
+
+def step_time(steps: float, n_elements: float) -> float:
+    """Time of so many steps by themselves and by their elements, on one core, s."""
+    return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements)
+
+
+def point_time(steps: float, points: float) -> float:
+    """Time of so many steps by the particle's points, on one core, s."""
+    return steps * SECONDS_PER_POINT * points
+
+
+def home_load(points: float, n_elements: float) -> float:
+    """Cost of what the rank of the target does in a step, target and contact, over the cost of the particle."""
+    return (SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points) / (SECONDS_PER_POINT * points)
+
+
+def placement(load: float) -> str:
+    """Where two ranks are best used: apart where the target costs about as much as the particle."""
+    return "split" if load > SPLIT_FROM else "spread"

@@ -1,0 +1,299 @@
+"""The plan of a run: everything decided, nothing computed, no solver imported."""
+
+import math
+from dataclasses import dataclass
+
+from ..physics.adhesion import Adhesion
+from ..physics.materials import Material
+from ..scene.model import Scene
+from . import cost as estimates
+from . import effects
+from .effects import Effects, Situation
+
+RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
+FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
+NEAR_MELTING = 0.9  # of the melting point
+
+
+@dataclass(frozen=True)
+class ImpactPlan:
+    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
+    (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
+    that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
+    rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
+    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed."""
+
+    material: Material
+    shape: str
+    tilt: float
+    diameter: float
+    velocity: tuple[float, float, float]
+    temperature: float
+    offset: tuple[float, float]
+    gap: float
+    spacing: float
+    points: int
+    end_time: float
+    expected: float
+    dt_expected: float
+    rate_filter: float
+    output_every: float
+    dwell: float
+    end_at: str
+    window: float
+
+
+@dataclass(frozen=True)
+class TargetPlan:
+    """The target, a cylinder. Lengths m, temperature K; element_size inside refined_radius of centre (x, y), then
+    growing by `growth` per unit of distance. sides, bottom: what is done: "absorbing" only if that effect is on."""
+
+    material: Material
+    diameter: float
+    height: float
+    temperature: float
+    sides: str
+    bottom: str
+    element_size: float
+    centre: tuple[float, float]
+    refined_radius: float
+    growth: float
+    elements_estimate: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will be computed and at what cost. Times in s, lengths in m. impacts: one after another. dt_estimate: the
+    smallest of all impacts; steps, wall time and memory are those of all; home_load: cost of the target and the contact
+    over that of the particles."""
+
+    scene: Scene
+    impacts: tuple[ImpactPlan, ...]
+    target: TargetPlan
+    adhesion: Adhesion
+    splat_method: str
+    splat_element_size: float
+    mass_scaling: float
+    friction: float
+    effects: Effects
+    dt_estimate: float
+    steps_estimate: int
+    memory_bytes: float
+    cost: estimates.Cost
+    home_load: float
+    preset: str
+    warnings: tuple[str, ...]
+
+    @property
+    def wall_estimate(self) -> float:
+        """Time of all on one core of the machine that the constants of `estimates` were fitted on, s."""
+        return self.cost.whole
+
+    @property
+    def impact(self) -> ImpactPlan:
+        """The first impact."""
+        return self.impacts[0]
+
+    @property
+    def end_time(self) -> float:
+        """The longest all impacts together may take, s, without the pauses."""
+        return sum(impact.end_time for impact in self.impacts)
+
+    @property
+    def end_at_rest(self) -> bool:
+        """Whether impacts end at rest."""
+        return self.impact.end_at == "rest"
+
+    @property
+    def output_every(self) -> float:
+        """Simulated time between two written steps, s, the shortest of all impacts."""
+        return min(impact.output_every for impact in self.impacts)
+
+    @property
+    def rate_filter(self) -> float:
+        """Time constant of the strain rate's smoothing, s, the shortest of all impacts."""
+        return min(impact.rate_filter for impact in self.impacts)
+
+
+def plan(scene: Scene) -> Plan:
+    """Decide everything about a checked scene. Raises SceneError if it names a material that is not there."""
+    impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
+    base = scene.material(scene.substrate.material)
+    decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
+    target = _target(scene, base, decided)
+    dt = [i.dt_expected for i in impacts]
+    steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
+    # every impact but the first finds the splats of those before it among the target's elements
+    elements = [target.elements_estimate]
+    for particle in scene.particles[:-1]:
+        elements.append(elements[-1] + scene.splat_elements_of(particle))
+    costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
+    weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
+    loads = [estimates.home_load(points, n) for _, points, n in costs]
+    conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
+    return Plan(
+        scene=scene,
+        impacts=impacts,
+        target=target,
+        adhesion=scene.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
+        splat_method=scene.splat.method,
+        splat_element_size=scene.splat_element_size,
+        mass_scaling=float(scene.splat.mass_scaling),
+        friction=scene.contact.friction if decided.on("friction") else 0.0,
+        effects=decided,
+        dt_estimate=min(dt),
+        steps_estimate=sum(steps),
+        memory_bytes=estimates.memory(scene.points, elements[-1]),
+        cost=estimates.Cost(
+            steps=sum(estimates.step_time(n, E) for n, _, E in costs),
+            points=sum(estimates.point_time(n, N) for n, N, _ in costs),
+            rest=estimates.run_time(elements[0]) + conversions,
+        ),
+        home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
+        preset=scene.preset,
+        warnings=tuple(_warnings(scene, impacts, base, decided)),
+    )
+
+
+def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
+    """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), whether a
+    splat."""
+    at = scene.particles[i].offset
+    for earlier in reversed(scene.particles[:i]):
+        if math.dist(earlier.offset, at) < earlier.diameter / 2:
+            return scene.material(earlier.material), earlier.temperature, True
+    return scene.material(scene.substrate.material), scene.substrate.temperature, False
+
+
+def _impact(scene: Scene, i: int) -> ImpactPlan:
+    particle = scene.particles[i]
+    D, v, cap = particle.diameter, particle.velocity, scene.end_time_of(particle)
+    end_at = scene.end.at or "time"
+    material, (base, T, on_splat) = scene.material(particle.material), _under(scene, i)
+    damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
+    points = particle.volume / scene.spacing**3
+    tall = particle.form.height(particle.tilt) / D
+    height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
+    dt = estimates.time_step(scene.spacing, material.wave_speed, damage, points, particle.angle, tall)
+    return ImpactPlan(
+        material=material,
+        shape=particle.shape,
+        tilt=particle.tilt,
+        diameter=D,
+        velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
+        temperature=particle.temperature,
+        offset=particle.offset,
+        gap=scene.gap_of(particle),
+        spacing=scene.spacing,
+        points=scene.points_of(particle),
+        end_time=cap,
+        expected=estimates.expected_time(cap, height, v, end_at, damage, points, particle.angle),
+        dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
+        rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
+        output_every=scene.output_every_of(particle),
+        dwell=particle.dwell,
+        end_at=end_at,
+        window=scene.window_of(particle),
+    )
+
+
+def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
+    substrate, absorbing = scene.substrate, decided.on("absorbing_boundaries")
+    return TargetPlan(
+        material=base,
+        diameter=substrate.diameter,
+        height=substrate.height,
+        temperature=substrate.temperature,
+        # where no wave comes back in time a plain face gives the same answer for less
+        sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
+        bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
+        element_size=scene.element_size,
+        centre=scene.centre,
+        refined_radius=scene.refined_radius,
+        growth=scene.resolution.growth,
+        elements_estimate=scene.elements,
+    )
+
+
+def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> list[Situation]:
+    """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
+    found, left = [], sum(i.end_time for i in impacts)
+    for impact in impacts:
+        found.append(
+            Situation(
+                materials=(impact.material, base),
+                temperatures=(impact.temperature, scene.substrate.temperature),
+                velocity=math.hypot(*impact.velocity),
+                diameter=impact.diameter,
+                friction=scene.contact.friction,
+                side_distance=_absorbing_distance(scene, impact.offset),
+                end_time=left,
+                element_size=scene.element_size,
+                spacing=impact.spacing,
+                duration=impact.end_time,
+                dwell=impact.dwell,
+                bonded=scene.adhesion_law.kind != "none",
+            )
+        )
+        left -= impact.end_time
+    return found
+
+
+def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
+    distances = [math.inf]
+    if scene.substrate.sides == "absorbing":
+        distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
+    if scene.substrate.bottom == "absorbing":
+        distances.append(scene.substrate.height)
+    return min(distances)
+
+
+def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, decided: Effects) -> list[str]:
+    found = []
+    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
+    if rate > FITTED_RATE:
+        found.append(
+            f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
+            " that Johnson-Cook is fitted at"
+        )
+    if scene.element_size < scene.spacing:
+        found.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
+    hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
+           for i in impacts]  # fmt: skip
+    for text, labels in _together(hot, scene.labels).items():
+        found.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
+    if text := _hot(base, scene.substrate.temperature):
+        found.append(f"the target {text}")
+    absorbing = next(row for row in decided.rows if row.name == "absorbing_boundaries")
+    named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
+    if absorbing.on and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
+        found.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
+    return found
+
+
+def _hot(material: Material, T: float) -> str:
+    """What to say of a body that may reach T, K; nothing if it is far from melting."""
+    return (
+        f"may reach {T:.0f} K; {material.name} melts at {material.T_m:.0f} K" if T > NEAR_MELTING * material.T_m else ""
+    )
+
+
+def _together(texts: list[str], labels: list[str]) -> dict[str, list[str]]:
+    """The labels that have the same text, by text; an empty text says nothing."""
+    found: dict[str, list[str]] = {}
+    for text, label in zip(texts, labels, strict=True):
+        if text:
+            found.setdefault(text, []).append(label)
+    return found
+
+
+def _listed(labels: list[str]) -> str:
+    return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
+
+
+def describe(plan: Plan, outlook: str = "") -> str:
+    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
+    accuracy on this machine, in place of the plan's own."""
+    from .text import describe as text  # there, because it needs the plan above
+
+    return text(plan, outlook)

@@ -1,0 +1,190 @@
+"""The plan in words, as `coldspray check` prints it."""
+
+import math
+
+from .. import units
+from ..scene.model import Scene
+from . import cost as estimates
+from . import effects
+from .planning import ImpactPlan, Plan
+
+_MOST_LINES = 12  # of the impacts
+_MOST_SHAPES = 3
+
+
+def describe(plan: Plan, outlook: str = "") -> str:
+    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
+    accuracy on this machine, in place of the plan's own."""
+    target, show = plan.target, units.rounded
+    points = sorted({i.points for i in plan.impacts})
+    many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
+    middle = f" of {_at(*target.centre)}" if any(target.centre) else ""
+    lines = [
+        f"{plan.scene.name} ({plan.preset})",
+        *_impacts(plan),
+        *_shapes(plan),
+        *_gas(plan.scene),
+        f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
+        f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
+        f" sides {target.sides}, bottom {target.bottom}",
+        f"  friction   {plan.friction:g}",
+        *_splats(plan),
+        *_window(plan),
+        _ends(plan),
+        "",
+        f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}",
+        f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
+        f" within {show(target.refined_radius, 'um')}{middle}",
+        f"  dt         about {show(plan.dt_estimate, 'ps')}",
+        f"  steps      about {_round(plan.steps_estimate)}",
+        f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
+        outlook or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
+        f" the target and the contact cost {plan.home_load:.2g} of the particle",
+        "",
+        "  effect                    on   decided by",
+    ]
+    for row in plan.effects.rows:
+        sign = ">" if row.value > row.threshold else "<="
+        lines.append(
+            f"  {row.name:25} {'yes' if row.on else 'no':4} "
+            f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
+        )
+    lines += ["", *_influence(plan)]
+    lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
+    return "\n".join(lines)
+
+
+def _influence(plan: Plan) -> list[str]:
+    """What leaving out each effect would change, as measured in the case that comes nearest."""
+    head = f"  {'leaving it out changes, in %':29}flattening   crater   T mean   T 99 %   and saves   measured with"
+    values = {row.name: row.value for row in plan.effects.rows}
+    lines = []
+    for name in values:
+        found = effects.expected(name, values)
+        if found is not None:
+            changed = (found.flattening, found.crater, found.T_mean, found.T_p99)
+            flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
+            saved = "-" if found.cost is None else f"{max(100.0 * found.cost, 0.0):.0f} %"
+            lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
+    basis = "  of the case of docs/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
+    return [head, *lines, basis] if lines else []
+
+
+def _impacts(plan: Plan) -> list[str]:
+    """The particles, a line for each of the first ones."""
+    if len(plan.impacts) == 1:
+        return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
+    lines = [
+        f"  impact {n:<4}{_particle(impact)}{_place(impact)}{_pause(impact)}"
+        for n, impact in enumerate(plan.impacts[:_MOST_LINES], start=1)
+    ]
+    more = len(plan.impacts) - len(lines)
+    return [*lines, f"             ... and {more} more"] if more else lines
+
+
+def _particle(impact: ImpactPlan) -> str:
+    show, (vx, _, vz) = units.rounded, impact.velocity
+    return (
+        f"{impact.material.name} {impact.shape.replace('_', ' ')} {show(impact.diameter, 'um')},"
+        f" {show(math.hypot(vx, vz), 'm/s', 4)} at {show(math.atan2(vx, -vz), 'deg')} from the normal,"
+        f" {show(impact.temperature, 'K', 4)}"
+    )
+
+
+def _place(impact: ImpactPlan) -> str:
+    return f", at {_at(*impact.offset)}" if any(impact.offset) else ""
+
+
+def _at(x: float, y: float) -> str:
+    return f"({units.rounded(x, 'um').removesuffix(' um')}, {units.rounded(y, 'um').removesuffix(' um')}) um"
+
+
+def _pause(impact: ImpactPlan) -> str:
+    unit = next((u for u, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6)) if impact.dwell >= size), "ns")
+    return f", then a pause of {units.rounded(impact.dwell, unit)}" if impact.dwell else ""
+
+
+def _splats(plan: Plan) -> list[str]:
+    """How splats join the target and what holds them, where there are several or the scene says how."""
+    a, splats = plan.adhesion, len(plan.impacts) - 1
+    if not splats and a.kind == "none":
+        return []
+    held: str = a.kind if a.kind != "none" else "none, contact and friction only"
+    if a.strength is not None and a.energy is not None:
+        held += f", {units.rounded(a.strength, 'MPa')} and {units.rounded(a.energy, 'J/m2')}"
+        shear = (a.shear_strength, "MPa"), (a.shear_energy, "J/m2")
+        said = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
+        held += f" ({said} in shear)" if said else ""
+    reached = 1.0 if a.threshold is None else a.threshold
+    where = {
+        "all": "wherever they touch",
+        "plastic_strain": f"where the plastic strain has reached {reached:g}",
+        "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
+        "velocity": f"where the velocity has reached {reached:g} of the critical one",
+    }
+    held += "" if a.kind == "none" else f", {where[a.criterion]}"
+    each = [plan.scene.splat_elements_of(p) for p in plan.scene.particles]
+    count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
+    size = units.rounded(plan.splat_element_size, "um")
+    return [f"  adhesion   {held}", f"  splats     about {count} elements of {size} each, method {plan.splat_method}"]
+
+
+def _window(plan: Plan) -> list[str]:
+    """What of the target is computed, where that is not all of it."""
+    lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
+    first, last = (units.rounded(length, "um") for length in (lengths[0], lengths[-1])) if lengths else ("", "")
+    radius = first if first == last else f"{first.removesuffix(' um')} to {last}"
+    return [f"  window     {radius} round each impact; beyond it the target keeps still"] if lengths else []
+
+
+def _ends(plan: Plan) -> str:
+    """When impacts end, and how often they are written."""
+    several = len(plan.impacts) > 1
+    last, often = (sorted({getattr(i, name) for i in plan.impacts}) for name in ("end_time", "output_every"))
+    when = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}[
+        plan.impact.end_at
+    ]
+    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}; a step written every {_range(often)}"
+
+
+def _range(times: list[float]) -> str:
+    first, last = (units.rounded(time, "ns") for time in (times[0], times[-1]))
+    return first if first == last else f"{first.removesuffix(' ns')} to {last}"
+
+
+def _gas(scene: Scene) -> list[str]:
+    """What the gas of a scene gives its particles, as some lines; none without a gas."""
+    if scene.gas is None:
+        return []
+    from ..scene.gas import describe as gas
+
+    return gas(scene)
+
+
+def _shapes(plan: Plan) -> list[str]:
+    """What there is to say of shapes that are no spheres, a line for each of the first ones."""
+    lines = []
+    for particle in plan.scene.particles:
+        if particle.shape == "sphere":
+            continue
+        lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.form.lengths)
+        tilt = f" tilted {units.rounded(particle.tilt, 'deg')}" if particle.tilt else ""
+        which = f"{particle.shape.replace('_', ' ')}: " if len(plan.impacts) > 1 else ""
+        volume = f"{units.rounded(particle.diameter, 'um')} is the sphere of equal volume"
+        lines.append(f"             {which}{lengths} um{tilt}; {volume}")
+    lines = list(dict.fromkeys(lines))
+    return lines if len(lines) <= _MOST_SHAPES else [*lines[:_MOST_SHAPES], "             ... and others"]
+
+
+def duration(seconds: float) -> str:
+    """A wall time for people: "8 s", "3 min", "2.5 h"."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.2g} h"
+
+
+def _round(number: int) -> int:
+    """Two significant digits: an estimate deserves no more."""
+    step = 10 ** max(len(str(number)) - 2, 0)
+    return round(number / step) * step

@@ -1,0 +1,258 @@
+"""The particle as the rank of the target sees it: all its points, on whichever ranks they are."""
+
+import time as clock
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .ranks import STEP, Elsewhere, Ranks, attempt, caught
+
+
+class Team:
+    """The particle as the home sees it: all its points, wherever they are. Has what one `sph.machdyn.Particle` has.
+
+    x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
+    the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
+    """
+
+    def __init__(self, ranks: Ranks, piece: Any, points: int, spacing: float):
+        """piece: this rank's part of the particle, or None; points: how many there are in all; spacing m."""
+        self.ranks, self.piece, self.n, self.spacing = ranks, piece, points, spacing
+        self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
+        self._alone = ranks.size == 1
+        self._fields: dict[str, np.ndarray] = {}
+        self.failure: BaseException | None = None
+        if self._alone:
+            self.x, self.v, self.f_ext = piece.x, piece.v, piece.f_ext
+            self._owner = [np.arange(self.n)]
+        else:
+            if piece is not None:
+                piece.others_count_on_us = True
+            self.f_ext = np.zeros((self.n, 3))
+            self._owner = self.ask("get", "ids")
+            self.x, self.v = self.whole("x"), self.whole("v")
+        self.mass = self.whole("mass")
+        self.numerics = self.ask("numerics_now")[0]
+        self.law: np.ndarray = self.ask("law_now")[0]
+        self.totals = self._report()
+
+    # ---- between chunks ------------------------------------------------------------------------------------------
+
+    def ask(self, method: str, *arguments: Any, each: Sequence[Any] | None = None) -> list[Any]:
+        """Have every rank with points call a method of its piece; what they returned, in order. each: a further argument for each.
+
+        Raises the first error that one of them raised.
+        """
+        if self._alone:
+            return [getattr(self.piece, method)(*arguments, *((each[0],) if each else ()))]
+        r = self.ranks
+        r.comm.bcast((method, arguments, each), root=r.home)
+        answers = r.comm.gather(attempt(self, method, arguments, each), root=r.home)
+        answers = [answers[rank] for rank in r.sph]
+        for answer in answers:
+            if isinstance(answer, BaseException):
+                raise answer
+        return answers
+
+    def whole(self, name: str) -> np.ndarray:
+        """A field of all points (n, ...), by its name in a piece."""
+        return self._joined(self.ask("get", name))
+
+    def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
+        if len(parts) == 1 and self._alone:
+            return parts[0]
+        whole = np.empty((self.n, *parts[0].shape[1:]), parts[0].dtype)
+        for ids, part in zip(self._owner, parts, strict=True):
+            whole[ids] = part
+        return whole
+
+    def _report(self) -> dict[str, float]:
+        reports, total = self.ask("report"), {}
+        for name in reports[0]:
+            fold = {"dt": min, "stretch_min": min, "fastest": max}.get(name, sum)
+            total[name] = fold(report[name] for report in reports)
+        self._fields = {}
+        return total
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        # fields of the points are gathered when they are asked for, once between two chunks
+        if name not in ("eps_p", "rate", "T", "J", "energy", "stress_now"):
+            raise AttributeError(name)
+        if self._alone and name != "stress_now":
+            return getattr(self.piece, name)
+        if name not in self._fields:
+            self._fields[name] = self.whole("stress" if name == "stress_now" else name)
+        return self._fields[name]
+
+    def stress(self) -> np.ndarray:
+        """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
+        return self.stress_now
+
+    @property
+    def stretch_min(self) -> float:
+        return self.totals["stretch_min"]
+
+    @property
+    def fastest(self) -> float:
+        """Speed of the fastest point, m/s."""
+        return self.totals["fastest"]
+
+    @property
+    def internal_work(self) -> float:
+        return self.totals["internal_work"]
+
+    @property
+    def plastic_work(self) -> float:
+        return self.totals["plastic"]
+
+    def stable_dt(self) -> float:
+        return self.totals["dt"]
+
+    def kinetic(self) -> float:
+        return self.totals["kinetic"]
+
+    def elastic(self) -> float:
+        return self.totals["elastic"]
+
+    def momentum(self) -> np.ndarray:
+        return np.array([self.totals[f"momentum_{axis}"] for axis in "xyz"])
+
+    def warm(self, heat: np.ndarray) -> None:
+        """Put heat (n,) J into the temperature of the points."""
+        self.ask("warm", each=[heat[ids] for ids in self._owner])
+        self._fields = {}
+
+    def state(self) -> dict[str, Any]:
+        """The `state` of the whole particle, points in the order they were given."""
+        parts = self.ask("state")
+        points = {name: self._joined([part["points"][name] for part in parts]) for name in parts[0]["points"]}
+        add = {name: sum(part["add"][name] for part in parts) for name in parts[0]["add"]}
+        return {"points": points, "add": add, "same": parts[0]["same"], "totals": self.totals}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into fresh pieces, on any number of ranks."""
+        self.ask("restore", state, each=[i == 0 for i in range(len(self._owner))])
+        same = state["same"]
+        self.time, self.steps, self.dt = float(same["time"]), int(same["steps"]), float(same["dt"])
+        self.totals = dict(state["totals"])  # LAMMPS knows its strains again only after the next step
+        self._fields = {}
+        if not self._alone:
+            self.x, self.v = self.whole("x"), self.whole("v")
+
+    # ---- steps ---------------------------------------------------------------------------------------------------
+
+    def run(
+        self, steps: int, dt: float, begin: Callable[[], None], meet: Callable[[], None], needed: np.ndarray | None
+    ) -> None:
+        """Make `steps` steps of dt seconds. In each: begin(), which needs nothing of the particle; then x and v of the points `needed`
+        (k,) are those of n+1; meet() fills in f_ext.
+
+        Raises what one of them or a rank raised; all ranks have then ended the chunk.
+        """
+        self.dt, self.failure = dt, None
+        if self._alone:
+
+            def on_step() -> None:
+                begin()
+                meet()
+
+            self.piece.run(steps, dt, on_step)
+        else:
+            self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
+        self.time += steps * dt
+        self.steps += steps
+        self.totals = self._report()
+        if not self._alone:
+            self.x[:], self.v[:] = self.whole("x"), self.whole("v")
+
+    def _run(
+        self, steps: int, dt: float, begin: Callable[[], None], meet: Callable[[], None], needed: np.ndarray
+    ) -> None:
+        r = self.ranks
+        mark = np.zeros(self.n, bool)
+        mark[needed] = True
+        rows = [np.flatnonzero(mark[ids]) for ids in self._owner]
+        where = [ids[row] for ids, row in zip(self._owner, rows, strict=True)]
+        inbox = [np.zeros(1 + 6 * len(w)) for w in where]
+        outbox = [np.zeros(1 + 3 * len(w)) for w in where]
+
+        done, begun = 0, False
+
+        def on_step() -> None:
+            nonlocal done, begun
+            own = None
+            requests = []
+            for i, rank in enumerate(r.sph):
+                if rank == r.home:
+                    own = i
+                else:
+                    requests.append((i, r.comm.Irecv(inbox[i], source=rank, tag=STEP)))
+            done += 1
+            if not begun:
+                self._try(begin)
+            begun = False
+            started = clock.perf_counter()
+            failed = self.failure is not None or (self.piece is not None and self.piece.failure is not None)
+            for i, request in requests:
+                request.Wait()
+                failed |= bool(inbox[i][0])
+                k = 3 * len(where[i])
+                self.x[where[i]] = inbox[i][1 : 1 + k].reshape(-1, 3)
+                self.v[where[i]] = inbox[i][1 + k :].reshape(-1, 3)
+            self.waited += clock.perf_counter() - started
+            if own is not None:
+                self.x[where[own]], self.v[where[own]] = self.piece.x[rows[own]], self.piece.v[rows[own]]
+            self.f_ext[:] = 0.0
+            if not failed:
+                failed = self._try(meet)
+            for i, rank in enumerate(r.sph):
+                if rank == r.home:
+                    self.piece.f_ext[rows[i]] = self.f_ext[where[i]]
+                    continue
+                outbox[i][0] = float(failed)
+                outbox[i][1:] = self.f_ext[where[i]].ravel()
+                r.comm.Send(outbox[i], dest=rank, tag=STEP)
+            if self.piece is not None and done < steps:  # while forces travel to the others
+                begun = True
+                self._try(begin)
+
+        r.comm.bcast(("run_steps", (steps, dt), rows), root=r.home)
+        answer: Any = None
+        if self.piece is None:
+            for _ in range(steps):
+                on_step()
+        else:
+            answer = caught(lambda: self.piece.run(steps, dt, on_step))
+        answers = r.comm.gather(answer, root=r.home)
+        if self.failure is not None:
+            raise self.failure
+        for rank in r.sph:
+            if isinstance(answers[rank], BaseException) and not isinstance(answers[rank], Elsewhere):
+                raise answers[rank]
+
+    def _try(self, work: Callable[[], None]) -> bool:
+        """Do work unless something failed before; whether it failed. Nobody may be left waiting because of it."""
+        if self.failure is None:
+            self.failure = caught(work)
+        return self.failure is not None
+
+    def idle(self, loop: float) -> list[float]:
+        """Share of `loop` seconds that each rank has waited for others in steps, by rank; empty in one process."""
+        if self._alone:
+            return []
+        r = self.ranks
+        r.comm.bcast(("waited", (), None), root=r.home)
+        return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.home)]
+
+    def everywhere(self, work: Callable[[], Any]) -> list[Any]:
+        """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
+        if self._alone:
+            return [work()]
+        self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.home)
+        return self.ranks.comm.gather(work(), root=self.ranks.home)
+
+    def close(self) -> None:
+        """Let this rank's LAMMPS go."""
+        if self.piece is not None:
+            self.piece.close()

@@ -1,0 +1,193 @@
+"""Who runs where: one process, or ranks under mpiexec. The only import of mpi4py beside what LAMMPS needs.
+
+One rank, the *home*, holds the target, the contact, the books and the files; the particle lives on one or more ranks
+(`split`: all but the home; `spread`: all, in equal parts). The home leads: between chunks of steps it asks
+all ranks that have points for what it needs (`Team.ask`); within a chunk LAMMPS runs on each of them and in every step they
+hand positions and velocities of the points that may touch to the home and get forces back. In one process the home has the
+whole particle, and the same code exchanges nothing.
+"""
+
+import os
+import signal
+import sys
+import time as clock
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..errors import ColdsprayError, PlacementError, SolverError
+
+PLACEMENTS = ("split", "spread")
+STEP = 7  # tag of the messages of a step
+_LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Which rank does what. home: the rank of the target, the last; sph: the ranks that share the particle, `shares` of its points
+    each; comm: of all ranks, sph_comm: of those in `sph`, both None in one process."""
+
+    rank: int = 0
+    size: int = 1
+    home: int = 0
+    sph: tuple[int, ...] = (0,)
+    shares: tuple[float, ...] = (1.0,)
+    placement: str = "one process"
+    comm: Any = field(default=None, repr=False)
+    sph_comm: Any = field(default=None, repr=False)
+
+    @property
+    def at_home(self) -> bool:
+        return self.rank == self.home
+
+    @property
+    def has_points(self) -> bool:
+        return self.rank in self.sph
+
+
+def world() -> Any:
+    """The communicator of all processes that mpiexec started, or None in a single one."""
+    if not any(name in os.environ for name in _LAUNCHERS):
+        return None
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD if MPI.COMM_WORLD.size > 1 else None
+
+
+def arrange(comm: Any, placement: str | None) -> Ranks:
+    """Decide who runs where. placement: "split" (the default), "spread" or None. Raises PlacementError.
+
+    Parts are equal in either: all ranks meet inside LAMMPS twice in each step, before its forces and between its stresses and its
+    forces, so that a smaller part beside the target would only make the others' parts longer.
+    """
+    if placement is not None and placement not in PLACEMENTS:
+        raise PlacementError(f"--placement {placement} is unknown: choose {' or '.join(PLACEMENTS)}")
+    if comm is None:
+        if placement is not None:
+            raise PlacementError(f"--placement {placement} needs several ranks: start with mpiexec -n 2 coldspray ...")
+        return Ranks()
+    size, placement = comm.size, placement or "split"
+    sph = tuple(range(size - 1 if placement == "split" else size))
+    shares = (1.0 / len(sph),) * len(sph)
+    sph_comm = comm.Split(int(comm.rank not in sph), comm.rank)
+    return Ranks(comm.rank, size, size - 1, sph, shares, placement, comm, sph_comm if comm.rank in sph else None)
+
+
+class Elsewhere(SolverError):
+    """A step was given up because another rank failed."""
+
+
+def begin_impact(ranks: Ranks, i: int, place: np.ndarray) -> None:
+    """At home: have the others build their parts of the particle of impact i, its centre at place (3,) m, too."""
+    if ranks.size > 1:
+        ranks.comm.bcast(("impact", (i, place), None), root=ranks.home)
+
+
+def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
+    """At home: let the other ranks go, with the error (if any) that ended the run."""
+    if ranks.size > 1:
+        ranks.comm.bcast(("end", (error,), None), root=ranks.home)
+
+
+def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
+    """What a rank without the target does: build its part of each particle and do as the home asks until it is dismissed.
+
+    build(i, place): this rank's part of the particle of impact i.
+
+    Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the home ends the run in peace, and says so
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    worker = _Worker(ranks, None)
+    comm, home = ranks.comm, ranks.home
+    while True:
+        order, arguments, each = comm.bcast(None, root=home)
+        if order == "end":
+            if worker.piece is not None:
+                worker.piece.close()
+            if arguments[0] is not None:
+                raise arguments[0]
+            return
+        try:
+            if order == "impact":
+                if worker.piece is not None:
+                    worker.piece.close()
+                worker = _Worker(ranks, build(*arguments))
+            elif order == "waited":
+                comm.gather(worker.waited, root=home)
+            elif order == "everywhere":
+                comm.gather(arguments[0](), root=home)
+            else:
+                comm.gather(attempt(worker, order, arguments, each), root=home)
+        except BaseException as error:
+            if not isinstance(error, ColdsprayError):
+                traceback.print_exc()
+            abort(comm, f"coldspray: rank {ranks.rank} failed: {error}", getattr(error, "exit_code", 1))
+
+
+class _Worker:
+    """A rank's piece and its side of the exchange."""
+
+    def __init__(self, ranks: Ranks, piece: Any):
+        self.ranks, self.piece, self.waited = ranks, piece, 0.0
+        if piece is not None:
+            piece.others_count_on_us = True
+
+    def run_steps(self, steps: int, dt: float, rows: np.ndarray) -> None:
+        p, comm, home = self.piece, self.ranks.comm, self.ranks.home
+        k = 3 * len(rows)
+        outbox, inbox = np.zeros(1 + 2 * k), np.zeros(1 + k)
+
+        done = 0
+
+        def on_step() -> None:
+            nonlocal done
+            done += 1
+            outbox[0] = float(p.failure is not None)
+            outbox[1 : 1 + k] = p.x[rows].ravel()
+            outbox[1 + k :] = p.v[rows].ravel()
+            comm.Send(outbox, dest=home, tag=STEP)
+            started = clock.perf_counter()
+            comm.Recv(inbox, source=home, tag=STEP)
+            self.waited += clock.perf_counter() - started
+            p.f_ext[rows] = inbox[1:].reshape(-1, 3)
+            if inbox[0] and p.failure is None:
+                raise Elsewhere("given up")
+
+        try:
+            p.run(steps, dt, on_step)
+        finally:
+            outbox[0] = 1.0
+            for _ in range(steps - done):  # LAMMPS stopped early: the home still counts to the end of the chunk
+                comm.Send(outbox, dest=home, tag=STEP)
+                comm.Recv(inbox, source=home, tag=STEP)
+
+
+def attempt(side: Any, method: str, arguments: tuple[Any, ...], each: Sequence[Any] | None) -> Any:
+    """Call a method of a rank's piece, or its side of a chunk; an error is an answer too. None on a rank without points."""
+    ranks, piece = side.ranks, side.piece
+    if piece is None:
+        return None
+    if each is not None:
+        arguments = (*arguments, each[ranks.sph.index(ranks.rank)])
+    return caught(lambda: getattr(side if method == "run_steps" else piece, method)(*arguments))
+
+
+def caught(work: Callable[[], Any]) -> Any:
+    """The result of work, or the error it raised, in a form that can travel."""
+    try:
+        return work()
+    except (ColdsprayError, KeyboardInterrupt) as error:
+        return error
+    except Exception as error:
+        traceback.print_exc()
+        return SolverError(f"{type(error).__name__}: {error}")
+
+
+def abort(comm: Any, message: str, code: int) -> None:
+    """Say what happened, once, and take all ranks down."""
+    print(message, file=sys.stderr, flush=True)
+    comm.Abort(code)

@@ -1,0 +1,153 @@
+"""What the [gas] table of a scene does: it gives a particle the velocity and temperature that the scene leaves out."""
+
+import textwrap
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from pydantic import ValidationError
+
+from .. import units
+from ..errors import ColdsprayError
+from ..physics.materials import Material
+from ..spray import flight, nozzles
+from ..spray.gas import GASES, Flow
+from ..spray.nozzles import Nozzle
+from .model import MOST_IMPACTS, Scene
+from .tables import GasConditions, Particle
+
+_STAND_IN = {"velocity": "500 m/s", "temperature": "300 K"}  # while another problem keeps the gas from being computed
+_DIGITS = 4  # the model is good to a few per cent
+_SLOWEST, _FASTEST = 10.0, 2000.0  # m/s: what a scene may say
+_MOST_LINES = 6  # of what the gas gives
+
+
+def read(table: Any) -> tuple[GasConditions | None, list[tuple[str, str]]]:
+    """Gas conditions from texts with units: (conditions, problems); each problem is a field and what is wrong with it."""
+    try:
+        return GasConditions.model_validate(table), []
+    except ValidationError as error:
+        entries = error.errors(include_url=False)
+        return None, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
+
+
+def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
+    """The flow of a scene's gas. Raises ColdsprayError, beginning with the field at fault, if there is none."""
+    c = conditions
+    return Flow(GASES[c.kind], nozzle, c.pressure, c.temperature, c.standoff, c.ambient, c.bow_shock)
+
+
+@cache
+def arrival(conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float) -> dict[str, str]:
+    """Velocity and temperature of a sphere (diameter m) at impact, as a scene writes them.
+
+    Raises ColdsprayError, beginning with the field at fault.
+    """
+    law = flight.DRAG_LAWS[conditions.drag]
+    flown = flight.fly(flow(conditions, nozzle), material, diameter, conditions.powder_temperature, law)
+    if not _SLOWEST <= flown.velocity <= _FASTEST:
+        limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
+        raise ColdsprayError(
+            f"pressure = {units.rounded(conditions.pressure, 'bar')}: brings {units.rounded(diameter, 'um')} of"
+            f" {material.name} to {flown.velocity:.3g} m/s; a scene needs {limits}"
+        )
+    return {
+        "velocity": units.rounded(flown.velocity, "m/s", _DIGITS),
+        "temperature": units.rounded(flown.temperature, "K", _DIGITS),
+    }
+
+
+def fill(given: dict[str, Any], catalogue: Mapping[str, Material]) -> list[str]:
+    """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas].
+
+    given: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the
+    materials. Returns the problems that only the gas has; the scene's own check finds the others.
+    """
+    said = given.get("nozzles")
+    tables = {k: v for k, v in said.items() if isinstance(v, Mapping)} if isinstance(said, Mapping) else {}
+    known, problems = nozzles.from_tables(tables)
+    if "gas" not in given:
+        return problems
+    conditions, _ = read(given["gas"])
+    if conditions is not None and conditions.nozzle not in known:
+        if conditions.nozzle not in tables:  # else its own problems are in the list already
+            problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
+        conditions = None
+    particles = given.get("particle")
+    particles = particles if isinstance(particles, list) else [particles]
+    if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
+        conditions = None
+    for particle in particles:
+        if not isinstance(particle, dict):
+            continue
+        found = _STAND_IN
+        material, diameter = _material(particle, catalogue), _diameter(particle)
+        if conditions is not None and material is not None and diameter is not None:
+            try:
+                found = arrival(conditions, known[conditions.nozzle], material, diameter)
+            except ColdsprayError as error:
+                problems.append(f"gas.{error}")
+        particle |= {field: text for field, text in found.items() if field not in particle}
+    return list(dict.fromkeys(problems))
+
+
+def describe(scene: Scene) -> list[str]:
+    """What `check` says of the gas: some lines, none without [gas]."""
+    if scene.gas is None:
+        return []
+    c = scene.gas
+    nozzle = nozzles.from_tables(scene.nozzles)[0][c.nozzle]
+    where = f"{c.kind} {units.rounded(c.pressure, 'bar')}, {units.rounded(c.temperature, 'degC')}, nozzle {nozzle.name}"
+    head = f"  gas        {where}, {units.rounded(c.standoff, 'mm')} away:"
+    gives = list(dict.fromkeys(_gives(scene, c, nozzle, particle) for particle in scene.particles))
+    if len(scene.particles) == 1:
+        lines = [f"{head} {gives[0]}"]
+    else:
+        more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
+        lines = [head, *(f"{_INDENT['initial_indent']}{text}" for text in [*gives[:_MOST_LINES], *more])]
+    shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
+    sphere = (
+        [f"drag and heat are those of the sphere of equal volume, not of this {', '.join(shapes)}"] if shapes else []
+    )
+    notes = [*sphere, *flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
+    return lines + [line for note in notes for line in textwrap.wrap(note, 110, **_INDENT)]
+
+
+def _gives(scene: Scene, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
+    """What the gas gives one particle, and whether it is used."""
+    found = arrival(conditions, nozzle, scene.material(particle.material), particle.diameter)
+    said = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
+    away = [field for field in found if units.rounded(getattr(particle, field), *_UNITS[field]) != found[field]]
+    used = f"the scene's own {' and '.join(said[field] for field in away)} used instead" if away else "used here"
+    which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
+    return f"{which}gives {found['velocity']}, {found['temperature']}, {used}"
+
+
+_INDENT: Any = {"initial_indent": " " * 13, "subsequent_indent": " " * 13}
+_UNITS = {"velocity": ("m/s", _DIGITS), "temperature": ("K", _DIGITS)}
+
+
+def _in_words(entry: Any) -> str:
+    if entry["type"] == "missing":
+        return "is missing"
+    if entry["type"] == "literal_error":
+        return f"must be {entry['ctx']['expected']}"
+    return str(entry["ctx"]["error"]) if entry["type"] == "value_error" else entry["msg"]
+
+
+def _material(particle: Mapping[str, Any], catalogue: Mapping[str, Material]) -> Material | None:
+    name = particle.get("material")
+    return catalogue.get(name) if isinstance(name, str) else None
+
+
+def diameter(text: object) -> float:
+    """A particle's diameter, m, from a text with a unit. Raises ValueError with what is wrong with it."""
+    return Particle.model_fields["diameter"].metadata[0].read(text)
+
+
+def _diameter(particle: Mapping[str, Any]) -> float | None:
+    """The particle's diameter, m, if the scene's own check will accept it."""
+    try:
+        return diameter(particle.get("diameter"))
+    except ValueError:
+        return None

@@ -1,0 +1,287 @@
+"""The tables of a scene: their fields, units and limits. `coupler.scene.model` puts them together."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from .. import units
+from ..physics import shapes as morphology
+from ..physics.adhesion import Criterion, Kind
+from ..plan import cost as estimates
+
+SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A field with a unit: text in the scene, an SI float inside. `unit` is the one it is written out in.
+
+    low, high: limits, as text with units. below: a message of its own for a value under `low`.
+    """
+
+    unit: str
+    low: str
+    high: str
+    below: str = ""
+
+    def read(self, value: object) -> float:
+        """SI value of a scene's text. Raises units.UnitError or ValueError with what is wrong."""
+        if value is None:
+            raise units.UnitError("needs a value")
+        dimension = units.dimension_of(self.unit)
+        number = units.parse(value, dimension)
+        low, high = units.parse(self.low, dimension), units.parse(self.high, dimension)
+        if self.below and number < low:
+            raise ValueError(self.below)
+        if not low <= number <= high:
+            raise ValueError(f"is outside {self.low} to {self.high}")
+        return number
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+
+@dataclass(frozen=True)
+class BySize:
+    """A quantity that hangs on the particle's diameter: one text, or pairs of texts [diameter, value], linear between them.
+
+    Inside: pairs (diameter m, value), ascending; one text is the one pair (0.0, value). of: what the values are.
+    """
+
+    of: Quantity
+
+    def read(self, value: object) -> tuple[tuple[float, float], ...]:
+        """Raises units.UnitError or ValueError with what is wrong."""
+        if not isinstance(value, list | tuple):
+            return ((0.0, self.of.read(value)),)
+        if not value or not all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value):
+            raise ValueError('needs one value, or pairs of a diameter and a value, such as [["18 um", "610 m/s"]]')
+        pairs = tuple(sorted((_Diameter.read(size), self.of.read(number)) for size, number in value))
+        if len({size for size, _ in pairs}) < len(pairs):
+            raise ValueError("has a diameter twice")
+        return pairs
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.read)
+
+
+_Diameter = Quantity("um", "1 um", "200 um")
+_Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
+_Kelvin = Quantity("K", "100 K", "5000 K")
+
+
+class Section(BaseModel):
+    """A table of the scene: no other keys than its own, and unchangeable once read."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
+Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
+Face = Literal["absorbing", "free", "fixed"]
+Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # those of coupler.physics.shapes
+SHAPES: tuple[str, ...] = get_args(Shape)
+
+
+class Particle(Section):
+    """One impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
+
+    shape: a name of `coupler.physics.shapes`; diameter: of the sphere of equal volume; tilt (rad): of the shape about y;
+    dwell: pause (s) after this impact.
+    """
+
+    material: str
+    shape: Shape = "sphere"
+    diameter: Annotated[float, Quantity("um", "1 um", "200 um")]
+    velocity: Annotated[float, Quantity("m/s", "10 m/s", "2000 m/s")]
+    angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
+    tilt: Annotated[float, Quantity("deg", "-90 deg", "90 deg")] = 0.0
+    temperature: Temperature = 300.0
+    offset: tuple[Offset, Offset] = (0.0, 0.0)
+    gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
+    dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+
+    @property
+    def volume(self) -> float:
+        """Volume of its metal, m^3."""
+        return estimates.sphere_volume(self.diameter)
+
+    @property
+    def form(self) -> morphology.Form:
+        """Its shape in its size."""
+        return morphology.form(self.shape, self.diameter)
+
+    @property
+    def width(self) -> float:
+        """Its extent along the target, the larger of two, m; a sphere's diameter."""
+        return self.form.width(self.tilt)
+
+    @property
+    def height(self) -> float:
+        """Its extent across the target, m, but no less than the diameter of the sphere of equal volume."""
+        return max(self.diameter, self.form.height(self.tilt))
+
+
+class Coating(Section):
+    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.scene.coating` makes these of it. SI units.
+
+    number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
+    places that are "random" or "even" (each as far as may be from those of its layer). diameter: the median of a log-normal
+    distribution by number, spread: its geometric standard deviation, smallest and largest: where it is cut. velocity,
+    temperature: one value or by size, from [gas] where there is none; velocity_spread (m/s): standard deviation about it,
+    cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt.
+    """
+
+    material: str
+    number: StrictInt = Field(ge=1, le=500)
+    layers: StrictInt = Field(1, ge=1, le=100)
+    radius: Annotated[float, Quantity("um", "0 um", "2000 um")]
+    positions: Literal["random", "even"] = "random"
+    diameter: Annotated[float, _Diameter]
+    spread: StrictFloat = Field(1.0, ge=1.0, le=3.0)
+    smallest: Annotated[float | None, _Diameter] = None
+    largest: Annotated[float | None, _Diameter] = None
+    velocity: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Velocity)] = None
+    velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
+    temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
+    shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
+    dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    seed: StrictInt = Field(1, ge=0, le=2**31)
+
+    @field_validator("shapes")
+    @classmethod
+    def _shares(cls, value: dict[str, float]) -> dict[str, float]:
+        unknown = [name for name in value if name not in SHAPES]
+        if unknown:
+            raise ValueError(f"{unknown[0]!r:.20} is not one of {', '.join(SHAPES)}{units.nearest(unknown[0], SHAPES)}")
+        shares = list(value.values())
+        if not all(math.isfinite(share) and share >= 0.0 for share in shares) or not sum(shares) > 0.0:
+            raise ValueError(
+                "needs shares of zero or more, not all of them zero, such as { sphere = 0.8, oblate = 0.2 }"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "Coating":
+        low, high = self.smallest, self.largest
+        if (low is not None and low > self.diameter) or (high is not None and high < self.diameter):
+            raise ValueError("needs smallest <= diameter <= largest")
+        if self.number % self.layers:
+            raise ValueError(f"needs layers that divide number = {self.number}: each has as many particles")
+        return self
+
+
+class GasConditions(Section):
+    """The gas that brings the particle: it gives the velocity and temperature that the scene leaves out. SI units.
+
+    pressure, temperature: total, before the nozzle. nozzle: of the library or of [nozzles.NAME]. standoff: from there to
+    the target. ambient: pressure outside. powder_temperature: when fed. drag: a law of `coupler.spray.flight`.
+    """
+
+    kind: Literal["N2", "He", "air"] = "N2"
+    pressure: Annotated[float, Quantity("bar", "1 bar", "100 bar")]
+    temperature: Annotated[float, Quantity("degC", "200 K", "1800 K")]
+    nozzle: str
+    standoff: Annotated[float, Quantity("mm", "1 mm", "500 mm")] = 30e-3
+    ambient: Annotated[float, Quantity("bar", "0.001 bar", "10 bar")] = 101325.0
+    powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
+    bow_shock: StrictBool = False
+    drag: Literal["henderson", "carlson-hoglund"] = "henderson"
+
+
+class Substrate(Section):
+    """The target, a cylinder whose top is the surface. SI units. window: radius (m) round each impact beyond which it rests."""
+
+    material: str
+    diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
+    height: Annotated[float, Quantity("um", "2 um", "5000 um")] = 100e-6
+    temperature: Temperature = 300.0
+    sides: Face = "absorbing"
+    bottom: Face = "fixed"
+    window: Annotated[float | None, Quantity("um", "1 um", "10000 um")] = None
+
+
+class Contact(Section):
+    """friction: the Coulomb coefficient."""
+
+    friction: StrictFloat = Field(0.5, ge=0.0, le=2.0)
+
+
+_Stress = Quantity("MPa", "0 MPa", "100 GPa")
+_SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
+
+
+class AdhesionTable(Section):
+    """What holds splats, as `coupler.physics.adhesion.Adhesion` has it. Pa, J/m2; threshold in Pa, a strain or a ratio, as the
+    criterion wants it. kind: "tied" for several particles, "none" for one, unless said."""
+
+    kind: Kind | None = None
+    criterion: Criterion = "all"
+    threshold: float | None = None
+    strength: Annotated[float | None, _Stress] = None
+    energy: Annotated[float | None, _SurfaceEnergy] = None
+    shear_strength: Annotated[float | None, _Stress] = None
+    shear_energy: Annotated[float | None, _SurfaceEnergy] = None
+
+    @field_validator("threshold", mode="before")
+    @classmethod
+    def _as_the_criterion_wants(cls, value: Any, info: ValidationInfo) -> float | None:
+        if "criterion" not in info.data:  # a faulty one is reported itself
+            return None
+        if info.data["criterion"] == "pressure":
+            return _Stress.read(value)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise ValueError(f'needs a number without unit with criterion = "{info.data["criterion"]}"')
+        return float(value)
+
+
+class SplatTable(Section):
+    """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the share of
+    the next particle's mass that the elements with the shortest steps may be made heavier by."""
+
+    method: Literal["auto", "carried", "density", "stuffing", "paper"] = "auto"
+    element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
+    mass_scaling: Annotated[StrictFloat, Field(ge=0.0, le=0.2)] = estimates.MASS_SCALING
+
+
+class Resolution(Section):
+    """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
+    of distance away from the impact."""
+
+    spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
+    element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
+    growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = estimates.GROWTH
+
+
+class End(Section):
+    """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
+    comes first. Rest if neither is said."""
+
+    at: Literal["rest", "greatest"] | None = None
+    time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _rest_unless_told(cls, data: Any) -> Any:
+        told = not isinstance(data, dict) or data.get("at") is not None or data.get("time") is not None
+        return data if told else data | {"at": "rest"}
+
+
+class Output(Section):
+    """every: simulated time (s) between two written steps."""
+
+    every: Annotated[float | None, Quantity("ns", "0.001 ns", "1000000 ns")] = None

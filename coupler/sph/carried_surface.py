@@ -1,0 +1,126 @@
+"""A surface of the undeformed body, carried along by the motion of the points.
+
+It is where the particle meets the target, and what is measured and drawn of it. The reference configuration is
+known, so the deformed surface need not be guessed from a cloud: each vertex of the undeformed surface is a fixed
+linear combination of nearby points (linear moving least squares in the reference configuration), exact for any
+affine motion, and lies where the material surface lies, not half a spacing inside it.
+"""
+
+import numpy as np
+from scipy.sparse import csr_matrix, identity, vstack
+from scipy.spatial import ConvexHull, cKDTree
+
+from . import carried_kernels as k
+
+SUPPORT = 2.2  # spacings: some 20 points half-way round a vertex on the surface
+
+
+class CarriedSurface:
+    """vertices (k,3) m and triangles (m,3) of the undeformed surface of a body of points X (n,3) with the given spacing."""
+
+    def __init__(self, X: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, spacing: float):
+        self.triangles = triangles
+        tree = cKDTree(X)
+        support = SUPPORT * spacing
+        groups = tree.query_ball_point(vertices, support)
+        few = [i for i, group in enumerate(groups) if len(group) < 8]
+        if few:
+            groups = list(groups)
+            for i in few:
+                groups[i] = list(tree.query(vertices[i], k=min(12, len(X)))[1])
+        counts = np.array([len(group) for group in groups])
+        columns = np.concatenate([np.asarray(group) for group in groups])
+        rows = np.repeat(np.arange(len(vertices)), counts)
+        d = (X[columns] - vertices[rows]) / spacing
+        r = np.linalg.norm(d, axis=1) / SUPPORT
+        w = np.clip(1.0 - r, 0.02, None) ** 2
+        p = np.concatenate([np.ones((len(d), 1)), d], axis=1)
+        M = np.zeros((len(vertices), 4, 4))
+        np.add.at(M, rows, w[:, None, None] * p[:, :, None] * p[:, None, :])
+        c = np.linalg.solve(M, np.broadcast_to(np.array([[1.0], [0], [0], [0]]), (len(vertices), 4, 1)))[:, :, 0]
+        phi = w * np.einsum("ij,ij->i", c[rows], p)
+        shape = (len(vertices), len(X))
+        self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
+        # Points themselves may touch too: a single one can slip through the average that the surface is.
+        self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
+        self._touching = _compressed(self.touching)
+        self._rows = np.arange(self.touching.shape[0])
+        shepard = w / np.bincount(rows, w)[rows]
+        self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
+        self._average = _compressed(self.average)
+
+    def positions(self, x: np.ndarray) -> np.ndarray:
+        """Vertices (k,3) now, from the positions x (n,3) of the points."""
+        return self.weights @ x
+
+    def contacts(self, x: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
+        """Positions or velocities (k+n,3) of all that may touch: the vertices, then the points. x (n,3).
+
+        With rows only these are computed (the rest of `out` stays as it is, or zero), from `support(rows)` alone.
+        """
+        if out is None:
+            out = np.zeros((self.touching.shape[0], 3))
+        k.combine(self._rows if rows is None else rows, *self._touching, x, out)
+        return out
+
+    def spread(self, forces: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
+        """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power.
+
+        With rows only these forces are taken. With `out` they are added to it, at `support(rows)` and nowhere else.
+        """
+        if out is None:
+            out = np.zeros((self.touching.shape[1], 3))
+        k.spread(self._rows if rows is None else rows, *self._touching, forces, out)
+        return out
+
+    def support(self, rows: np.ndarray) -> np.ndarray:
+        """The points (p,), ascending, that these rows of `contacts` are made of and their forces go back to."""
+        used = np.zeros(self.touching.shape[1], bool)
+        start = self.touching.indptr
+        counts = start[rows + 1] - start[rows]
+        steps = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        used[self.touching.indices[np.repeat(start[rows], counts) + steps]] = True
+        return np.flatnonzero(used)
+
+    def spread_heat(self, heat: np.ndarray) -> np.ndarray:
+        """Heat (k+n,) that arises at `contacts`, shared among the points (n,)."""
+        vertices = self.average.shape[0]
+        out = heat[vertices:].copy()
+        k.share(np.flatnonzero(heat[:vertices]), *self._average, heat, out)
+        return out
+
+    def softness(self, mass: np.ndarray) -> float:
+        """Largest inverse mass (1/kg) that a force on one of `contacts` feels, sum of weight^2 / mass."""
+        return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
+
+    def values(self, field: np.ndarray) -> np.ndarray:
+        """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
+        return self.average @ field
+
+
+def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start of each row, columns and weights, for the kernels; unsigned, which spares them a look for negative indices."""
+    return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
+
+
+def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    """Volume inside a closed surface of outward triangles, m3."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def shape_measures(vertices: np.ndarray, diameter: float) -> dict[str, float]:
+    """How a particle of initial diameter D0 (m) sits on a surface that was the plane z = 0.
+
+    height above that plane, whole thickness, diameter (of the circle with the area of the splat seen from above),
+    and both flattening ratios: 1 - height/D0 (the paper's, see docs) and 1 - thickness/D0.
+    """
+    top, bottom = float(vertices[:, 2].max()), float(vertices[:, 2].min())
+    area = float(ConvexHull(vertices[:, :2]).volume)
+    return {
+        "flattening_ratio": 1.0 - top / diameter,
+        "flattening_ratio_total": 1.0 - (top - bottom) / diameter,
+        "height_m": top,
+        "thickness_m": top - bottom,
+        "splat_diameter_m": float(np.sqrt(4.0 * area / np.pi)),
+    }

@@ -1,0 +1,185 @@
+"""The work-precision diagram: error of each measure over processor time, as a picture (PNG) and as a page (HTML)."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..plan import cost as estimates
+from ..plan.bands import WORDS
+from ..report import charts, parts
+from ..report.page import Page, write_text
+from ..report.picture import blank, save
+from . import accuracy_fit as fit
+from .ladder import KNOBS, MEASURES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+AXES = ("points", *KNOBS, "effects")
+MARKS = ("o", "s", "D", "^", "v", "P", "X")  # of matplotlib, one for each axis
+SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x")  # the same in plotly
+DRAWN = tuple(name for name in MEASURES if name in WORDS)
+Rows = Sequence[Mapping[str, str]]
+
+
+def preset_of(row: Mapping[str, str]) -> str:
+    """The preset that has the resolution of a rung of the ladder, "" if none."""
+    plain = row["axis"] in ("points", "reference")
+    return next((name for name, n in estimates.PRESETS.items() if plain and int(row["points"]) == n), "")
+
+
+def order_of(rows: Rows, measure: str, T_0: float) -> str:
+    """The fitted order in words, or why there is none."""
+    try:
+        found = fit.order([fit.resolutions(rows, measure, T_0)])
+    except ValueError:
+        return f"fewer than {fit.FEWEST} resolutions, no order"
+    open_ended = found["low"] <= fit.ORDERS[0] and found["high"] >= fit.ORDERS[-1]
+    if open_ended:
+        return "no order can be told"
+    low = f"{'below ' if found['low'] <= fit.ORDERS[0] else ''}{found['low']:.2g}"
+    high = f"{'above ' if found['high'] >= fit.ORDERS[-1] else ''}{found['high']:.2g}"
+    return f"order {found['fitted']:.2g} ({low} to {high})"
+
+
+def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Path]:
+    """Write accuracy.png and accuracy.html into a folder; their paths. heading: of the scene; T_0: K, of its last particle.
+
+    Raises StoreError if a file cannot be written.
+    """
+    picture, page = folder / "accuracy.png", folder / "accuracy.html"
+    save(diagram(rows, heading, T_0), picture)
+    write_text(page, html(rows, heading, T_0, picture.read_bytes()))
+    return picture, page
+
+
+def diagram(rows: Rows, heading: str, T_0: float) -> "Figure":
+    """All measures, a panel for each."""
+    across = 3
+    down = -(-len(DRAWN) // across)
+    wide, tall, top = 4.0, 3.1, 0.95  # inches
+    size = (across * wide, down * tall + top)
+    figure = blank(*size, dpi=110)
+    for k, measure in enumerate(DRAWN):
+        column, row = k % across, k // across
+        place = (column * wide + 0.62, size[1] - top - (row + 1) * tall + 0.55, wide - 0.8, tall - 0.9)
+        panel = figure.add_axes((place[0] / size[0], place[1] / size[1], place[2] / size[0], place[3] / size[1]))
+        _panel(panel, rows, measure, T_0)
+        if k == 0:
+            lines = panel.get_legend_handles_labels()
+    figure.text(0.02, 1 - 0.22 / size[1], heading, fontsize=13, weight="bold", va="center", parse_math=False)
+    said = (
+        "difference from the reference, %, over processor time of one core, s; crosses at the top: settings that failed"
+    )
+    figure.text(0.02, 1 - 0.48 / size[1], said, fontsize=9.5, va="center")
+    figure.legend(
+        *lines, loc="center left", bbox_to_anchor=(0.015, 1 - 0.76 / size[1]), ncol=8, frameon=False, fontsize=9
+    )
+    return figure
+
+
+def _panel(panel: "Axes", rows: Rows, measure: str, T_0: float) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    found = fit.errors(rows, measure, T_0)
+    panel.set_title(f"{WORDS[measure]}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
+    if not found:  # no reference, or a measure that is zero in it
+        panel.text(0.5, 0.5, "nothing to compare with", ha="center", fontsize=9, transform=panel.transAxes)
+    for k, axis in enumerate(AXES):
+        x, y, _ = _points(found, axis)
+        style = {"lw": 1.4, "ls": "-"} if axis == "points" else {"lw": 0.0}
+        panel.plot(x, y, marker=MARKS[k], ms=5, color=charts.LINES[k], label=axis, **style)
+    for row, error in found:
+        if name := preset_of(row):
+            at = (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST))
+            panel.annotate(name, at, xytext=(5, 5), textcoords="offset points", fontsize=8.5, color=charts.LINES[0])
+    best = fit.reference(rows)
+    if best is not None:
+        panel.axvline(float(best["cpu_s"]), color="#888888", lw=0.9, ls="--")
+        said = " ".join(filter(None, ("reference", f"({preset_of(best)})" if preset_of(best) else "")))
+        panel.text(float(best["cpu_s"]), 0.03, said + " ", rotation=90, fontsize=8, color="#666666", ha="right", va="bottom",
+                   transform=panel.get_xaxis_transform())  # fmt: skip
+    for row in (row for row in rows if row["failed"] and float(row["cpu_s"])):
+        panel.plot(float(row["cpu_s"]), 0.97, marker="x", color="#b00020", ms=6, transform=panel.get_xaxis_transform())
+    if not found:
+        return
+    panel.set_xscale("log")
+    panel.set_yscale("log")
+    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    panel.xaxis.set_minor_formatter(NullFormatter())
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    panel.yaxis.set_minor_formatter(NullFormatter())
+    panel.grid(True, which="major", color="#e8ebef", lw=0.8)
+    panel.tick_params(labelsize=8)
+
+
+def _points(found: Sequence[tuple[Mapping[str, str], float]], axis: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Processor times, errors in percent and names of the settings of one axis, by time."""
+    mine = [(float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST), row["setting"]) for row, error in found
+            if row["axis"] == axis]  # fmt: skip
+    mine.sort()
+    return np.array([m[0] for m in mine]), np.array([m[1] for m in mine]), [m[2] for m in mine]
+
+
+def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
+    """The page: the picture (a PNG file), the same curves to be hovered over, the table, and what failed. Opens offline."""
+    page = Page()
+    address = "data:image/png;base64," + base64.b64encode(picture).decode()
+    page.section(
+        "diagram", "Work and precision", f'<figure><img src="{address}" alt="work-precision diagram"></figure>'
+    )
+    curves = []
+    for measure in DRAWN:
+        found = fit.errors(rows, measure, T_0)
+        said = f"{WORDS[measure]}: {order_of(rows, measure, T_0)}"
+        curves.append(page.chart(f"wp-{measure}", _chart(found) if found else None, said))
+    page.section("curves", "One by one", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
+    page.section("table", "All settings", _table(rows, T_0))
+    failed = [(row["axis"], row["setting"], row["points"], row["failed"]) for row in rows if row["failed"]]
+    listed = parts.table(("axis", "setting", "points", "why"), failed) if failed else "<p>None.</p>"
+    page.section("failed", "Settings that failed", listed)
+    local = (
+        "<p>Greatest strain and highest temperature are local maxima: finer points find higher ones, without end. They have no error"
+        " and no band; the 99th percentiles take their place.</p>"
+    )
+    page.section("maxima", "What does not converge", local)
+    under = "difference from the reference over processor time of one core"
+    return page.html(f"Accuracy against time: {heading}", escape(under), "", "Computed by coldspray.")
+
+
+def _chart(found: Sequence[tuple[Mapping[str, str], float]]) -> dict[str, Any]:
+    traces = []
+    for k, axis in enumerate(AXES):
+        x, y, names = _points(found, axis)
+        if not len(x):
+            continue
+        traces.append({
+            "x": [float(f"{v:.4g}") for v in x], "y": [float(f"{v:.4g}") for v in y], "text": names, "name": axis,
+            "mode": "lines+markers" if axis == "points" else "markers", "hovertemplate": "%{text}: %{y:.3g} %, %{x:.3g} s",
+            "line": {"color": charts.LINES[k]}, "marker": {"color": charts.LINES[k], "symbol": SYMBOLS[k], "size": 8},
+        })  # fmt: skip
+    layout = {
+        "xaxis": {"title": "processor time, s", "type": "log"}, "yaxis": {"title": "difference, %", "type": "log"},
+        "hovermode": "closest", "legend": {"orientation": "h", "y": -0.25}, "showlegend": True,
+    }  # fmt: skip
+    return {"traces": traces, "layout": layout, "height": 360}
+
+
+def _table(rows: Rows, T_0: float) -> str:
+    """All settings with their costs and the difference of each measure from the reference."""
+    by_measure = {m: {row["axis"] + row["setting"]: error for row, error in fit.errors(rows, m, T_0)} for m in DRAWN}
+    lines = []
+    for row in rows:
+        cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in DRAWN]
+        shown = ["" if error is None else f"{error:+.2f}" for error in cells]
+        name = " ".join(filter(None, (row["setting"], f"({preset_of(row)})" if preset_of(row) else "")))
+        lines.append((row["axis"], name, row["points"], row["steps"], f"{float(row['cpu_s']):.3g}", *shown))
+    head = ("axis", "setting", "points", "steps", "s", *(f"{WORDS[m]}, %" for m in DRAWN))
+    return parts.table(head, lines, numbers=range(2, len(head)))

@@ -1,0 +1,279 @@
+"""What a sequence of impacts has built: thickness, roughness, porosity, and what each layer holds. Reads results, no solver.
+
+The coating is looked at on a grid of upright columns (`Columns`): where each passes through matter follows from where it
+crosses the closed surfaces of the bodies, so overlaps and gaps between splats are counted as they are, to the columns' distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import StoreError
+from ..files.result import Fields, Result
+from ..report.picture import boundary_faces
+
+WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
+FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
+COLUMN = 0.125  # splat element sizes between two columns, and between two heights
+
+
+@dataclass(frozen=True)
+class Splats:
+    """The coating at the last written step. mesh: substrate and splats; body (m,): of each tetrahedron, 0 the substrate; impact
+    (bodies,): from which each came, counted from 1, 0 for the substrate. last: surface of the last particle, still made of
+    points, (points (k,3) m, triangles), None if it has left; sites (n,2) m: where particles were aimed at; rebounded (n,)."""
+
+    mesh: Fields
+    body: NDArray[np.int64]
+    impact: NDArray[np.int64]
+    last: tuple[NDArray, NDArray] | None
+    last_impact: int
+    sites: NDArray
+    rebounded: NDArray[np.bool_]
+    mass: NDArray
+
+    @property
+    def deposition_efficiency(self) -> float:
+        """Mass of the particles that stayed over that of all that have hit."""
+        return float(self.mass[~self.rebounded].sum() / self.mass.sum())
+
+
+def read(result: Result) -> Splats:
+    """What a run has built so far, finished or not. Raises StoreError where the files do not tell which body is which."""
+    from ..scene.model import Scene
+
+    scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
+    numbers, times = result.history("impact"), result.history("time")
+    if not len(numbers) or not len(result.times("target")):
+        raise StoreError(f"{result.directory} holds no impact yet: nothing to measure")
+    done = int(numbers.max())
+    mesh = result.fields(-1, "target")
+    if "body" not in mesh.data:
+        raise StoreError(
+            f"{result.directory} does not tell which tetrahedron is whose: run the scene again with this version"
+        )
+    body = mesh.data["body"].astype(np.int64)
+    steps, counts = result.times("target"), []
+    for k in range(1, done + 1):
+        before = times[numbers == k - 1].max() if k > 1 else -1.0
+        first = int(np.searchsorted(steps, before + 0.5e-15, side="right"))
+        counts.append(int(result.fields(min(first, len(steps) - 1), "target").data["body"].max()) + 1)
+    impact = np.zeros(int(body.max()) + 1, np.int64)
+    for k in range(1, done):
+        impact[counts[k - 1] : counts[k]] = k
+    left = [counts[k] == counts[k - 1] for k in range(1, done)]
+    last = None
+    if result.finished:
+        left.append(bool(result.summary["impacts"][-1]["rebounded"]))
+        surface = result.fields(-1, "surface")
+        last = None if left[-1] else (surface.points, surface.cells)
+    elif not left:
+        raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
+    particles = scene.particles[: len(left)]  # one that is still falling is not counted
+    mass = np.array([p.volume * scene.material(p.material).rho for p in particles])
+    sites = np.array([p.offset for p in particles])
+    return Splats(mesh, body, impact, last, len(left), sites, np.array(left), mass)
+
+
+class Columns:
+    """Upright columns over a disc of `radius` m about `centre`, `step` m apart, of cells `step` high from z = low on.
+
+    matter (k, layers): which cells lie in the substrate or a splat; splat (k, layers): in a splat. x, y (k,) m. A cell is in a body
+    where its middle is.
+    """
+
+    def __init__(self, what: Splats, centre: tuple[float, float], radius: float, step: float):
+        self.step = step
+        n = max(int(np.ceil(radius / step)), 4)
+        axis = (np.arange(-n, n) + 0.5) * step
+        self.inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= radius
+        self._origin, self._side = (centre[0] - n * step, centre[1] - n * step), 2 * n
+        skins = [
+            (what.mesh.points, boundary_faces(what.mesh.cells[what.body == b]), b > 0) for b in range(len(what.impact))
+        ]
+        if what.last is not None:
+            skins.append((*what.last, True))
+        points, faces, _ = skins[0]
+        corners = points[faces]
+        upward = _cross2(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) > 0
+        near = np.hypot(corners[..., 0] - centre[0], corners[..., 1] - centre[1]).min(axis=1) <= radius
+        deepest = [float(corners[upward & near, :, 2].min(initial=0.0))]
+        deepest += [float(points[faces, 2].min()) for points, faces, splat in skins if splat]
+        self.low = min(deepest) - 8.0 * step
+        self.layers = int(np.ceil((max(float(x[f, 2].max()) for x, f, _ in skins) - self.low) / step)) + 2
+        count = np.zeros((2, self._side, self._side, self.layers + 1), np.int16)
+        for points, faces, splat in skins:
+            self._cross(points, faces, count[int(splat)])
+        solid = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16) > 0
+        self.splat = solid[1][self.inside]
+        self.substrate = solid[0][self.inside]
+        self.matter = self.splat | self.substrate
+        grid = np.stack(np.meshgrid(axis + centre[0], axis + centre[1], indexing="ij"), axis=-1)
+        self.x, self.y = grid[self.inside].T
+
+    def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
+        """Note where columns enter (+1) and leave (-1) a closed surface of triangles that turn outwards."""
+        h, (x0, y0) = self.step, self._origin
+        corners = points[faces]
+        low = np.ceil((corners[..., :2].min(1) - [x0, y0]) / h - 0.5).astype(int).clip(0, self._side)
+        high = np.floor((corners[..., :2].max(1) - [x0, y0]) / h - 0.5).astype(int).clip(-1, self._side - 1)
+        wide = (high - low + 1).clip(0)
+        cells = wide[:, 0] * wide[:, 1]
+        which = np.repeat(np.arange(len(faces)), cells)
+        nth = np.arange(len(which)) - np.repeat(np.cumsum(cells) - cells, cells)
+        i, j = low[which, 0] + nth // wide[which, 1], low[which, 1] + nth % wide[which, 1]
+        p = np.stack([x0 + (i + 0.5) * h, y0 + (j + 0.5) * h], axis=1)
+        a, b, c = (corners[which, k] for k in range(3))
+        # a hair's breadth aside, so that no column runs along an edge, which two triangles share
+        p = p + np.array([1.1e-6, 0.7e-6]) * h
+        area = _cross2(b - a, c - a)
+        area = np.where(area == 0.0, np.inf, area)
+        wb, wc = _cross2(p - a[:, :2], c - a) / area, _cross2(b - a, p - a[:, :2]) / area
+        hit = (wb >= 0) & (wc >= 0) & (wb + wc <= 1) & np.isfinite(area)
+        z = (a[:, 2] + wb * (b[:, 2] - a[:, 2]) + wc * (c[:, 2] - a[:, 2]))[hit]
+        k = np.ceil((z - self.low) / h - 0.5).astype(int).clip(0, self.layers)
+        np.add.at(
+            count, (i[hit], j[hit], k), np.where(area[hit] < 0, 1, -1).astype(np.int16)
+        )  # downward faces are entered
+
+    def top(self) -> NDArray:
+        """Height (k,) m of the highest matter in each column."""
+        return self._highest(self.matter)
+
+    def interface(self) -> NDArray:
+        """Height (k,) m of the substrate's surface in each column."""
+        return self._highest(self.substrate)
+
+    def _highest(self, matter: NDArray) -> NDArray:
+        there = matter.any(axis=1)
+        last = self.layers - np.argmax(matter[:, ::-1], axis=1)
+        return np.where(there, self.low + last * self.step, self.low)
+
+    def voids(self, thinnest: float) -> tuple[NDArray, NDArray]:
+        """Cells (k, layers) without matter below each column's top: (open, closed); closed are those that no way through cells
+        without matter joins to the outside. Voids lower than `thinnest` m are taken for matter.
+        """
+        from scipy import ndimage
+
+        span = max(round(thinnest / self.step), 0)
+        whole = np.zeros((self._side, self._side, self.layers), bool)
+        whole[self.inside] = self.matter
+        if span > 0:
+            pad = ((0, 0), (0, 0), (span + 1, span + 1))
+            closed = ndimage.binary_closing(np.pad(whole, pad, mode="edge"), np.ones((1, 1, span + 1), bool))
+            whole |= closed[..., span + 1 : -span - 1]
+        below = np.cumsum(whole[..., ::-1], axis=-1)[..., ::-1] > 0
+        below &= self.inside[..., None]
+        empty = ~whole
+        # the outside: above the tops; the window's rim is no outside, or half of what touches it would count as open
+        label, _ = ndimage.label(empty & self.inside[..., None])
+        outer = np.unique(label[empty & ~below & self.inside[..., None]])
+        outside = np.isin(label, outer[outer > 0])
+        void = empty & below
+        return (void & outside)[self.inside], (void & ~outside)[self.inside]
+
+
+def _cross2(u: NDArray, v: NDArray) -> NDArray:
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def roughness(z: NDArray) -> tuple[float, float]:
+    """Sa and Sq, m, of heights z (k,) on an even grid: mean and root mean square of their distance from the mean. ISO 25178-2.
+
+    The plane that they are counted from is parallel to the substrate: one fitted to a window of a few splats would take the largest of
+    their steps away.
+    """
+    away = z - z.mean()
+    return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))
+
+
+def measure(result: Result, radius: float | None = None) -> dict[str, Any]:
+    """All measures of a coating, SI. radius: of the window, m; WINDOW of the patch's by default.
+
+    Raises StoreError where there is nothing to measure.
+    """
+    from ..scene.model import Scene
+
+    scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
+    what = read(result)
+    patch = scene.coating.radius if scene.coating is not None else float(np.hypot(*what.sites.T).max())
+    size = scene.splat_element_size
+    radius = radius or max(WINDOW * patch, 4.0 * size)
+    columns = Columns(what, (0.0, 0.0), radius, COLUMN * size)
+    top, interface = columns.top(), columns.interface()
+    sa, sq = roughness(top)
+    limit = FINEST * size
+    opened, closed = columns.voids(limit)
+    volume = float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum())
+    layers = scene.coating.layers if scene.coating is not None else 1
+    return {
+        "impacts": what.last_impact, "of": len(scene.particles), "rebounded": int(what.rebounded.sum()),
+        "deposition_efficiency": what.deposition_efficiency, "window_radius_m": radius, "column_m": columns.step,
+        "thickness_mean_m": float((top - interface).mean()), "thickness_min_m": float((top - interface).min()),
+        "thickness_max_m": float((top - interface).max()), "height_mean_m": float(top.mean()),
+        "bare_share": float((top - interface < columns.step).mean()), "Sa_m": sa, "Sq_m": sq,
+        "porosity_open": float(opened.sum()) / volume if volume else 0.0,
+        "porosity_closed": float(closed.sum()) / volume if volume else 0.0, "void_limit_m": limit,
+        "layers": per_layer(what, -(-len(scene.particles) // layers)), "depth": over_depth(what, radius, 0.5 * size),
+        "warnings": [] if result.finished else [f"the run is not finished: {what.last_impact} of {len(scene.particles)} impacts"],
+    }  # fmt: skip
+
+
+def _volumes(mesh: Fields) -> NDArray:
+    corners = mesh.points[mesh.cells]
+    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+
+
+def per_layer(what: Splats, each: int) -> list[dict[str, Any]]:
+    """Strain, temperature and stress of the substrate (layer 0: what yielded of it) and of each layer of `each` particles, over volume.
+
+    The last particle, still made of points, is in none of them.
+    """
+    volume, data = _volumes(what.mesh), what.mesh.data
+    layer = np.where(what.impact > 0, (what.impact - 1) // each + 1, 0)[what.body]
+    found = []
+    for number in range(int(layer.max()) + 1):
+        own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
+        if not own.any():
+            continue
+        row: dict[str, Any] = {
+            "layer": number,
+            "splats": int(np.sum(np.unique(what.body[own]) > 0)),
+            "volume_m3": float(volume[own].sum()),
+        }
+        for name in ("eps_p", "T", "von_mises"):
+            value = data[name][own].astype(float)
+            order = np.argsort(value)
+            share = np.cumsum(volume[own][order]) / volume[own].sum()
+            row[f"{name}_mean"] = float(np.average(value, weights=volume[own]))
+            row[f"{name}_p99"] = float(value[order][np.searchsorted(share, 0.99)])
+            row[f"{name}_max"] = float(value.max())
+        found.append(row)
+    return found
+
+
+def over_depth(what: Splats, radius: float, step: float) -> list[dict[str, float]]:
+    """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the window, from the top down.
+
+    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. coating: share of splats in the slice's matter.
+    """
+    middle = what.mesh.points[what.mesh.cells].mean(axis=1)
+    own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
+    z, volume = middle[own, 2], _volumes(what.mesh)[own]
+    columns = {
+        f"sigma_{axis}": what.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
+    }
+    columns |= {name: what.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
+    columns["coating"] = (what.body[own] > 0).astype(float)
+    slot = np.floor(z / step).astype(int)
+    rows = []
+    for number in np.unique(slot)[::-1]:
+        here = slot == number
+        if here.sum() >= 4:
+            means = {name: float(np.average(value[here], weights=volume[here])) for name, value in columns.items()}
+            rows.append({"z_m": (number + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
+    return rows

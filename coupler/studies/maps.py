@@ -1,0 +1,276 @@
+"""Maps of a sweep: what came out over diameter, velocity and temperature, interpolated, with the uncertainty of that.
+
+Reads folders of runs and imports no solver. The interpolation is a Gaussian process over the logarithms of velocity and
+diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ColdsprayError, SceneError, StoreError
+from ..files.result import Result
+from ..physics.adhesion import critical_velocity
+
+if TYPE_CHECKING:
+    from ..scene.model import Scene
+
+AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
+LOGARITHMIC = ("velocity_m_s", "diameter_m")
+MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
+            "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s")  # fmt: skip
+COLUMNS = (
+    "point",
+    "material",
+    "substrate",
+    *AXES,
+    "status",
+    "reason",
+    *MEASURES,
+    "restitution",
+    "velocity_ratio",
+    "bonded",
+)
+LEAST_POINTS = 6  # of which a map is drawn
+BAND = 1.96  # standard deviations: 95 % of a normal distribution
+Row = dict[str, Any]
+
+
+def table(folder: str | Path) -> list[Row]:
+    """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
+
+    status: "done", "failed" (then `reason` says why) or "unfinished"; measures of points that are not done are missing.
+    restitution: rebound over impact velocity, off and towards the surface, 0 for what bonded; velocity_ratio: impact over
+    critical velocity (`adhesion.critical_velocity`); bonded: as the run says, where its scene has an adhesion. Raises StoreError
+    if the folder is not there or holds no point.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise StoreError(f"{folder} is not a folder of runs")
+    names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
+    names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
+    rows = [_row(folder, name) for name in names]
+    if not rows:
+        raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
+    return sorted(rows, key=lambda row: (row["material"], *(row[axis] or 0.0 for axis in AXES[::-1]), row["point"]))
+
+
+def _row(folder: Path, name: str) -> Row:
+    """What is known of a point: from its scene, how it ended, and its summary."""
+    row: Row = dict.fromkeys(COLUMNS) | {
+        "point": name,
+        "material": "",
+        "substrate": "",
+        "status": "unfinished",
+        "reason": "",
+    }
+    scene = _scene(folder, name, row)
+    ended = _ended(folder / f"{name}.json")
+    if ended.get("status") == "failed":
+        return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}
+    if row["status"] == "failed" or not (folder / name / "scene.toml").is_file():
+        return row
+    try:
+        summary = Result(folder / name).summary
+    except StoreError as error:
+        return row | {"status": "failed", "reason": str(error)}
+    if not summary or scene is None:
+        return row
+    row |= {"status": "done"} | {key: summary.get(key) for key in MEASURES}
+    p, law = scene.particle, scene.adhesion_law
+    rebound = summary.get("rebound_velocity_m_s")
+    row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
+    if law.kind != "none" and "rebounded" in summary:  # without adhesion everything rebounds, which tells nothing
+        row["bonded"] = not summary["rebounded"]
+        row["restitution"] = 0.0 if row["bonded"] else row["restitution"]
+    with contextlib.suppress(ColdsprayError):  # a metal without tensile strength has no critical velocity
+        row["velocity_ratio"] = p.velocity / critical_velocity(scene.material(p.material), p.temperature)
+    return row
+
+
+def _scene(folder: Path, name: str, row: Row) -> Scene | None:
+    """The point's scene, its values put into the row; None, and why, if it cannot be read."""
+    from ..scene.model import Scene
+
+    given = folder / f"{name}.toml"
+    try:
+        scene = Scene.load(given if given.is_file() else folder / name / "scene.toml")
+    except SceneError as error:
+        row |= _as_written(given) | {"status": "failed", "reason": " ".join(str(error).split())}
+        return None
+    p = scene.particle
+    row |= {"material": p.material, "substrate": scene.substrate.material}
+    row |= dict(zip(AXES, (p.velocity, p.diameter, p.temperature), strict=True))
+    if len(scene.particles) > 1:
+        row |= {"status": "failed", "reason": f"has {len(scene.particles)} impacts; a point of a map is one"}
+    return scene
+
+
+def _is_scene(path: Path) -> bool:
+    import tomllib
+
+    try:
+        return "particle" in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+
+
+def _as_written(path: Path) -> Row:
+    """Material and axes of a scene that cannot be computed, as far as they can be read."""
+    import tomllib
+
+    from .. import units
+
+    found: Row = {}
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        found["material"], found["substrate"] = data["particle"]["material"], data["substrate"]["material"]
+        for axis, (key, dimension) in zip(AXES, _WRITTEN, strict=True):
+            found[axis] = units.parse(data["particle"][key], dimension)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return found
+
+
+_WRITTEN = (("velocity", "velocity"), ("diameter", "length"), ("temperature", "temperature"))
+
+
+def _ended(path: Path) -> Mapping[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def write_table(rows: Iterable[Row], path: Path, head: str = "") -> None:
+    """The rows as CSV; head: a first line after '# '. Raises StoreError."""
+    try:
+        with path.open("w", encoding="utf-8", newline="") as stream:
+            if head:
+                stream.write(f"# {head}\n")
+            writer = csv.writer(stream, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for row in rows:
+                writer.writerow([_cell(row[column]) for column in COLUMNS])
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """A Gaussian process through the points of a map. axes: the columns it goes over; rows: the points it was given.
+
+    loo_rms: root mean square of what each point is off the prediction from all others; loo_inside: share of the points
+    that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
+    left out together, over the inner values of axes that have four or more; spread: standard deviation of the values. In units
+    of the quantity.
+    kernel: the fitted one, in words.
+    """
+
+    quantity: str
+    axes: tuple[str, ...]
+    rows: tuple[Row, ...]
+    loo_rms: float
+    loo_inside: float
+    gap_rms: dict[str, float]
+    spread: float
+    kernel: str
+    _model: Any
+    _centre: NDArray
+    _scale: NDArray
+
+    def __call__(self, *at: Any) -> tuple[NDArray, NDArray]:
+        """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
+
+        The standard deviation is that of a run that would be made there, its scatter included.
+        """
+        points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
+        flat = np.stack([value.ravel() for value in points], axis=1)
+        mean, std = self._model.predict(_scaled(flat, self.axes, self._centre, self._scale), return_std=True)
+        return mean.reshape(points[0].shape), std.reshape(points[0].shape)
+
+
+def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
+    """Interpolate a column of the table over the axes that vary (or the given ones), from the rows that are done.
+
+    Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal
+    likelihood. Errors of leaving points out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's
+    neighbours of the same velocity tell nearly all of it, so that only leaving them out too tests what lies between. Raises
+    StoreError where there are too few points or the quantity is unknown.
+    """
+    used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
+    names = tuple(axes) if axes is not None else varying(rows)
+    if quantity not in COLUMNS:
+        raise StoreError(
+            f"{quantity} is no column of a map's table; known: {', '.join((*MEASURES, 'restitution', 'velocity_ratio'))}"
+        )
+    if len(used) < LEAST_POINTS or not names:
+        raise StoreError(
+            f"{quantity}: {len(used)} points are done; a map needs at least {LEAST_POINTS}, and an axis that varies"
+        )
+    import warnings
+
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+    x = np.array([[row[name] for name in names] for row in used], float)
+    y = np.array([row[quantity] for row in used], float)
+    logs = _logs(x, names)
+    centre, scale = logs.mean(axis=0), logs.std(axis=0)
+    scale[scale == 0.0] = 1.0
+    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(np.ones(len(names)), (0.2, 50.0), nu=2.5) + WhiteKernel(
+        1e-3, (1e-7, 1.0)
+    )
+    model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=4, random_state=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # a length at its bound: the axis has no influence, or all
+        model.fit(_scaled(x, names, centre, scale), y)
+    K = model.kernel_(model.X_train_)
+    inverse = np.linalg.inv(K)
+    unit = float(y.std()) or 1.0
+    off = inverse @ model.y_train_ / np.diag(inverse)
+    std = np.sqrt(1.0 / np.diag(inverse))
+    gaps = {}
+    for column, name in enumerate(names):
+        inner = np.unique(x[:, column])[1:-1]
+        if len(inner) >= 2:
+            groups = [np.flatnonzero(x[:, column] == value) for value in inner]
+            errors = [np.linalg.solve(inverse[np.ix_(g, g)], (inverse @ model.y_train_)[g]) for g in groups]
+            gaps[name] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) * unit
+    return Interpolation(
+        quantity, names, tuple(used), float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std)),
+        gaps,
+        unit, str(model.kernel_), model, centre, scale,
+    )  # fmt: skip
+
+
+def varying(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The axes with more than one value among the rows."""
+    return tuple(axis for axis in AXES if len({row[axis] for row in rows if row[axis] is not None}) > 1)
+
+
+def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
+    logarithmic = np.array([name in LOGARITHMIC for name in names])
+    return np.where(logarithmic, np.log(np.where(logarithmic, x, 1.0)), x)
+
+
+def _scaled(x: NDArray, names: Sequence[str], centre: NDArray, scale: NDArray) -> NDArray:
+    return (_logs(x, names) - centre) / scale

@@ -1,0 +1,309 @@
+"""A sweep: one scene for each of many diameters, velocities, temperatures and materials, each a run in its own folder.
+
+OUT/<point>.toml is the scene, OUT/<point>/ the folder of its `coldspray run`, OUT/<point>.json how that ended. A point that
+has its .json is finished with, well or badly; one that has not is run, or gone on with. So a sweep that was killed is started
+again by the same command, whoever runs it: `Sweep.run`, or workflows/Snakefile, whose rules call this file.
+"""
+
+import fcntl
+import itertools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from ..errors import SceneError, StoreError
+
+AXES = {"diameter": "um", "velocity": "m/s", "temperature": "K"}  # and the unit of each in the names of points
+MOST_POINTS = 10_000
+SUBSTRATE = (8.0, 4.0)  # diameter and height over the particle's diameter: 200 x 100 um for 25 um
+_KEYS = ("name", "points", "scene")
+_POINT_KEYS = ("material", *AXES, "substrate_diameter", "substrate_height")
+_STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+_EXAMPLES = {
+    "material": '["Ni"]',
+    "diameter": '["10 um", "25 um"]',
+    "velocity": '["500 m/s"]',
+    "temperature": '["300 K"]',
+}
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """The points of a sweep. name: of the folder runs/<name>; points: name of each -> its scene as TOML.
+
+    refused: points whose scene cannot be computed -> why. They are marked as failed, not left out.
+    """
+
+    name: str
+    points: dict[str, str]
+    refused: dict[str, str]
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Sweep":
+        """Read a sweep's file (TOML, as workflows/map_ni.toml). Raises SceneError with every problem of it."""
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise SceneError([f"cannot be read: {error.strerror}"], str(path)) from None
+        except (ValueError, RecursionError) as error:
+            raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
+        return cls.from_dict(data, str(path))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: str = "sweep") -> "Sweep":
+        """A sweep from nested dicts, as TOML has them. Raises SceneError with every problem of it.
+
+        data["points"]: lists of `material`, `diameter`, `velocity` and `temperature` (["300 K"] unless given), as a scene's
+        particle has them, all combined; substrate_diameter, substrate_height: over the particle's diameter.
+        data["scene"]: what all scenes share, as a scene has it.
+        """
+        from ..scene.model import Scene, safe_name
+
+        problems = _unknown(data, _KEYS, "")
+        name = data.get("name", safe_name(source))
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
+            problems.append("name: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)")
+        points, shared = data.get("points"), data.get("scene", {})
+        for key, table in (("points", points), ("scene", shared)):
+            if not isinstance(table, Mapping):
+                problems.append(f"{key}: expected a table [{key}]")
+        if problems or not isinstance(points, Mapping):
+            raise SceneError(problems, source)
+        problems = _unknown(points, _POINT_KEYS, "points.")
+        values, sizes = _axes(points, problems), _sizes(points, problems)
+        problems += _shared_problems(shared)
+        count = len(values["material"])
+        for axis in AXES:
+            count *= len(values[axis])
+        if count > MOST_POINTS:
+            problems.append(f"points: {count} combinations; at most {MOST_POINTS} are possible")
+        if problems:
+            raise SceneError(problems, source)
+        scenes: dict[str, str] = {}
+        refused: dict[str, str] = {}
+        first: SceneError | None = None
+        for material, *of_axes in itertools.product(values["material"], *(values[axis] for axis in AXES)):
+            at = dict(zip(AXES, of_axes, strict=True))
+            point, scene = point_name(material, **at), _scene(shared, material, at, sizes)
+            scenes[point] = _toml(scene)
+            try:
+                Scene.from_dict(scene, point)
+            except SceneError as error:
+                refused[point], first = str(error), first or error
+        if first is not None and len(refused) == len(scenes):  # not a point's fault
+            raise SceneError([f"no point can be computed; the first: {problem}" for problem in first.problems], source)
+        return cls(name, scenes, refused)
+
+    def write(self, out: str | Path, point: str) -> Path:
+        """Write the scene of a point into `out`, unless it is there. Returns its path. Raises StoreError."""
+        path = Path(out) / f"{point}.toml"
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not path.is_file() or path.read_text(encoding="utf-8") != self.points[point]:
+                path.write_text(self.points[point], encoding="utf-8")
+        except OSError as error:
+            raise StoreError(f"cannot write {path}: {error.strerror}") from error
+        return path
+
+    def run(self, out: str | Path | None = None, jobs: int = 1, log: Callable[[str], None] = print) -> Path:
+        """Run every point that has not been, `jobs` at a time, each on one core. Returns the folder, runs/<name> by default.
+
+        A point that fails is marked and does not stop the others. log: told of each point as it ends.
+        """
+        folder = Path(out) if out is not None else Path("runs") / self.name
+        done = itertools.count(1)
+
+        def one(point: str) -> None:
+            known, scene = folder / f"{point}.json", self.write(folder, point)
+            fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
+            ended = json.loads(known.read_text(encoding="utf-8")) if fresh else compute(scene, known)
+            log(f"{next(done)}/{len(self.points)} {point}: {_said(ended)}")
+
+        with ThreadPoolExecutor(max(jobs, 1)) as pool:
+            waiting = [pool.submit(one, point) for point in self.points]
+            try:
+                for future in waiting:
+                    future.result()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+        return folder
+
+
+def point_name(material: str, diameter: float, velocity: float, temperature: float) -> str:
+    """What a point is called: point_name("Ni", 25e-6, 500.0, 300.0) is "Ni_25um_500ms_300K"; SI units."""
+    return f"{material}_{diameter * 1e6:.6g}um_{velocity:.6g}ms_{temperature:.6g}K"
+
+
+def compute(scene: Path, status: Path) -> dict[str, Any]:
+    """Run a scene into the folder of its name, or go on there, on one core; write how it ended to `status` and return it.
+
+    {"status": "done" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
+    KeyboardInterrupt and leaves no status, so that the next attempt goes on with it.
+    """
+    folder = scene.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    _wait_for(folder)
+    verb = ["resume", folder] if _begun(scene, folder) else ["run", scene, "--out", folder, "--force"]
+    command = [sys.executable, "-m", "coupler", *map(str, verb), "--threads", "1", "--quiet"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
+        try:
+            _, errors = run.communicate()
+        except BaseException:
+            run.terminate()  # it writes a checkpoint
+            run.communicate()
+            raise
+    code = run.returncode
+    if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
+        raise KeyboardInterrupt
+    ended = {"status": "failed" if code else "done", "reason": _reason(code, errors), "exit_code": code}
+    part = status.with_suffix(".part")
+    part.write_text(json.dumps(ended, indent=1) + "\n", encoding="utf-8")
+    os.replace(part, status)
+    return ended
+
+
+def main(arguments: list[str]) -> int:
+    """`python -m coupler.studies.sweep SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
+    scene, status = map(Path, arguments)
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    for number in _STOPPED:
+        signal.signal(number, stop)
+    try:
+        print(f"{scene.stem}: {_said(compute(scene, status))}")
+    except KeyboardInterrupt:
+        return 128 + signal.SIGTERM
+    return 0
+
+
+def _unknown(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> list[str]:
+    from ..units import nearest
+
+    return [
+        f"{where}{key}: unknown key{nearest(str(key), known)}; known: {', '.join(known)}"
+        for key in table
+        if key not in known
+    ]
+
+
+def _axes(points: Mapping[str, Any], problems: list[str]) -> dict[str, list[Any]]:
+    """Materials and SI values of each axis, doubles left out; what is wrong goes to problems."""
+    from .. import units
+
+    found: dict[str, list[Any]] = {}
+    for axis in ("material", *AXES):
+        given = points.get(axis, ["300 K"] if axis == "temperature" else None)
+        given = [given] if isinstance(given, str) else given
+        if not isinstance(given, list) or not given:
+            problems.append(f"points.{axis}: expected a list, such as {_EXAMPLES[axis]}")
+            given = []
+        values: list[Any] = []
+        for item in given:
+            if axis == "material":
+                if isinstance(item, str) and re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", item):
+                    values.append(item)
+                else:
+                    problems.append(f"points.material = {json.dumps(item, default=str)[:60]}: expected a name")
+                continue
+            try:
+                values.append(units.parse(item, units.dimension_of(AXES[axis])))
+            except units.UnitError as error:
+                problems.append(f"points.{axis} = {json.dumps(item, default=str)[:60]} {error}")
+        found[axis] = list(dict.fromkeys(values))
+    return found
+
+
+def _sizes(points: Mapping[str, Any], problems: list[str]) -> tuple[float, float]:
+    sizes = []
+    for key, default in zip(("substrate_diameter", "substrate_height"), SUBSTRATE, strict=True):
+        value = points.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 1.0 <= value <= 1000.0:
+            problems.append(f"points.{key}: expected a number, the target's over the particle's diameter, 1 to 1000")
+            value = default
+        sizes.append(float(value))
+    return sizes[0], sizes[1]
+
+
+def _shared_problems(shared: Mapping[str, Any]) -> list[str]:
+    particle = shared.get("particle", {})
+    if not isinstance(particle, Mapping):
+        return ["scene.particle: expected one table [scene.particle]; a point is one impact"]
+    return [
+        f"scene.particle.{key}: give it as a list under [points]" for key in ("material", *AXES) if key in particle
+    ] + [f"scene.{key}: a sweep gives velocities and temperatures itself" for key in ("gas",) if key in shared]
+
+
+def _scene(shared: Mapping[str, Any], material: str, at: dict[str, float], sizes: tuple[float, float]) -> dict:
+    from ..units import show
+
+    values = {axis: show(value, AXES[axis]) for axis, value in at.items()}
+    D = at["diameter"]
+    substrate = {"diameter": show(sizes[0] * D, "um"), "height": show(sizes[1] * D, "um")}
+    return {
+        **shared,
+        "particle": {**shared.get("particle", {}), "material": material, **values},
+        "substrate": {**substrate, **shared.get("substrate", {})},
+    }
+
+
+def _toml(table: Mapping[str, Any], above: str = "") -> str:
+    """Nested dicts as lines of dotted keys."""
+    lines = ""
+    for key, value in table.items():
+        name = above + (key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key))
+        lines += _toml(value, f"{name}.") if isinstance(value, Mapping) else f"{name} = {json.dumps(value)}\n"
+    return lines
+
+
+def _wait_for(folder: Path) -> None:
+    """Until no other process writes to the folder: one of a sweep whose head was killed may go on to its end."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
+    except OSError:  # a file system without locks: as there
+        pass
+    finally:
+        os.close(descriptor)
+
+
+def _begun(scene: Path, folder: Path) -> bool:
+    """Whether the folder holds a run of this very scene."""
+    from ..scene.model import Scene
+
+    try:
+        return (folder / "scene.toml").read_text(encoding="utf-8") == Scene.load(scene).to_toml()
+    except (OSError, SceneError):
+        return False
+
+
+def _reason(code: int, errors: str) -> str:
+    """The message of a run that failed: from its last line that speaks for the program, or what killed it."""
+    if code == 0:
+        return ""
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    at = errors.rfind("coldspray: ")
+    text = errors[at + len("coldspray: ") :] if at >= 0 else (errors.strip().splitlines() or [f"exit code {code}"])[-1]
+    return " ".join(text.split())
+
+
+def _said(ended: Mapping[str, Any]) -> str:
+    return f"{ended['status']}" + (f": {ended['reason']}" if ended.get("reason") else "")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))

