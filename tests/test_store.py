@@ -151,7 +151,7 @@ def test_wrong_shapes_are_refused(tmp_path, points, cells, data, message):
 WRITING = """
     import sys
     import numpy as np
-    from coupler.store import Store
+    from coupler.files.store import Store
 
     n = 3000
     cells, tets = np.arange(n)[:, None], np.arange(4 * n).reshape(-1, 4) % n
@@ -205,7 +205,7 @@ def test_full_disk_names_the_file_and_keeps_earlier_steps(tmp_path, room):
         import os, resource, sys
         import numpy as np
         from coupler.errors import StoreError
-        from coupler.store import Store
+        from coupler.files.store import Store
 
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
         memory = os.memfd_create

@@ -2,7 +2,7 @@
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --docs     # runs nothing: writes the tables into docs/effects.md and coupler/plan/effects_study.csv
+    python workflows/effects_study.py --docs     # runs nothing: writes docs/effects.md and coupler/plan/effects_study.csv
 
 Rows that are there are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
 of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.

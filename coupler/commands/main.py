@@ -63,7 +63,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def missing_library(error: Exception) -> str | None:
     """What to install when an import lacked a shared library or a package; None if that is not what happened."""
-    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != __package__:
+    if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         return f"the Python package {error.name} is missing: set the environment up again with `make setup`"
     match = re.match(r"(\S+\.so[.\d]*): cannot open shared object file", str(error))
     if match is None:
