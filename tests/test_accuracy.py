@@ -11,6 +11,7 @@ from test_scene import scene_with, several
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
 from coupler.errors import ColdsprayError, SolverError, StoreError
+from coupler.measures import BANDED
 from coupler.plan import bands
 from coupler.plan import cost as estimates
 from coupler.plan.planning import plan
@@ -145,7 +146,7 @@ def test_what_is_packaged_says_slopes_and_knobs(rows):
 
 
 def test_bands_narrow_with_points_and_say_what_they_rest_on():
-    for measure in bands.WORDS:
+    for measure in BANDED:
         wide, narrow = (bands.band(measure, bands.Kind(n, 500.0)) for n in (1000, 16000))
         assert wide is not None
         assert narrow is not None
@@ -312,7 +313,7 @@ def test_diagram_and_page_hide_nothing(rows, tmp_path):
     assert "<script src" not in text
     assert '<link rel="stylesheet' not in text
     figure = draw.diagram(rows, "a case", 300.0)
-    assert len(figure.axes) == len(draw.DRAWN)
+    assert len(figure.axes) == len(BANDED)
     assert all(panel.get_xscale() == panel.get_yscale() == "log" for panel in figure.axes)
     assert any("draft" in text.get_text() for text in figure.axes[0].texts)
     assert draw.order_of(rows, "crater_depth_m", 300.0).startswith("order 1.2")

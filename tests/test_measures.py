@@ -7,6 +7,7 @@ import pytest
 
 from coupler.fe import mesh as meshes
 from coupler.impact.measure import YIELDED, contact_pressure, plastic_zone
+from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure
 
 
 def test_a_round_contact_has_its_area_and_the_mean_pressure(rng: np.random.Generator) -> None:
@@ -38,3 +39,32 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
     assert found[1] == pytest.approx(depth, abs=1e-6)
     target.eps_p[:] = 0.0
     assert plastic_zone(target) == (0.0, 0.0)
+
+
+def test_only_the_whole_flattening_of_a_sphere_is_bound() -> None:
+    assert measure("flattening_ratio_total").refusal(0.37) is None
+    assert "above 1" in (measure("flattening_ratio_total").refusal(1.76) or "")
+    assert measure("flattening_ratio_total").refusal(-0.2, shape="rod") is None
+    assert measure("flattening_ratio").refusal(1.2) is None
+    assert "embedded" in (measure("flattening_ratio").remark(1.2) or "")
+    assert "rod" in (measure("flattening_ratio").remark(-0.06) or "")
+    assert measure("flattening_ratio").remark(0.5) is None
+
+
+def test_a_strain_beyond_the_scheme_is_refused() -> None:
+    assert measure("eps_p_max").refusal(5.2) is None
+    assert "cannot follow" in (measure("eps_p_max").refusal(85.0) or "")
+    assert measure("T_max_K").refusal(float("nan")) == "not a number"
+
+
+def test_records_agree_with_their_keys() -> None:
+    assert all(m.group in GROUPS and m.label and m.short and m.factor > 0.0 for m in TABLE)
+    assert len(MEASURES) == len(TABLE)
+    assert (measure("dt_mean_s").unit, measure("rebound_velocity_m_s").unit, measure("new_length_m").unit) == (
+        "ps",
+        "m/s",
+        "µm",
+    )
+    assert measure("T_p99_K").initial(300.0) == 300.0
+    assert measure("crater_depth_m").initial(300.0) == 0.0
+    assert axis_label("velocity_m_s") == "velocity (m/s)"

@@ -11,6 +11,7 @@ import csv
 from pathlib import Path
 from typing import Any
 
+from coupler.measures import BANDED, MEASURES
 from coupler.plan import bands
 from coupler.plan import cost as estimates
 from coupler.progress import Progress
@@ -102,9 +103,9 @@ def written(packaged: list[dict[str, Any]]) -> list[str]:
 
 def _differences(rows: list[dict[str, str]], T_0: float) -> list[str]:
     """Difference of each setting from the reference, in percent."""
-    names = [m for m in ladder.MEASURES if m in bands.WORDS]
+    names = BANDED
     found = {m: {(r["axis"], r["setting"]): e for r, e in fit.errors(rows, m, T_0)} for m in names}
-    head = "| setting | s | " + " | ".join(bands.WORDS[m] for m in names) + " |"
+    head = "| setting | s | " + " | ".join(MEASURES[m].short for m in names) + " |"
     lines = [head, "|---" * (len(names) + 2) + "|"]
     for row in ladder.finished(rows):
         if row["axis"] == "reference":
@@ -127,14 +128,14 @@ def _orders(packaged: list[dict[str, Any]]) -> list[str]:
         high = f"above {high}" if mine[0]["high"] >= fit.ORDERS[-1] else high
         limits = " | ".join(f"{row['limit']:.3f}" for row in mine)
         orders = f"{mine[0]['fitted']:.2g} | {low} to {high} | {mine[0]['order']:.2g}"
-        lines.append(f"| {bands.WORDS[measure]} | {orders} | {limits} |")
+        lines.append(f"| {MEASURES[measure].short} | {orders} | {limits} |")
     return lines
 
 
 def _presets() -> list[str]:
     """Band and time of each preset, per measure."""
-    names = list(bands.WORDS)
-    head = "| preset, speed | s | " + " | ".join(bands.WORDS[m] for m in names) + " |"
+    names = BANDED
+    head = "| preset, speed | s | " + " | ".join(MEASURES[m].short for m in names) + " |"
     lines = [head, "|---" * (len(names) + 2) + "|"]
     for preset, points in estimates.PRESETS.items():
         for speed, case in ((500.0, "ni500"), (1000.0, "ni1000")):

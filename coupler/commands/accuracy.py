@@ -114,14 +114,15 @@ def kind_of(what: "Plan") -> "Kind":
 
 def outlook(what: "Plan", pace: "Pace") -> str:
     """How long a plan takes here, and how accurate it will be, as lines for `check`."""
-    from ..plan.bands import WORDS, band
+    from ..measures import BANDED, MEASURES
+    from ..plan.bands import band
     from ..plan.text import duration
 
     kind = kind_of(what)
-    found = {name: got for name in WORDS if (got := band(name, kind)) is not None}
+    found = {name: got for name in BANDED if (got := band(name, kind)) is not None}
     lines = [f"  wall time  about {duration(pace.seconds(what))} on one core here, after compilation; {pace.said}"]
     if found:
-        cells = [f"{WORDS[name]} {100 * got.share:.2g} %" for name, got in found.items()]
+        cells = [f"{MEASURES[name].short} {100 * got.share:.2g} %" for name, got in found.items()]
         half = -(-len(cells) // 2)
         lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
         widest = max(found.values(), key=lambda got: got.share)
@@ -152,8 +153,9 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises StoreError for text
     that is no time or percentage, AccuracyError where no resolution will do.
     """
+    from ..measures import MEASURES
     from ..plan import cost as estimates
-    from ..plan.bands import LEAST, MOST, WORDS, AccuracyError, points_for, worst
+    from ..plan.bands import LEAST, MOST, AccuracyError, points_for, worst
     from ..plan.planning import plan
     from ..plan.text import duration
 
@@ -191,7 +193,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     made = at_points(scene, points)
     name, width = worst(kind_of(plan(made)))
     took = f", about {duration(takes(points))} here" if pace else ""
-    return made, f"resolution chosen: {points} points{took}; shape within {100 * width:.2g} % ({WORDS[name]})"
+    return made, f"resolution chosen: {points} points{took}; shape within {100 * width:.2g} % ({MEASURES[name].short})"
 
 
 def at_points(scene: "Scene", points: int) -> "Scene":

@@ -5,29 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..measures import MEASURES, axis_label
+
 if TYPE_CHECKING:
     from ..studies.maps import Interpolation, Row
 
-# quantity -> title, unit, factor to that unit, colour map (all of them in even steps of lightness)
-QUANTITIES = {
-    "flattening_ratio": ("flattening", "", 1.0, "viridis"),
-    "T_p99_K": ("temperature, 99 % of the particle", "K", 1.0, "inferno"),
-    "restitution": ("rebound velocity / impact velocity", "", 1.0, "cividis"),
-    "velocity_ratio": ("velocity / critical velocity", "", 1.0, "PuOr_r"),
-    "T_mean_K": ("mean temperature of the particle", "K", 1.0, "inferno"),
-    "eps_p_mean": ("mean plastic strain of the particle", "", 1.0, "viridis"),
-    "crater_depth_m": ("depth of the crater", "µm", 1e6, "viridis"),
-    "splat_diameter_m": ("diameter of the splat", "µm", 1e6, "viridis"),
-    "rebound_velocity_m_s": ("rebound velocity", "m/s", 1.0, "cividis"),
-    "bonded_area_end_m2": ("bonded area at the end", "µm²", 1e12, "viridis"),
-    "numerical_dissipation": ("energy lost to the schemes", "%", 100.0, "viridis"),
-}
+# measure -> colour map (all of them in even steps of lightness)
+COLOURS = {
+    "flattening_ratio": "viridis", "T_p99_K": "inferno", "restitution": "cividis", "velocity_ratio": "PuOr_r",
+    "T_mean_K": "inferno", "eps_p_mean": "viridis", "crater_depth_m": "viridis", "splat_diameter_m": "viridis",
+    "rebound_velocity_m_s": "cividis", "bonded_area_end_m2": "viridis", "numerical_dissipation": "viridis",
+}  # fmt: skip
 DRAWN = ("flattening_ratio", "T_p99_K", "restitution", "velocity_ratio")
-LABELS = {
-    "velocity_m_s": ("velocity (m/s)", 1.0),
-    "diameter_m": ("diameter (µm)", 1e6),
-    "temperature_K": ("initial temperature (K)", 1.0),
-}
 GRID = 61  # places along each side of a map
 
 
@@ -39,8 +28,8 @@ def add(commands: Any) -> None:
     option(
         "folder", type=Path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
     )
-    option("--show", nargs="+", choices=tuple(QUANTITIES), default=DRAWN, metavar="QUANTITY",
-           help=f"what to draw, of {', '.join(QUANTITIES)} (default: {', '.join(DRAWN)})")  # fmt: skip
+    option("--show", nargs="+", choices=tuple(COLOURS), default=DRAWN, metavar="QUANTITY",
+           help=f"what to draw, of {', '.join(COLOURS)} (default: {', '.join(DRAWN)})")  # fmt: skip
     option("--out", type=Path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 
@@ -84,7 +73,8 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
             continue
         for quantity in quantities:
             path = out / f"map_{material}_{quantity}.png"
-            title, unit, factor, _ = QUANTITIES[quantity]
+            m = MEASURES[quantity]
+            title, unit, factor = m.label, m.unit, m.factor
             if quantity == "velocity_ratio":
                 if any(row[quantity] for row in mine):
                     _figure(path, mine, axes, quantity, None)
@@ -98,9 +88,7 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
                 said.append(f"{material}, {title}: no map; {error}")
                 continue
             _figure(path, mine, axes, quantity, fit)
-            gaps = "".join(
-                f", a whole {LABELS[axis][0].split(' (')[0]} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items()
-            )
+            gaps = "".join(f", a whole {MEASURES[axis].short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
             said.append(
                 f"{material}, {title}: rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
                 + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band; {path}"
@@ -115,7 +103,8 @@ def _figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    title, unit, factor, _ = QUANTITIES[quantity]
+    m = MEASURES[quantity]
+    title, unit, factor = m.label, m.unit, m.factor
     x_axis, y_axis, *third = axes
     done = [row for row in rows if row["status"] == "done" and row[quantity] is not None]
     slices = sorted({row[third[0]] for row in done}) if third else [None]
@@ -130,10 +119,10 @@ def _figure(
             here = [row for row in rows if not third or row[third[0]] == value]
             _panel(figure, at, (x, y, factor * values[number]), levels, number == 1, quantity, unit)
             _points(at, here, x_axis, y_axis)
-            at.set_xlabel(LABELS[x_axis][0])
-            at.set_ylabel(LABELS[y_axis][0] if number == 0 else "")
+            at.set_xlabel(axis_label(x_axis))
+            at.set_ylabel(axis_label(y_axis) if number == 0 else "")
             at.set_title(
-                ("95 % band, half width" if number else "") if not third else f"{LABELS[third[0]][0]} {value:g}",
+                ("95 % band, half width" if number else "") if not third else f"{axis_label(third[0])} {value:g}",
                 fontsize=9,
             )
     substrates = ", ".join(dict.fromkeys(row["substrate"] for row in done))
@@ -190,7 +179,7 @@ def _panel(
     figure: Any, at: Any, field: tuple[Any, Any, Any], levels: Any, band: bool, quantity: str, unit: str
 ) -> None:
     x, y, values = field
-    colours = at.contourf(x, y, values, levels, cmap="Greys" if band else QUANTITIES[quantity][3], extend="neither")
+    colours = at.contourf(x, y, values, levels, cmap="Greys" if band else COLOURS[quantity], extend="neither")
     lines = at.contour(x, y, values, levels, colors="k" if band else "w", linewidths=0.5)
     at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}")
     if quantity == "velocity_ratio":
@@ -222,5 +211,5 @@ def _points(at: Any, rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:
         if len(ticks) <= 8:
             axis.set_ticks(ticks)
             axis.set_minor_locator(NullLocator())
-        factor = LABELS[side][1]
+        factor = MEASURES[side].factor
         axis.set_major_formatter(FuncFormatter(lambda v, _, f=factor: f"{v * f:.4g}"))

@@ -14,15 +14,11 @@ from importlib.resources import files
 from typing import Any
 
 from ..errors import ColdsprayError
+from ..measures import measure as record
 
 SHAPE = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")  # what --accuracy is about
 KNOB_AXES = ("element size", "dt", "viscosity", "hourglass", "contact stiffness")
 LEAST, MOST = 300, 64000  # points that a choice may fall on
-WORDS = {
-    "flattening_ratio_total": "flattening", "flattening_ratio": "flattening above surface", "crater_depth_m": "crater",
-    "splat_diameter_m": "diameter", "eps_p_mean": "mean strain", "eps_p_p99": "strain 99 %", "T_mean_K": "mean T rise",
-    "T_p99_K": "T rise 99 %", "rebound_velocity_m_s": "rebound",
-}  # fmt: skip
 
 
 class AccuracyError(ColdsprayError):
@@ -100,7 +96,7 @@ def of_summary(values: Mapping[str, Any], kind: Kind, T_0: float) -> dict[str, d
         got, at = band(measure, kind), values.get(measure)
         if got is None or not isinstance(at, int | float):
             continue
-        whole = abs(at - (T_0 if measure.startswith("T_") else 0.0))
+        whole = abs(at - record(measure).initial(T_0))
         if whole > 0.0:
             found[measure] = {"half_width": got.share * whole, "why": got.why}
     return found
@@ -121,7 +117,7 @@ def points_for(share: float, kind: Kind) -> int:
     if at(MOST)[1] > share:
         name, least = at(MOST)
         raise AccuracyError(
-            f"--accuracy {100 * share:g}% cannot be had: with {MOST} points the {WORDS[name]} is still uncertain by"
+            f"--accuracy {100 * share:g}% cannot be had: with {MOST} points the {record(name).short} is still uncertain by"
             f" {100 * least:.2g} %; ask for that or more (docs/accuracy.md)"
         )
     low, high = LEAST, MOST

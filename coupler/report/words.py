@@ -9,87 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
 from ..files.result import Result
+from ..measures import GROUPS, measure
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-# Ending of a key -> factor and unit in which people read it; the longest ending that fits counts.
-UNITS = {
-    "_m_s": (1.0, "m/s"),
-    "_m": (1e6, "µm"),
-    "_Pa": (1e-6, "MPa"),
-    "_K": (1.0, "K"),
-    "_kg": (1e12, "ng"),
-    "_J": (1e9, "nJ"),
-    "_s": (1e9, "ns"),
-}
-SPECIAL = {
-    "dt_mean_s": (1e12, "ps"),
-    "wall_s": (1.0, "s"),
-    "wall_loop_s": (1.0, "s"),
-    "energy_drift": (100.0, "%"),
-    "momentum_error": (1.0, ""),
-    "numerical_dissipation": (100.0, "%"),
-    "memory_peak_bytes": (1e-6, "MB"),
-    "idle_share": (100.0, "%"),
-}
-LABELS = {
-    "time_s": "time",
-    "flattening_ratio": "flattening, above surface",
-    "flattening_ratio_total": "flattening, whole",
-    "eps_p_mean": "mean plastic strain",
-    "eps_p_p99": "plastic strain, 99 %",
-    "eps_p_max": "greatest plastic strain",
-    "T_mean_K": "mean temperature",
-    "T_p99_K": "temperature, 99 %",
-    "T_max_K": "highest temperature",
-    "von_mises_max_Pa": "highest von Mises stress",
-    "target_eps_p_max": "greatest plastic strain",
-    "target_T_max_K": "highest temperature",
-    "target_von_mises_max_Pa": "highest von Mises stress",
-    "penetration_max_m": "greatest penetration",
-    "plastic_radius_m": "radius of the yielded zone",
-    "plastic_depth_m": "depth of the yielded zone",
-    "surface_level_m": "surface met at",
-    "speed_m_s": "impact speed",
-    "material": "material of the particle",
-    "diameter_m": "diameter before impact",
-    "velocity_z_m_s": "mean velocity upwards",
-    "rebound_velocity_m_s": "rebound velocity",
-    "element_size_m": "smallest elements",
-    "spacing_m": "spacing of the points",
-    "ranks": "processes",
-    "placement": "where they run",
-    "idle_share": "idle, by process",
-    "memory_peak_bytes": "most memory",
-    "kinetic_energy_0_J": "kinetic energy at the start",
-    "sim_time_s": "simulated time",
-    "wall_s": "wall time",
-    "wall_loop_s": "wall time of the steps",
-    "dt_mean_s": "mean time step",
-    "version": "coldspray",
-}
 TOGETHER = ("steps", "sim_time_s", "wall_s", "wall_loop_s")  # of a run of several impacts: the sum of all
 SAID = 3  # particles that a title names
 NOTES = ("effects", "warnings")  # lists of words, below the table
-GROUPS = {
-    "shape": (
-        "time",
-        "flattening",
-        "height",
-        "thickness",
-        "splat",
-        "crater",
-        "velocity",
-        "rebound",
-        "penetration",
-        "surface",
-    ),
-    "particle": ("material", "diameter", "speed", "eps_p", "T_", "von_mises"),
-    "balance, of the initial energy": ("energy", "momentum", "numerical"),
-    "target": ("target", "plastic"),
-    "run": ("",),  # whatever is left
-}
 
 
 def columns(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -109,19 +36,15 @@ def columns(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def grouped(keys: Iterable[str]) -> list[tuple[str, list[str]]]:
     """Keys of a summary in reading order, under the headings of their groups; without empty groups."""
-    left, groups = list(dict.fromkeys(keys)), []
-    for group, starts in GROUPS.items():
-        inside = [key for key in left if key.startswith(starts)]
-        left = [key for key in left if key not in inside]
-        if inside:
-            groups.append((group, inside))
-    return groups
+    all_keys = list(dict.fromkeys(keys))
+    groups = [(group, [key for key in all_keys if measure(key).group == group]) for group in GROUPS]
+    return [(group, inside) for group, inside in groups if inside]
 
 
 def words(key: str) -> tuple[str, str]:
     """A key's label and the unit its values are shown in."""
-    name, _, unit = _scale(key)
-    return LABELS.get(key, name.replace("_", " ")), unit
+    record = measure(key)
+    return record.label, record.unit
 
 
 def shown(key: str, value: Any, band: float | None = None) -> str:
@@ -130,10 +53,10 @@ def shown(key: str, value: Any, band: float | None = None) -> str:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, int) and key not in SPECIAL:
+    if isinstance(value, int) and measure(key).factor == 1.0:
         return f"{value:,}".replace(",", " ")
     if isinstance(value, float | int):
-        factor = _scale(key)[1]
+        factor = measure(key).factor
         return f"{value * factor:.4g}" if band is None else with_band(value * factor, band * factor)
     if isinstance(value, list):
         return ", ".join(shown(key, item) for item in value)
@@ -249,13 +172,3 @@ def summary_table(result: Result) -> Table:
 def _nested(value: Any) -> bool:
     of_tables = isinstance(value, list) and (not value or any(isinstance(item, Mapping) for item in value))
     return isinstance(value, Mapping) or of_tables
-
-
-def _scale(key: str) -> tuple[str, float, str]:
-    """Key without its unit, factor and unit to show it in."""
-    if key in SPECIAL:
-        return key, *SPECIAL[key]
-    for ending, (factor, unit) in UNITS.items():
-        if key.endswith(ending):
-            return key.removesuffix(ending), factor, unit
-    return key, 1.0, ""

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..measures import BANDED
+from ..measures import measure as record
 from ..plan import cost as estimates
-from ..plan.bands import WORDS
 from ..report import charts, parts
 from ..report.page import Page, write_text
 from ..report.picture import blank, save
 from . import accuracy_fit as fit
-from .ladder import KNOBS, MEASURES
+from .ladder import KNOBS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 AXES = ("points", *KNOBS, "effects")
 MARKS = ("o", "s", "D", "^", "v", "P", "X")  # of matplotlib, one for each axis
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x")  # the same in plotly
-DRAWN = tuple(name for name in MEASURES if name in WORDS)
 Rows = Sequence[Mapping[str, str]]
 
 
@@ -61,11 +61,11 @@ def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Pat
 def diagram(rows: Rows, heading: str, T_0: float) -> "Figure":
     """All measures, a panel for each."""
     across = 3
-    down = -(-len(DRAWN) // across)
+    down = -(-len(BANDED) // across)
     wide, tall, top = 4.0, 3.1, 0.95  # inches
     size = (across * wide, down * tall + top)
     figure = blank(*size, dpi=110)
-    for k, measure in enumerate(DRAWN):
+    for k, measure in enumerate(BANDED):
         column, row = k % across, k // across
         place = (column * wide + 0.62, size[1] - top - (row + 1) * tall + 0.55, wide - 0.8, tall - 0.9)
         panel = figure.add_axes((place[0] / size[0], place[1] / size[1], place[2] / size[0], place[3] / size[1]))
@@ -87,7 +87,7 @@ def _panel(panel: "Axes", rows: Rows, measure: str, T_0: float) -> None:
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
     found = fit.errors(rows, measure, T_0)
-    panel.set_title(f"{WORDS[measure]}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
+    panel.set_title(f"{record(measure).short}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
     if not found:  # no reference, or a measure that is zero in it
         panel.text(0.5, 0.5, "nothing to compare with", ha="center", fontsize=9, transform=panel.transAxes)
     for k, axis in enumerate(AXES):
@@ -136,9 +136,9 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
         "diagram", "Work and precision", f'<figure><img src="{address}" alt="work-precision diagram"></figure>'
     )
     curves = []
-    for measure in DRAWN:
+    for measure in BANDED:
         found = fit.errors(rows, measure, T_0)
-        said = f"{WORDS[measure]}: {order_of(rows, measure, T_0)}"
+        said = f"{record(measure).short}: {order_of(rows, measure, T_0)}"
         curves.append(page.chart(f"wp-{measure}", _chart(found) if found else None, said))
     page.section("curves", "One by one", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
     page.section("table", "All settings", _table(rows, T_0))
@@ -174,12 +174,12 @@ def _chart(found: Sequence[tuple[Mapping[str, str], float]]) -> dict[str, Any]:
 
 def _table(rows: Rows, T_0: float) -> str:
     """All settings with their costs and the difference of each measure from the reference."""
-    by_measure = {m: {row["axis"] + row["setting"]: error for row, error in fit.errors(rows, m, T_0)} for m in DRAWN}
+    by_measure = {m: {row["axis"] + row["setting"]: error for row, error in fit.errors(rows, m, T_0)} for m in BANDED}
     lines = []
     for row in rows:
-        cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in DRAWN]
+        cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in BANDED]
         shown = ["" if error is None else f"{error:+.2f}" for error in cells]
         name = " ".join(filter(None, (row["setting"], f"({preset_of(row)})" if preset_of(row) else "")))
         lines.append((row["axis"], name, row["points"], row["steps"], f"{float(row['cpu_s']):.3g}", *shown))
-    head = ("axis", "setting", "points", "steps", "s", *(f"{WORDS[m]}, %" for m in DRAWN))
+    head = ("axis", "setting", "points", "steps", "s", *(f"{record(m).short}, %" for m in BANDED))
     return parts.table(head, lines, numbers=range(2, len(head)))

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from .ladder import KNOBS, MEASURES, finished
+from ..measures import BANDED
+from ..measures import measure as record
+from .ladder import KNOBS, finished
 
 ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: slower would be no convergence, faster is beyond both schemes
 USUAL = 1.0  # the order taken where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
@@ -17,7 +19,7 @@ Row = Mapping[str, str]
 
 def value(row: Row, measure: str, T_0: float) -> float:
     """A measure of a row; temperatures as their rise over T_0, K, the particle's before the impact."""
-    return float(row[measure]) - (T_0 if measure.startswith("T_") else 0.0)
+    return float(row[measure]) - record(measure).initial(T_0)
 
 
 def reference(rows: Sequence[Row]) -> Row | None:
@@ -81,7 +83,7 @@ def packaged(cases: Mapping[str, tuple[Mapping[str, Any], Sequence[Row]]]) -> li
     """
     singles = [about for about in cases.values() if about[0]["impacts"] == 1]
     found = []
-    for measure in (name for name in MEASURES if not name.endswith(("_max", "_max_K"))):
+    for measure in BANDED:
         fitted = order([resolutions(rows, measure, about["temperature"]) for about, rows in singles])
         for name, (about, rows) in cases.items():
             h, y = resolutions(rows, measure, about["temperature"])

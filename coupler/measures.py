@@ -1,0 +1,152 @@
+"""The vocabulary of measures: names, units, ranges and convergence of what a run reports. `impact/measure.py` computes them."""
+
+import math
+from dataclasses import dataclass
+
+# Plastic strain that both schemes can follow. It is that of a simple shear of 35: points that were neighbours across the shear
+# direction are 35 spacings apart, ten times the support of the kernel, and an element is 35 times longer than thick.
+EPS_P_LIMIT = 20.0
+SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows the points no better
+DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
+
+SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
+BALANCE = "balance, of the initial energy"
+GROUPS = (SHAPE, PARTICLE, BALANCE, TARGET, RUN)  # in reading order
+
+# Ending of a key -> unit and factor in which people read it; the first ending that fits counts.
+_UNITS = {
+    "_m_s": ("m/s", 1.0), "_m2": ("µm²", 1e12), "_m": ("µm", 1e6), "_Pa": ("MPa", 1e-6), "_K": ("K", 1.0), "_kg": ("ng", 1e12),
+    "_J": ("nJ", 1e9), "_s": ("ns", 1e9),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One measure. key: its name in files, where its value is SI; label: in tables; short: in one line beside others.
+
+    unit, factor: in which people read it, and the factor from SI; from the ending of the key unless said. low, high: the range
+    that follows from the definition; sphere_only: that range holds for particles that are spheres; beyond: the reason for it.
+    expected, unusual: values outside `expected` are possible, and `unusual` (below, above) says what they mean.
+    converges: True with a band at each resolution; False for local maxima; None for what has no resolution.
+    """
+
+    key: str
+    label: str = ""
+    group: str = RUN
+    short: str = ""
+    unit: str = ""
+    factor: float = 0.0
+    low: float = -math.inf
+    high: float = math.inf
+    sphere_only: bool = False
+    beyond: str = "outside the range of its definition"
+    expected: tuple[float, float] = (-math.inf, math.inf)
+    unusual: tuple[str, str] = ("", "")
+    converges: bool | None = None
+
+    def __post_init__(self) -> None:
+        ending = next((ending for ending in _UNITS if self.key.endswith(ending)), "")
+        unit, factor = _UNITS.get(ending, ("", 1.0))
+        label = self.label or self.key.removesuffix(ending).replace("_", " ")
+        derived: dict[str, str | float] = {"label": label, "short": self.short or label}
+        derived |= {} if self.factor else {"unit": unit, "factor": factor}
+        for name, value in derived.items():
+            object.__setattr__(self, name, value)
+
+    def initial(self, T_0: float) -> float:
+        """The value that errors and bands are relative to: the initial temperature T_0 (K) of temperatures, else zero."""
+        return T_0 if self.key.startswith("T_") else 0.0
+
+    def refusal(self, value: float, shape: str = "sphere") -> str | None:
+        """The reason why a value lies outside the range; None if it is inside. shape: of the particle."""
+        if math.isnan(value):
+            return "not a number"
+        if (self.sphere_only and shape != "sphere") or self.low <= value <= self.high:
+            return None
+        side, limit = ("below", self.low) if value < self.low else ("above", self.high)
+        return (
+            f"{value * self.factor:.4g} is {side} {limit * self.factor:.4g} {self.unit}".rstrip() + f": {self.beyond}"
+        )
+
+    def remark(self, value: float) -> str | None:
+        """The meaning of an unusual value inside the range; None for a usual one."""
+        low, high = self.expected
+        text = self.unusual[0] if value < low else self.unusual[1] if value > high else ""
+        return f"{self.label} is {value * self.factor:.4g}: {text}" if text else None
+
+
+_STRAIN = "the scheme cannot follow such a plastic strain"
+TABLE = (
+    Measure("time_s", "time", SHAPE),
+    Measure(
+        "flattening_ratio", "flattening, above surface", SHAPE, "flattening above surface", converges=True, expected=(0.0, 1.0),
+        unusual=(
+            "the top is higher above the surface than the particle's diameter, as of an upright rod or a particle that left",
+            "the top lies below the surface: the particle is embedded",
+        ),
+    ),
+    Measure(
+        "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, low=-SHAPE_TOLERANCE, high=1.0,
+        sphere_only=True, beyond="an impact makes a sphere thinner, and its thickness stays above zero",
+    ),
+    Measure("height_m", group=SHAPE),
+    Measure("thickness_m", group=SHAPE, low=0.0),
+    Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),
+    Measure("splat_diameter_m", group=SHAPE, short="diameter", low=0.0, converges=True),
+    Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
+    Measure("rebounded", group=SHAPE),
+    Measure("restitution", "rebound velocity / impact velocity", SHAPE, low=0.0),
+    Measure("velocity_ratio", "velocity / critical velocity", SHAPE, low=0.0),
+    Measure("bonded_area_m2", "bonded area, greatest deformation", SHAPE, low=0.0),
+    Measure("bonded_area_end_m2", "bonded area at the end", SHAPE, low=0.0),
+    Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
+    Measure("surface_level_m", "surface met at", SHAPE),
+    Measure("material", "material of the particle", PARTICLE),
+    Measure("diameter_m", "diameter before impact", PARTICLE, "diameter"),
+    Measure("speed_m_s", "impact speed", PARTICLE, low=0.0),
+    Measure("velocity_m_s", "velocity", PARTICLE, low=0.0),  # with the next: axes of a map, known before a run
+    Measure("temperature_K", "initial temperature", PARTICLE, low=0.0),
+    Measure("particle_mass_kg", "mass of the particle", PARTICLE, low=0.0),
+    Measure("eps_p_mean", "mean plastic strain", PARTICLE, "mean strain", low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=True),
+    Measure("eps_p_p99", "plastic strain, 99 %", PARTICLE, "strain 99 %", low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=True),
+    Measure("eps_p_max", "greatest plastic strain", PARTICLE, low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=False),
+    Measure("T_mean_K", "mean temperature", PARTICLE, "mean T rise", low=0.0, converges=True),
+    Measure("T_p99_K", "temperature, 99 %", PARTICLE, "T rise 99 %", low=0.0, converges=True),
+    Measure("T_max_K", "highest temperature", PARTICLE, low=0.0, converges=False),
+    Measure("rebound_velocity_m_s", "rebound velocity", SHAPE, "rebound", low=0.0, converges=True),
+    Measure("von_mises_max_Pa", "highest von Mises stress", PARTICLE, low=0.0, converges=False),
+    Measure("energy_drift", group=BALANCE, unit="%", factor=100.0),
+    Measure("momentum_error", group=BALANCE),
+    Measure("numerical_dissipation", group=BALANCE, unit="%", factor=100.0),
+    Measure("target_eps_p_max", "greatest plastic strain", TARGET, low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=False),
+    Measure("target_T_max_K", "highest temperature", TARGET, low=0.0, converges=False),
+    Measure("target_von_mises_max_Pa", "highest von Mises stress", TARGET, low=0.0, converges=False),
+    Measure("plastic_radius_m", "radius of the yielded zone", TARGET, low=0.0),
+    Measure("plastic_depth_m", "depth of the yielded zone", TARGET, low=0.0),
+    Measure("element_size_m", "smallest elements"),
+    Measure("spacing_m", "spacing of the points"),
+    Measure("ranks", "processes"),
+    Measure("placement", "where they run"),
+    Measure("idle_share", "idle, by process", unit="%", factor=100.0),
+    Measure("memory_peak_bytes", "most memory", unit="MB", factor=1e-6),
+    Measure("kinetic_energy_0_J", "kinetic energy at the start"),
+    Measure("deposition_efficiency", low=0.0, high=1.0),
+    Measure("sim_time_s", "simulated time"),
+    Measure("wall_s", "wall time", unit="s", factor=1.0),
+    Measure("wall_loop_s", "wall time of the steps", unit="s", factor=1.0),
+    Measure("dt_mean_s", "mean time step", unit="ps", factor=1e12),
+    Measure("version", "coldspray"),
+)  # fmt: skip
+MEASURES = {measure.key: measure for measure in TABLE}
+BANDED = tuple(measure.key for measure in TABLE if measure.converges)
+
+
+def measure(key: str) -> Measure:
+    """The record of a key; for a key outside the table, a plain record with the unit of its ending."""
+    return MEASURES.get(key) or Measure(key, group=TARGET if key.startswith(("target", "plastic")) else RUN)
+
+
+def axis_label(key: str) -> str:
+    """Short name and unit, as on an axis: "velocity (m/s)"."""
+    m = measure(key)
+    return f"{m.short} ({m.unit})" if m.unit else m.short
