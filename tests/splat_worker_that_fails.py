@@ -13,7 +13,7 @@ real = tetrahedra.fill
 
 
 def fill(*arguments):
-    if len((Path(sys.argv[1]) / "tries.jsonl").read_text().splitlines()) == 1:
+    if len((Path(sys.argv[1]) / "attempts.jsonl").read_text().splitlines()) == 1:
         if os.environ["SPLAT_FAILURE"] == "dies":
             os.kill(os.getpid(), signal.SIGSEGV)
         time.sleep(600)

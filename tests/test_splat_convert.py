@@ -10,8 +10,9 @@ from coupler.errors import SplatError
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat import convert as door
-from coupler.splat import quality, surface, volume
-from coupler.splat.convert import Cloud, convert
+from coupler.splat import meshing, quality, surface
+from coupler.splat.cloud import Body, Cloud
+from coupler.splat.convert import convert
 
 D = 25e-6
 
@@ -34,17 +35,17 @@ def cloud_of(shape: str = "sphere", points: int = 800, carried: bool = True) -> 
     return Cloud(
         x, np.full(n, body.volume), body.spacing, 8906.0, velocity=np.stack([u[:, 1], -u[:, 0], 30 + u[:, 2]], axis=1),
         stress=np.full((n, 6), 1e8), eps_p=1.0 + u[:, 2], T=500.0 + 200.0 * u[:, 0], J=np.full(n, 1.35**2 * 0.55),
-        energy=np.full(n, 1e9), surface=(skin, triangles) if carried else None, X=body.points, wave_speed=5660.0,
+        energy=np.full(n, 1e9), surface=(skin, triangles) if carried else None, wave_speed=5660.0,
     )  # fmt: skip
 
 
-def is_good(body: door.Body, solid: float) -> None:
+def is_good(body: Body, solid: float) -> None:
     volumes = quality.volumes(body.points, body.tets)
     assert volumes.min() > 0.0
     assert volumes.sum() == pytest.approx(solid, rel=0.01)
     assert quality.pieces(body.points, body.tets) == 1
     assert surface.open_or_double(quality.boundary(body.tets)) == ""
-    assert quality.gamma(body.points, body.tets).min() >= volume.LEAST_GAMMA
+    assert quality.gamma(body.points, body.tets).min() >= meshing.MIN_GAMMA
 
 
 @pytest.mark.parametrize("method", ["auto", "density", "stuffing"])

@@ -76,7 +76,7 @@ def test_points_in_micrometres_become_a_gmsh_file(ball, tmp_path: Path, capsys: 
 
 
 def test_stress_is_a_whole_tensor_for_gmsh(tmp_path: Path) -> None:
-    from coupler.splat.convert import Body, Splat
+    from coupler.splat.cloud import Body, Splat
 
     points, tets = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]), np.array([[0, 1, 2, 3]])
     body = Body(points, tets, 1.0, np.arange(4), stress=np.array([[1.0, 2, 3, 4, 5, 6]]))

@@ -65,7 +65,7 @@ def test_a_grid_beyond_reason_is_refused() -> None:
 @pytest.mark.parametrize("size", [0.15, 0.4])
 def test_remesh_makes_even_triangles_of_the_same_topology(size: float) -> None:
     vertices, triangles = sphere(0.05)
-    on_ball = lambda x, _t: x / np.linalg.norm(x, axis=1)[:, None]  # noqa: E731
+    on_ball = lambda x: x / np.linalg.norm(x, axis=1)[:, None]  # noqa: E731
     x, t = remesh.even(vertices, triangles, size, on_ball)
     assert surface.open_or_double(t) == ""
     assert len(x) - len(t) // 2 == 2  # still a sphere
@@ -104,12 +104,12 @@ def test_open_and_double_surfaces_are_told() -> None:
 def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:
     ball, cavity = sphere(0.2), sphere(0.1, 0.4)
     hollow = [ball, (cavity[0], cavity[1][:, ::-1])]
-    parts, moved = surface.swell(hollow, 1.05 * BALL, 0.2)
+    parts, moved = surface.correct_volume(hollow, 1.05 * BALL, 0.2)
     assert sum(volume(*part) for part in parts) == pytest.approx(1.05 * BALL, rel=1e-6)
     assert np.linalg.norm(parts[1][0], axis=1).max() == pytest.approx(
         0.4 - moved, abs=0.01
     )  # metal grows into the cavity
-    _, moved = surface.swell(hollow, 3.0 * BALL, 0.1)
+    _, moved = surface.correct_volume(hollow, 3.0 * BALL, 0.1)
     assert moved == pytest.approx(0.1)
 
 
@@ -117,7 +117,7 @@ def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:
 def test_stuffing_is_closed_whole_and_of_bounded_quality(size: float) -> None:
     field, _ = fields.of_surface(*sphere(0.05), 0.04, 0.05)
     points, tets = stuffing.stuff(field, 0.5, size)
-    points, _ = stuffing.swell(points, tets, BALL, 0.2 * size)
+    points, _ = stuffing.correct_volume(points, tets, BALL, 0.2 * size)
     volumes = quality.volumes(points, tets)
     assert volumes.min() > 0.0
     assert volumes.sum() == pytest.approx(BALL, rel=1e-6)

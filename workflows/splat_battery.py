@@ -17,7 +17,8 @@ import numpy as np
 import splat_clouds
 
 from coupler.errors import ColdsprayError, SplatError
-from coupler.splat.convert import Cloud, convert
+from coupler.splat.cloud import Cloud
+from coupler.splat.convert import convert
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 COLUMNS = [

@@ -11,7 +11,7 @@ from ..errors import SplatError
 if TYPE_CHECKING:
     import numpy as np
 
-    from ..splat.convert import Cloud, Splat
+    from ..splat.cloud import Cloud, Splat
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
@@ -83,7 +83,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
 
     from ..files.result import Result
     from ..scene.model import Scene
-    from ..splat.convert import Cloud
+    from ..splat.cloud import Cloud
 
     result = Result(folder)
     try:
@@ -117,7 +117,7 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
     """
     import numpy as np
 
-    from ..splat.convert import Cloud
+    from ..splat.cloud import Cloud
 
     try:
         if path.stat().st_size > LARGEST_FILE:

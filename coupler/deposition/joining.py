@@ -156,15 +156,15 @@ def _links(bodies: Bodies, size: float) -> Links:
 
 
 def cloud_of(setting: Any) -> Any:
-    """The points of a finished impact with all they carry (`splat.convert.Cloud`)."""
-    from ..splat.convert import Cloud
+    """The points of a finished impact with all they carry (`splat.cloud.Cloud`)."""
+    from ..splat.cloud import Cloud
 
     team, surface = setting.particle, setting.surface
     law = team.law[0]
     return Cloud(
         x=np.array(team.x), volume=team.whole("volume"), spacing=team.spacing, rho=float(law["rho"]), velocity=np.array(team.v),
         stress=team.stress(), eps_p=np.array(team.eps_p), T=np.array(team.T), J=np.array(team.J), energy=np.array(team.energy),
-        surface=(surface.positions(team.x), surface.triangles), X=setting.body.points + setting.place,
+        surface=(surface.positions(team.x), surface.triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip
 

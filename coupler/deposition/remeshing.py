@@ -24,9 +24,9 @@ from ..impact import measure as measures
 from ..impact.bodies import NEAR, Bodies, bodies_of
 from ..plan import cost as estimates
 from ..splat import quality
+from ..splat.meshing import MIN_GAMMA
 from ..splat.renew import renewed_surface
 from ..splat.transfer import Fit, with_energy, with_momentum, with_sum
-from ..splat.volume import LEAST_GAMMA
 
 STRAINED = 0.3  # plastic strain from which on elements are bent: the cut must not run through them
 # reach of a patch round bad and strained elements, in edges, and edges over the old ones: finer ones keep the surface better
@@ -44,7 +44,7 @@ class Gate:
     element below `quality`."""
 
     step: float
-    quality: float = LEAST_GAMMA
+    quality: float = MIN_GAMMA
 
     @classmethod
     def of(cls, spacing: float, wave_speed: float) -> "Gate":
@@ -202,8 +202,8 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
     gamma = quality.gamma(points, tets)
     if not new_steps.min() > GAIN * old_steps.min():
         raise SplatError(f"nothing gained: step length {new_steps.min():.3g} m, was {old_steps.min():.3g} m")
-    if gamma.min() < LEAST_GAMMA:
-        raise SplatError(f"worst quality {gamma.min():.3f}, allowed {LEAST_GAMMA}")
+    if gamma.min() < MIN_GAMMA:
+        raise SplatError(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
     new = _transfer(domain, patch, points, tets, edge)
     made, node, facet, heat = renewed(domain, patch, new)
     limit = _limits(made)[-len(tets) :].min()

@@ -1,9 +1,9 @@
 """A surface of the undeformed body, carried along by the motion of the points.
 
-It is where the particle meets the target, and what is measured and drawn of it. The reference configuration is
-known, so the deformed surface need not be guessed from a cloud: each vertex of the undeformed surface is a fixed
-linear combination of nearby points (linear moving least squares in the reference configuration), exact for any
-affine motion, and lies where the material surface lies, not half a spacing inside it.
+Contact, measures and figures of the particle use it. The reference configuration is known, so the deformed surface needs no
+reconstruction from a cloud: each vertex of the undeformed surface is a fixed linear combination of nearby points (linear
+moving least squares in the reference configuration). It is exact for any affine motion and lies on the material surface, not
+half a spacing inside it.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from . import carried_kernels as k
 
-SUPPORT = 2.2  # spacings: some 20 points half-way round a vertex on the surface
+SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
 
 
 class CarriedSurface:
@@ -41,7 +41,7 @@ class CarriedSurface:
         phi = w * np.einsum("ij,ij->i", c[rows], p)
         shape = (len(vertices), len(X))
         self.weights = csr_matrix((phi, (rows, columns)), shape=shape)
-        # Points themselves may touch too: a single one can slip through the average that the surface is.
+        # The points may touch too: a single one can pass through the surface, which is an average.
         self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
         self._touching = _compressed(self.touching)
         self._rows = np.arange(self.touching.shape[0])
@@ -54,7 +54,7 @@ class CarriedSurface:
         return self.weights @ x
 
     def contacts(self, x: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
-        """Positions or velocities (k+n,3) of all that may touch: the vertices, then the points. x (n,3).
+        """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3).
 
         With rows only these are computed (the rest of `out` stays as it is, or zero), from `support(rows)` alone.
         """
@@ -83,14 +83,14 @@ class CarriedSurface:
         return np.flatnonzero(used)
 
     def spread_heat(self, heat: np.ndarray) -> np.ndarray:
-        """Heat (k+n,) that arises at `contacts`, shared among the points (n,)."""
+        """Heat (k+n,) J at `contacts`, distributed to the points (n,)."""
         vertices = self.average.shape[0]
         out = heat[vertices:].copy()
         k.share(np.flatnonzero(heat[:vertices]), *self._average, heat, out)
         return out
 
     def softness(self, mass: np.ndarray) -> float:
-        """Largest inverse mass (1/kg) that a force on one of `contacts` feels, sum of weight^2 / mass."""
+        """Largest inverse effective mass (1/kg) of one of `contacts`: sum of weight^2 / mass."""
         return float((self.touching.multiply(self.touching) @ (1.0 / mass)).max())
 
     def values(self, field: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ class CarriedSurface:
 
 
 def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Start of each row, columns and weights, for the kernels; unsigned, which spares them a look for negative indices."""
+    """Start of each row, columns and weights, for the kernels; unsigned, because numba then does not test for negative indices."""
     return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
 
 
@@ -110,9 +110,9 @@ def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
 
 
 def shape_measures(vertices: np.ndarray, diameter: float) -> dict[str, float]:
-    """How a particle of initial diameter D0 (m) sits on a surface that was the plane z = 0.
+    """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
 
-    height above that plane, whole thickness, diameter (of the circle with the area of the splat seen from above),
+    Height above that plane, whole thickness, diameter (of the circle with the area of the splat seen from above),
     and both flattening ratios: 1 - height/D0 (the paper's, see docs) and 1 - thickness/D0.
     """
     top, bottom = float(vertices[:, 2].max()), float(vertices[:, 2].min())

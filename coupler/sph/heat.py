@@ -6,10 +6,10 @@ reference one with the conductivity k J F^-1 F^-T, and the heat that flows into 
 
     sum V g . (k J F^-1 F^-T) g / 2  +  sum c (R T)^2 / 2.
 
-The first term does not see a field that goes to and fro from point to point; the second does: R T is what a point lies
-above what its neighbours and the gradient say of it, nothing for a linear field, so that its share goes with the square of
-the spacing. Being derivatives of sums of squares, both conserve heat to rounding and can only level
-temperatures out; the surface is adiabatic.
+The first term is zero for a field that alternates from point to point; the second is not: R T is the temperature of a point
+less the estimate from its neighbours and their gradient. It is zero for a linear field, so its contribution falls with the
+square of the spacing. Both terms are sums of squares: their derivatives conserve heat to rounding and only reduce differences
+of temperature. The surface is adiabatic.
 """
 
 from math import ceil
@@ -19,10 +19,10 @@ from scipy.sparse import csr_matrix, identity
 from scipy.spatial import cKDTree
 
 SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
-LEAST = 10  # neighbours of a point at the least
-LEVELLING = 0.5  # of c, in units of V tr(k J F^-1 F^-T) / spacing^2
-SAFETY = 0.9
-_SMALLEST_J = 0.1  # volume ratio of a gradient that has become meaningless
+MIN_NEIGHBOURS = 10
+SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2
+CONDUCTION_SAFETY = 0.9  # of the stable step
+_MIN_J = 0.1  # volume ratio: a smaller one is an error of the gradient
 
 
 class PointConduction:
@@ -40,19 +40,19 @@ class PointConduction:
     def share(self, time: float, x: np.ndarray, T: np.ndarray) -> np.ndarray:
         """Heat (n,) J that points gain by conduction over `time` s at positions x (n,3) m from temperatures T (n,) K.
 
-        In as many explicit steps as stability asks for; their sum is zero to rounding.
+        Explicit steps, as many as stability needs. The sum over the points is zero to rounding.
         """
         law = self.law
         D = self.volume[:, None, None] * _pulled_back(np.stack([G @ x for G in self.G], axis=2))
-        gained, now, left = np.zeros(len(T)), np.array(T, float), time
+        gained, current, left = np.zeros(len(T)), np.array(T, float), time
         while left > 0.0:
-            capacity = law["rho"] * self.volume * _linear(law, "cp", now)
-            kD = _linear(law, "k", now)[:, None, None] * D
-            c = LEVELLING * np.trace(kD, axis1=1, axis2=2) / self.spacing**2
-            dt = left / ceil(left * self._fastest(kD, c, capacity) / (2.0 * SAFETY))
-            flow = dt * self._flow(kD, c, now)
+            capacity = law["rho"] * self.volume * _linear(law, "cp", current)
+            kD = _linear(law, "k", current)[:, None, None] * D
+            c = SMOOTHING * np.trace(kD, axis1=1, axis2=2) / self.spacing**2
+            dt = left / ceil(left * self._fastest(kD, c, capacity) / (2.0 * CONDUCTION_SAFETY))
+            flow = dt * self._flow(kD, c, current)
             gained += flow
-            now += flow / capacity
+            current += flow / capacity
             left = left - dt if left > 1.5 * dt else 0.0
         return gained
 
@@ -63,7 +63,7 @@ class PointConduction:
         return -sum(GT @ q[:, a] for a, GT in enumerate(self._GT)) - self._RT @ (c * (self.R @ T))
 
     def _fastest(self, kD: np.ndarray, c: np.ndarray, capacity: np.ndarray) -> float:
-        """A bound on the fastest decay, 1/s (Gershgorin, of the absolute values of what `_flow` is made of)."""
+        """A bound on the fastest decay, 1/s (Gershgorin, with the absolute values of the operators of `_flow`)."""
         one = np.ones(len(c))
         g = np.stack([G @ one for G in self._G1], axis=1)
         q = np.einsum("nab,nb->na", np.abs(kD), g)
@@ -72,15 +72,15 @@ class PointConduction:
 
 
 def _fits(X: np.ndarray, spacing: float) -> tuple[list[csr_matrix], csr_matrix]:
-    """Gradient operators along x, y, z (1/m), and what a point lies above what its neighbours and the gradient say of it.
+    """Gradient operators along x, y, z (1/m), and the operator R of the excess over the estimate from the neighbours.
 
     Weighted least squares T_j = T_i + g . (X_j - X_i) for the gradients; the excess is T_i less the mean of T_j - g . (X_j - X_i).
     """
     n, tree = len(X), cKDTree(X)
     groups = [np.array(group) for group in tree.query_ball_point(X, SUPPORT * spacing)]
     for i, group in enumerate(groups):
-        if len(group) < LEAST + 1:
-            groups[i] = np.asarray(tree.query(X[i], k=min(LEAST + 1, n))[1])
+        if len(group) < MIN_NEIGHBOURS + 1:
+            groups[i] = np.asarray(tree.query(X[i], k=min(MIN_NEIGHBOURS + 1, n))[1])
     rows = np.repeat(np.arange(n), [len(group) for group in groups])
     columns = np.concatenate(groups)
     rows, columns = rows[columns != rows], columns[columns != rows]
@@ -108,7 +108,7 @@ def _pulled_back(F: np.ndarray) -> np.ndarray:
     """J F^-1 F^-T (n,3,3) of deformation gradients F (n,3,3): cof(F)^T cof(F) / J."""
     a, b, c = F[:, :, 0], F[:, :, 1], F[:, :, 2]
     cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    J = np.maximum(np.einsum("ni,ni->n", a, cofactor[:, :, 0]), _SMALLEST_J)
+    J = np.maximum(np.einsum("ni,ni->n", a, cofactor[:, :, 0]), _MIN_J)
     return np.einsum("nia,nib->nab", cofactor, cofactor) / J[:, None, None]
 
 

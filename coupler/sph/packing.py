@@ -1,20 +1,22 @@
-"""Bodies as points of uniform spacing, a face-centred cubic lattice; and the geodesic surface of a sphere."""
+"""Points of a lattice inside a body; the geodesic surface of a sphere."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-_FEWEST_NEIGHBOURS = 4
+MIN_NEIGHBOURS = 4
 
 
 @dataclass(frozen=True)
 class _Kind:
     """A lattice with an orthogonal cell.
 
-    edges (3,) of the cell, any unit; base (b,3): the points in it, in cells; layers (3,): distance of the layers across
-    each edge, in cells (the mean, where they are not even); moment: second moment of a point's Voronoi cell about its
-    centre, per axis, over volume^(5/3) (Conway & Sloane 1999, chapter 2).
+    edges (3,) of the cell, any unit; base (b,3): the points in it, in cells; layers (3,): mean distance of the layers across
+    each edge, in cells; moment: second moment of a point's Voronoi cell about its centre, per axis, over volume^(5/3)
+    (Conway & Sloane 1999, chapter 2).
     """
 
     edges: tuple[float, float, float]
@@ -38,10 +40,10 @@ KINDS = tuple(_KINDS)
 
 @dataclass(frozen=True)
 class Lattice:
-    """Which lattice the points lie on, and which way it is turned.
+    """The lattice of the points and its orientation.
 
-    kind: fcc, hcp or bcc; turn: rotation vector (3,), rad, of the lattice and not of the body. Unturned
-    its cell's edges are along x, y, z. Raises ValueError for another kind.
+    kind: fcc, hcp or bcc; turn: rotation vector (3,), rad, of the lattice, not of the body; without it the edges of the cell
+    are along x, y, z. Raises ValueError for another kind.
     """
 
     kind: str = "fcc"
@@ -53,9 +55,7 @@ class Lattice:
 
     @classmethod
     def at_random(cls, seed: int, kind: str = "fcc") -> "Lattice":
-        """A lattice turned every way alike, the same for the same seed."""
-        from scipy.spatial.transform import Rotation
-
+        """A lattice with a random orientation of uniform distribution, the same for the same seed."""
         turn = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec()
         return cls(kind, (float(turn[0]), float(turn[1]), float(turn[2])))
 
@@ -69,16 +69,14 @@ class Lattice:
         at = (grid + (np.array(_KINDS[self.kind].base) + np.asarray(offset))).reshape(-1, 3) * cell
         if not any(self.turn):
             return at
-        from scipy.spatial.transform import Rotation
-
         return Rotation.from_rotvec(self.turn).apply(at)
 
     def layer(self, spacing: float, axis: int) -> float:
-        """Distance (m) of the lattice's layers along x, y or z, where it is not turned."""
+        """Distance (m) of the layers along x, y or z of a lattice that is not turned."""
         return float(_KINDS[self.kind].layers[axis] * self._cell(spacing)[axis])
 
     def cell_moment(self, spacing: float) -> float:
-        """Mean square distance (m2) along an axis of what is closest to a point from it."""
+        """Mean square distance (m2), along an axis, of a Voronoi cell from its point."""
         return _KINDS[self.kind].moment * spacing**2
 
     def _cell(self, spacing: float) -> np.ndarray:
@@ -93,8 +91,8 @@ FCC = Lattice()
 def sphere(diameter: float, points: int, lattice: Lattice = FCC) -> tuple[np.ndarray, float]:
     """Points of a lattice inside a sphere, about `points` of them, centred on the origin.
 
-    Returns (n,3) positions in m and the volume each point carries (m3), the sphere's volume over n. The lattice is
-    put so that no point lies on the centre: the outermost shell is then closer to even.
+    Returns (n,3) positions in m and the volume of each point (m3), the sphere's volume over n. The lattice has no point on
+    the centre: its outermost shell is more even then.
     """
     volume = np.pi / 6.0 * diameter**3
     spacing = (volume / points) ** (1.0 / 3.0)
@@ -114,11 +112,11 @@ def fill(
 ) -> tuple[np.ndarray, float]:
     """Points of a lattice inside a body, about `points` of them, their mean on the origin.
 
-    inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, shared
-    equally; flat: the axes along which the body ends in flat faces. Of a few lattice constants and offsets that one
-    is taken whose points, each with its cell about it, come closest to the body's volume and second moments, and
-    whose outermost layers lie half a layer inside flat faces (a turned lattice has no such layers). Points with too
-    few neighbours to follow a deformation are left out. Returns as `sphere` does.
+    inside: from positions (k,3) m to (k,) bool; half: the body's half extents, m; volume: the body's, m3, divided equally
+    among the points; flat: the axes along which the body ends in flat faces. Among some lattice constants and offsets the
+    one is taken whose points, each with its cell, come closest to the body's volume and second moments, and whose outermost
+    layers lie half a layer inside flat faces (not for a turned lattice). Points with fewer than MIN_NEIGHBOURS neighbours are
+    left out: they cannot follow a deformation. Returns as `sphere` does.
     """
     moments = _second_moments(inside, half)
     best: tuple[float, np.ndarray] | None = None
@@ -142,7 +140,7 @@ def fill(
     return np.ascontiguousarray(cloud), volume / len(cloud)
 
 
-def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half) -> np.ndarray:
+def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half: tuple[float, float, float]) -> np.ndarray:
     """Mean square distances (3,) of the body's volume from its centre along x, y, z: a midpoint rule."""
     middle = (np.arange(80) + 0.5) / 40 - 1.0
     grid = np.stack(np.meshgrid(*[middle] * 3, indexing="ij"), axis=-1).reshape(-1, 3) * np.asarray(half)
@@ -150,13 +148,11 @@ def _second_moments(inside: Callable[[np.ndarray], np.ndarray], half) -> np.ndar
 
 
 def _connected(cloud: np.ndarray, spacing: float) -> np.ndarray:
-    from scipy.spatial import cKDTree
-
     while True:
         neighbours = cKDTree(cloud).query_ball_point(cloud, 1.3 * spacing, return_length=True) - 1
-        if neighbours.min() >= _FEWEST_NEIGHBOURS:
+        if neighbours.min() >= MIN_NEIGHBOURS:
             return cloud
-        cloud = cloud[neighbours >= _FEWEST_NEIGHBOURS]
+        cloud = cloud[neighbours >= MIN_NEIGHBOURS]
 
 
 def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +166,7 @@ def surface(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
         [[0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
          [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1]]
     )  # fmt: skip
-    parts = max(2, round(0.55 * diameter / edge))  # each edge of the icosahedron, 0.53 diameters long, in so many
+    parts = max(2, round(0.55 * diameter / edge))  # of each edge of the icosahedron, 0.53 diameters long
     points, triangles = subdivide(corners, faces, parts)
     return points * (0.5 * diameter / np.linalg.norm(points, axis=1))[:, None], triangles
 
@@ -189,5 +185,5 @@ def subdivide(corners: np.ndarray, faces: np.ndarray, parts: int) -> tuple[np.nd
     ]
     points = np.einsum("kc,fcd->fkd", weights, corners[faces]).reshape(-1, 3)
     triangles = (np.array(up + down)[None] + len(weights) * np.arange(len(faces))[:, None, None]).reshape(-1, 3)
-    _, first, which = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
-    return points[first], which.ravel()[triangles]
+    _, first, number_of = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
+    return points[first], number_of.ravel()[triangles]

@@ -1,8 +1,9 @@
-"""Bodies ready for the particle domain: points of uniform spacing and a closed surface, for each shape of a scene."""
+"""Bodies of the particle domain: points of uniform spacing and a closed surface, for each shape of a scene."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from ..physics import shapes as morphology
 from . import packing
@@ -15,9 +16,9 @@ _RING = 0.87  # distance of rings over the edges along them: triangles close to 
 class Body:
     """A solid of uniform points, centred on the origin. SI units.
 
-    points (n,3), each with `volume`, together the body's exactly; vertices (k,3), triangles (m,3): the closed outer
-    surface, outwards; area: of it; half_height: how far the surface reaches below the centre; inner: the surface of a
-    cavity, its triangles facing into the cavity (outwards of the metal), or None.
+    points (n,3); volume: of each point, the body's over n; vertices (k,3), triangles (m,3): the closed outer surface,
+    outwards; area: of it; half_height: of the lowest vertex below the centre; inner: the surface of a cavity, its triangles
+    facing into the cavity (outwards of the metal), or None.
     """
 
     points: np.ndarray
@@ -30,7 +31,7 @@ class Body:
 
     @property
     def spacing(self) -> float:
-        """Distance of the points: the edge of a cube of the volume of one, m."""
+        """Edge of a cube with the volume of one point, m."""
         return float(self.volume ** (1.0 / 3.0))
 
 
@@ -42,7 +43,7 @@ def shape(
     edge: float = 0.8,
     lattice: packing.Lattice = packing.FCC,
 ) -> Body:
-    """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about so many points.
+    """A body of one of `morphology.SHAPES`, with the volume of a sphere of `diameter` m and about `points` points.
 
     tilt: rad, about y, see `coupler.physics.shapes`. edge: length of the surface's edges over the points' spacing. lattice: of
     the points, before the tilt.
@@ -67,7 +68,7 @@ def shape(
 
 
 def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> Body:
-    """A cylinder of `diameter` and `length` m standing along z, of about so many points; edge as in `shape`."""
+    """A cylinder of `diameter` and `length` m along z, of about `points` points; edge as in `shape`."""
     volume = np.pi / 4.0 * diameter**2 * length
     half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
     cloud, each = packing.fill(lambda x: _in_cylinder(half[0], half[2], x), half, volume, points, (2,))
@@ -135,10 +136,10 @@ def _cylinder_profile(radius: float, half: float) -> list[np.ndarray]:
 
 
 def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """The closed surface that a profile makes about the z axis, with edges of about `edge` m.
+    """The closed surface of revolution of a profile about the z axis, with edges of about `edge` m.
 
-    profile: pieces (k,2) of radius and z, finely sampled, from the upper pole to the lower one; where pieces meet
-    there is a ring, so that sharp rims stay sharp. Returns vertices (n,3), triangles (m,3), outwards.
+    profile: pieces (k,2) of radius and z, finely sampled, from the upper pole to the lower one; where two
+    pieces meet there is a ring of vertices, so that sharp rims stay sharp. Returns vertices (n,3), triangles (m,3), outwards.
     """
     stations = [profile[0][:1]]
     for piece in profile:
@@ -159,29 +160,27 @@ def revolved(profile: list[np.ndarray], edge: float) -> tuple[np.ndarray, np.nda
 
 
 def _stitch(upper: np.ndarray, phi_u: np.ndarray, lower: np.ndarray, phi_l: np.ndarray) -> list[tuple[int, int, int]]:
-    """Triangles between two rings of a surface of revolution, going round both at once: the nearer next vertex next."""
+    """Triangles between two rings of a surface of revolution, in order of angle."""
     nu, nl = len(upper), len(lower)
     if nu == 1:
         return [(upper[0], lower[j], lower[(j + 1) % nl]) for j in range(nl)]
     if nl == 1:
         return [(upper[i], lower[0], upper[(i + 1) % nu]) for i in range(nu)]
-    found, i, j = [], 0, 0
+    triangles, i, j = [], 0, 0
     while i < nu or j < nl:
         next_u = phi_u[(i + 1) % nu] + 2.0 * np.pi * ((i + 1) // nu)
         next_l = phi_l[(j + 1) % nl] + 2.0 * np.pi * ((j + 1) // nl)
         if j == nl or (i < nu and next_u <= next_l):
-            found.append((upper[i % nu], lower[j % nl], upper[(i + 1) % nu]))
+            triangles.append((upper[i % nu], lower[j % nl], upper[(i + 1) % nu]))
             i += 1
         else:
-            found.append((upper[i % nu], lower[j % nl], lower[(j + 1) % nl]))
+            triangles.append((upper[i % nu], lower[j % nl], lower[(j + 1) % nl]))
             j += 1
-    return found
+    return triangles
 
 
 def _polyhedron(corners: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """Surface of the convex hull of corners (c,3) m, its flat faces cut into triangles with edges of about `edge` m."""
-    from scipy.spatial import ConvexHull
-
     size = float(np.abs(corners).max())
     hull = ConvexHull(corners / size)
     faces = hull.simplices.copy()

@@ -1,8 +1,8 @@
-"""A body as a fraction of metal on a grid, from its carried surface or from its points, and the level that holds its volume.
+"""A body as a fraction of metal on a grid, from its carried surface or from its points, and the level that encloses its volume.
 
-Both sources end as one smooth field that is 1 in the metal and 0 outside. What the smoothing does not resolve, lips
-thinner than about 1.3 sigma above all, is gone from it, folds and overlaps with them: the level set of a smooth field
-is always a closed surface that does not meet itself.
+Both sources give a smooth field that is 1 in the metal and 0 outside. Features that the smoothing does not resolve (lips
+thinner than about 1.3 sigma, folds, overlaps) are lost: the level set of a smooth field is a closed surface that does not
+intersect itself.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ..errors import SplatError
 from .kernels import winding
 
-MOST_CELLS = 24_000_000  # of a grid: 100 MB for each array
+MAX_CELLS = 24_000_000  # of a grid: 100 MB for each array
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class Field:
 
 def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[np.ndarray, tuple[int, int, int]]:
     """Centre of the first cell and number of cells of a grid over a box and a margin (m) about it."""
-    # An odd part of a cell keeps the planes and axes of symmetric bodies off the centres.
+    # An uneven fraction of a cell keeps planes and axes of symmetric bodies away from the cell centres.
     first = low - margin - np.array([0.377, 0.219, 0.441]) * h
     counts = np.ceil((high + margin - first) / h).astype(int) + 1
-    if np.prod(counts.astype(float)) > MOST_CELLS:
+    if np.prod(counts.astype(float)) > MAX_CELLS:
         raise SplatError(
             f"a grid of {h:.3g} m over the body needs {np.prod(counts.astype(float)):.2g} cells: "
             "give a larger element size, or check the spacing"
@@ -48,7 +48,7 @@ def _grid(low: np.ndarray, high: np.ndarray, h: float, margin: float) -> tuple[n
 
 
 def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: float) -> tuple[Field, float]:
-    """Field of what lies inside a closed surface (k,3) m, (m,3) outwards, cells of h m, smoothed over sigma m.
+    """Field of the inside of a closed surface (k,3) m, (m,3) outwards, cells of h m, smoothed over sigma m.
 
     Also returns the volume (m3) inside before smoothing: where the surface overlaps itself it counts once.
     """
@@ -95,14 +95,14 @@ def _share(values: np.ndarray, slope: np.ndarray, level: float) -> np.ndarray:
 
 
 def level_of(field: Field, volume: float) -> float:
-    """The level that encloses a volume (m3), between 0.15 and 0.85: beyond, the level set hangs on the tail of the smoothing."""
+    """The level that encloses a volume (m3), between 0.15 and 0.85: outside these limits it depends on the tail of the smoothing."""
     near = (field.values > 0.01) & (field.values < 0.99)
     values, slope = field.values[near], steepness(field)[near]
-    wanted = volume / field.h**3 - int(np.sum(field.values >= 0.99))
+    target = volume / field.h**3 - int(np.sum(field.values >= 0.99))
     low, high = 0.15, 0.85
     for _ in range(20):
         middle = 0.5 * (low + high)
-        more = float(_share(values, slope, middle).sum(dtype=float)) > wanted
+        more = float(_share(values, slope, middle).sum(dtype=float)) > target
         low, high = (middle, high) if more else (low, middle)
     return 0.5 * (low + high)
 
@@ -114,13 +114,13 @@ def only(field: Field, keep: np.ndarray, others: np.ndarray) -> Field:
     own = cKDTree(keep).query(at)[0] <= cKDTree(others).query(at)[0]
     values = np.zeros_like(field.values)
     values[tuple(near[own].T)] = field.values[tuple(near[own].T)]
-    return Field(_smooth(values, 0.7), field.origin, field.h)  # without the step where it was cut
+    return Field(_smooth(values, 0.7), field.origin, field.h)  # smooths the step at the cut
 
 
 def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.ndarray]]:
-    """Fill voids and clear crumbs under a volume of `smallest` m3; the rest's components, largest first.
+    """Fill voids and remove fragments below a volume of `smallest` m3.
 
-    Returns the field and for each component of what exceeds the level the cells (p,3) of it.
+    Returns the field and the cells (p,3) of each component that exceeds the level, largest first.
     """
     values = field.values.copy()
     gaps, _ = ndimage.label(values <= level)
@@ -132,8 +132,8 @@ def clean(field: Field, level: float, smallest: float) -> tuple[Field, list[np.n
     parts, _ = ndimage.label(values > level)
     sizes = np.bincount(parts.ravel()) * field.h**3
     order = [int(i) for i in np.argsort(-sizes, kind="stable") if i != 0]
-    crumbs = [i for i in order if sizes[i] < smallest]
-    if crumbs:
-        values[np.isin(parts, crumbs)] = 0.0
-    kept = [np.argwhere(parts == i) for i in order if i not in crumbs]
+    fragments = [i for i in order if sizes[i] < smallest]
+    if fragments:
+        values[np.isin(parts, fragments)] = 0.0
+    kept = [np.argwhere(parts == i) for i in order if i not in fragments]
     return Field(values, field.origin, field.h), kept

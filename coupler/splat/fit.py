@@ -1,15 +1,11 @@
-"""How a mesh lies to the cloud it was made from."""
-
-from typing import TYPE_CHECKING, Any
+"""How well a mesh fits the cloud it is made from."""
 
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
+from .cloud import Cloud, Report
 from .kernels import winding
 from .quality import boundary, compact, volumes
-
-if TYPE_CHECKING:
-    from .convert import Cloud
 
 _SAMPLES = 6  # along the edge of a facet, to measure distances from
 
@@ -31,7 +27,7 @@ def distance_outside(vertices: np.ndarray, triangles: np.ndarray, x: np.ndarray,
     return distance
 
 
-def fit_of(points: np.ndarray, tets: np.ndarray, cloud: "Cloud") -> dict[str, Any]:
+def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
     """Extents of a mesh and of the carried surface (else of the points), m, and how far points lie outside, in spacings.
 
     width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than

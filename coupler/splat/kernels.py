@@ -1,4 +1,4 @@
-"""Kernels of a splat's conversion: which cells of a grid lie inside a closed surface; moving least squares."""
+"""Kernels of the conversion: winding numbers on a grid; moving least squares."""
 
 import numpy as np
 from numba import njit
@@ -9,8 +9,8 @@ def winding(vertices, triangles, corner, h, count):
     """Winding number of a closed surface about the centres of cubic cells: count (nx,ny,nz), zero before.
 
     vertices (k,3) m, triangles (m,3) outwards; corner (3,): of the first cell, m; h: edge of the cells, m. Along the
-    line of cells through each (x, y) a triangle that faces down is a way in and one that faces up is a way out. A line
-    that meets an edge belongs to one of its two triangles: both see the same sign, taken from the lower vertex.
+    line of cells through each (x, y) a triangle that faces down is an entry and one that faces up an exit. A line
+    that meets an edge counts for one of its two triangles: both use the same sign, taken from the vertex of lower number.
     """
     nx, ny, nz = count.shape
     w = np.empty(3)
@@ -31,14 +31,14 @@ def winding(vertices, triangles, corner, h, count):
                 inside = True
                 for k in range(3):
                     m, n = triangles[f, (k + 1) % 3], triangles[f, (k + 2) % 3]
-                    way = up
+                    sign = up
                     if m > n:
-                        m, n, way = n, m, -way
+                        m, n, sign = n, m, -sign
                     u, v = vertices[m], vertices[n]
                     side = (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0])
-                    if side == 0.0:  # as if the line stood a little to the one side
+                    if side == 0.0:  # equal to a small shift of the line
                         side = u[1] - v[1] if u[1] != v[1] else v[0] - u[0]
-                    if side * way < 0.0:
+                    if side * sign < 0.0:
                         inside = False
                         break
                     w[k] = abs(side)

@@ -1,4 +1,4 @@
-"""How good a tetrahedral mesh is: shape, dihedral angles, what time step it allows, whether it is closed and whole."""
+"""Measures of a tetrahedral mesh: shape quality, dihedral angles, stable time step, boundary, connected parts."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -59,7 +59,7 @@ def boundary(tets: np.ndarray) -> np.ndarray:
 
 
 def compact(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points (n,3) that cells use, and the cells with their new numbers."""
+    """The points (n,3) that cells (m,k) use, and the cells renumbered."""
     used = np.zeros(len(points), bool)
     used[cells] = True
     return points[used], (np.cumsum(used) - 1)[cells]
@@ -80,7 +80,7 @@ def pieces(points: np.ndarray, tets: np.ndarray) -> int:
 
 
 def largest(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a mesh with the most tetrahedra, its nodes numbered anew."""
+    """The part of a mesh with the most tetrahedra, its nodes renumbered."""
     if len(tets) == 0:
         return points[:0], tets
     _, part = _parts(points, tets)

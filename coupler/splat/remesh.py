@@ -1,8 +1,8 @@
-"""An even remesh of a closed surface: edges collapsed, split and flipped, vertices relaxed (Botsch & Kobbelt 2004).
+"""Isotropic remeshing of a closed surface: edges collapsed, split and flipped, vertices relaxed (Botsch & Kobbelt 2004).
 
 Every operation keeps the surface closed and its topology: an edge is collapsed only where its ends share exactly two
-neighbours (Dey et al. 1999), flipped only where the new edge is new. Each pass works on operations that share no
-triangle, and the tables of neighbours are made anew between passes.
+neighbours (Dey et al. 1999), and flipped only where the new edge does not exist. The operations of one pass share no
+triangle; the tables of neighbours are built again after each pass.
 """
 
 from collections.abc import Callable
@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-SHORT, LONG = 0.75, 1.35  # edges between these parts of the size are left alone
-TURN = 0.3  # least cosine between a triangle's normals before and after
+SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
+MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
 ROUNDS = 5
 
 
@@ -19,19 +19,19 @@ def even(
     vertices: np.ndarray,
     triangles: np.ndarray,
     size: float,
-    settle: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    project: Callable[[np.ndarray], np.ndarray] | None = None,
     fixed: int = 0,
     scale: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A closed surface (k,3) m, (m,3) with edges of about `size` m, of the same topology.
 
-    settle(vertices, triangles) -> vertices puts them back on the true surface after each round; without it they stay where
-    relaxing along the surface leaves them. The first `fixed` vertices stay as they are, and so do the edges between them.
-    scale(places (e,3)) -> (e,): edges are to be so many times `size` there (default 1).
+    project(vertices) -> vertices moves them to the true surface after each round; without it relaxing along the surface
+    decides their places. The first `fixed` vertices and the edges between them stay as they are.
+    scale(places (e,3)) -> (e,): factor on `size` at these places (default 1).
     """
     x, t = np.array(vertices, float), np.array(triangles, np.int64)
     edge = float(np.median(np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2)))
-    while edge < 0.5 * SHORT * size:  # a fine surface is made coarse in steps, shortest edges first
+    while edge < 0.5 * SHORT * size:  # a fine surface is coarsened in steps, shortest edges first
         edge *= 1.6
         x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size, fixed, scale)
         x, t = _flip_all(x, t, fixed)
@@ -41,15 +41,15 @@ def even(
         x, t = _collapse_all(x, t, SHORT * size, LONG * size, fixed, scale)
         x, t = _flip_all(x, t, fixed)
         x = relaxed(relaxed(x, t, fixed), t, fixed)
-        if settle is not None:
-            x[fixed:] = settle(x, t)[fixed:]
+        if project is not None:
+            x[fixed:] = project(x)[fixed:]
     return x, t
 
 
 def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
     """Vertices (k,3) moved half-way to the mean of their neighbours, along the surface only."""
     total, count = np.zeros_like(x), np.bincount(t.ravel(), minlength=len(x))
-    for a, b in ((0, 1), (1, 2), (2, 0)):  # of a closed surface each edge comes once either way: each neighbour once
+    for a, b in ((0, 1), (1, 2), (2, 0)):  # each edge of a closed surface appears once in either direction
         for i in range(3):
             total[:, i] += np.bincount(t[:, a], x[t[:, b], i], len(x))
     step = total / count[:, None] - x
@@ -94,7 +94,7 @@ Scale = Callable[[np.ndarray], np.ndarray] | None
 
 
 def _scaled(x: np.ndarray, edges: np.ndarray, scale: Scale) -> np.ndarray:
-    """What `size` is multiplied with at the middle of each edge, (e,)."""
+    """Factor on `size` at the middle of each edge, (e,)."""
     return np.ones(len(edges)) if scale is None else scale(0.5 * (x[edges[:, 0]] + x[edges[:, 1]]))
 
 
@@ -130,8 +130,8 @@ def _turned(x, t, f, old, p):
     nn, mm = np.dot(n, n), np.dot(m, m)
     longest = max(np.dot(d[1] - d[0], d[1] - d[0]), np.dot(d[2] - d[1], d[2] - d[1]), np.dot(d[0] - d[2], d[0] - d[2]))
     if mm < 0.01 * longest * longest:
-        return mm < nn  # a sliver is not made, but may be made better
-    return np.dot(n, m) < TURN * np.sqrt(nn * mm)
+        return mm < nn  # no new sliver, but an existing one may improve
+    return np.dot(n, m) < MIN_COSINE * np.sqrt(nn * mm)
 
 
 @njit(cache=True, nogil=True)

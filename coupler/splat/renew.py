@@ -1,4 +1,4 @@
-"""The surface of a patch of a body, remeshed on itself: its free part made even, its cut left as it is."""
+"""Remeshing of the surface of a patch of a body: its free part becomes even, its cut stays as it is."""
 
 from collections.abc import Callable
 
@@ -10,25 +10,25 @@ from ..sph.carried_surface import volume
 from . import remesh
 from .surface import area, open_or_double
 
-NEAR = 24  # triangles, by their centres, that the closest point of a surface is looked for on
-VOLUME = 1e-9  # of the patch: how well its volume is kept
-GROWTH = 0.5  # of edges with the distance from the cut, from what they are there to the size wanted
-MOST = 0.1  # of an edge: how far the surface may be moved to keep it
+NEAREST = 24  # triangles, by their centres, among which the closest point is searched
+VOLUME_TOLERANCE = 1e-9  # relative, of the patch
+GROWTH = 0.5  # of the edge length with the distance from the cut, from its edges to the size asked for
+MAX_OFFSET = 0.1  # of an edge, by which the surface is moved to correct the volume
 
 
 class Original:
-    """A surface (k,3) m, (m,3) that vertices are put back on."""
+    """A surface, vertices (k,3) m and triangles (m,3), to which points are projected."""
 
     def __init__(self, vertices: np.ndarray, triangles: np.ndarray):
         self.corners = vertices[triangles]
         self.tree = cKDTree(self.corners.mean(axis=1))
 
-    def settle(self, x: np.ndarray, _triangles: np.ndarray | None = None) -> np.ndarray:
+    def project(self, x: np.ndarray) -> np.ndarray:
         """The point of the surface closest to each of x (n,3) m."""
-        near = self.tree.query(x, k=min(NEAR, len(self.corners)))[1].reshape(len(x), -1)
-        found = closest(x[:, None], self.corners[near])
-        best = np.argmin(np.sum((found - x[:, None]) ** 2, axis=2), axis=1)
-        return found[np.arange(len(x)), best]
+        near = self.tree.query(x, k=min(NEAREST, len(self.corners)))[1].reshape(len(x), -1)
+        candidates = closest(x[:, None], self.corners[near])
+        best = np.argmin(np.sum((candidates - x[:, None]) ** 2, axis=2), axis=1)
+        return candidates[np.arange(len(x)), best]
 
 
 def closest(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -53,8 +53,8 @@ def closest(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.where(within[..., None], foot, nearest)
 
 
-def towards(vertices: np.ndarray, cut: np.ndarray, size: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Edges over `size` m, as a function of places, that run from those of the triangles `cut` (c,3) to 1, GROWTH by distance."""
+def graded_scale(vertices: np.ndarray, cut: np.ndarray, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Edge length over `size` m as a function of places (e,3) m: that of the triangles `cut` (c,3) there, 1 far from them."""
     sides = np.concatenate([cut[:, [0, 1]], cut[:, [1, 2]], cut[:, [2, 0]]])
     length = np.linalg.norm(vertices[sides[:, 0]] - vertices[sides[:, 1]], axis=1)
     nodes = np.unique(cut)
@@ -72,11 +72,11 @@ def towards(vertices: np.ndarray, cut: np.ndarray, size: float) -> Callable[[np.
 def renewed_surface(
     vertices: np.ndarray, triangles: np.ndarray, fixed: int, free: int, size: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """A closed surface (k,3) m, (m,3) with the edges of its last `free` triangles made even, of about `size` m.
+    """A closed surface (k,3) m, (m,3) whose last `free` triangles are remeshed with edges of about `size` m.
 
-    The first `fixed` vertices and the other triangles stay as they are. The new vertices lie on the old surface, then are moved
-    along its normals, all alike, until the volume is the old one. Returns vertices, triangles, and how far they were moved,
-    m. Raises SplatError where the surface is not a closed one, or would have to be moved too far.
+    The first `fixed` vertices and the other triangles stay as they are. The new vertices are projected to the old surface and
+    moved along its normals by one offset, until the volume is that of the old surface. Returns vertices, triangles, and the
+    offset, m. Raises SplatError where the surface is not closed, or the offset exceeds MAX_OFFSET.
     """
     if wrong := open_or_double(triangles):
         raise SplatError(f"the surface of the patch is not closed: {wrong}")
@@ -84,12 +84,12 @@ def renewed_surface(
     if not target > 0.0:
         raise SplatError("the surface of the patch encloses no volume")
     old = Original(vertices, triangles[len(triangles) - free :])
-    scale = towards(vertices, triangles[: len(triangles) - free], size)
-    x, t = remesh.even(vertices, triangles, size, old.settle, fixed, scale)
+    scale = graded_scale(vertices, triangles[: len(triangles) - free], size)
+    x, t = remesh.even(vertices, triangles, size, old.project, fixed, scale)
     moved = 0.0
     for _ in range(20):
         missing = target - volume(x, t)
-        if abs(missing) < VOLUME * target:
+        if abs(missing) < VOLUME_TOLERANCE * target:
             break
         normal = remesh.normals(x, t)
         normal[:fixed] = 0.0
@@ -97,6 +97,6 @@ def renewed_surface(
         step = missing / area((x, t[loose]))
         x = x + step * normal
         moved += step
-        if abs(moved) > MOST * size:
+        if abs(moved) > MAX_OFFSET * size:
             raise SplatError(f"keeping the volume would move the surface by {moved / size:+.2f} of an edge")
     return x, t, moved

@@ -1,8 +1,8 @@
 """Isosurface stuffing: tetrahedra of a body-centred cubic lattice, warped and cut at a level set.
 
-It cannot fail on the shape of a body, needs no surface and no other program, and what the lattice does not resolve is left
-out. Labelle & Shewchuk (2007), with quadrilaterals cut by vertex number instead of by parity: their bound on the angles
-(11 deg) is not kept to the letter.
+It works for any shape, needs no surface and no other program; features that the lattice does not resolve are left out.
+Labelle & Shewchuk (2007), with quadrilaterals cut by vertex number instead of by parity, so their bound on the dihedral
+angles (11 deg) is not guaranteed.
 """
 
 import numpy as np
@@ -11,12 +11,12 @@ from .field import Field
 from .quality import boundary, compact, volumes
 from .remesh import normals
 
-WARP_LONG, WARP_SHORT = 0.24999, 0.41189  # of an edge: a cut nearer than that to a vertex moves the vertex onto it
-EDGE = 1.25  # lattice constant over the element size: tetrahedra of about the volume gmsh makes
+WARP_LONG, WARP_SHORT = 0.24999, 0.41189  # of an edge: a vertex closer to a cut is moved onto the cut
+EDGE = 1.25  # lattice constant over the element size: tetrahedra have about the volume of those of gmsh
 
 
 def stuff(field: Field, level: float, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) m and tetrahedra (m,4) of where a field exceeds a level; the elements are about as large as gmsh's at `size`."""
+    """Points (n,3) m and tetrahedra (m,4) of the region where a field exceeds a level, elements of about `size` m."""
     a = EDGE * size
     x, tets, edges, long = _lattice(field, a)
     value = field.at(x) - level
@@ -26,13 +26,12 @@ def stuff(field: Field, level: float, size: float) -> tuple[np.ndarray, np.ndarr
     cut = _cuts(field, level, x, edges, inside)
     sign = np.where(inside, 1, -1)
 
-    # the nearest cut of each vertex, if it is too near, takes the vertex with it
+    # vertices that are too close to a cut move to their nearest cut
     limit = np.where(long, WARP_LONG * a, WARP_SHORT * 0.5 * np.sqrt(3.0) * a)
     ends = np.concatenate([edges[:, 0], edges[:, 1]])
     gap = np.concatenate([np.linalg.norm(cut - x[edges[:, i]], axis=1) for i in range(2)])
     order = np.lexsort((gap, ends))
     first = order[np.concatenate([[True], np.diff(ends[order]) > 0])] if len(order) else order
-    # a vertex moves if any of its cuts is too near, and then to the nearest
     close = np.zeros(len(x), bool)
     close[ends[gap < np.concatenate([limit, limit])]] = True
     move = first[close[ends[first]]]
@@ -55,9 +54,9 @@ def _lattice(field: Field, a: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
     tets = []
     for axis in range(3):
         # each edge between neighbouring centres, with the four edges of the face between them
-        one = np.moveaxis(centre, axis, 0)
+        centres = np.moveaxis(centre, axis, 0)
         square = np.moveaxis(corner, axis, 0)[1:-1]
-        c0, c1 = one[:-1].ravel(), one[1:].ravel()
+        c0, c1 = centres[:-1].ravel(), centres[1:].ravel()
         ring = [square[:, :-1, :-1], square[:, 1:, :-1], square[:, 1:, 1:], square[:, :-1, 1:]]
         for k in range(4):
             tets.append(np.stack([c0, c1, ring[k].ravel(), ring[(k + 1) % 4].ravel()], axis=1))
@@ -73,7 +72,7 @@ def _lattice(field: Field, a: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def _cuts(field: Field, level: float, x: np.ndarray, edges: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Where edges (e,2) meet the level set, (e,3) m: bisection, for the field is far from linear along a long edge."""
+    """Where edges (e,2) meet the level set, (e,3) m: by bisection, because the field is not linear along a long edge."""
     first = inside[edges[:, 0]]
     p = np.where(first[:, None], x[edges[:, 0]], x[edges[:, 1]])
     q = np.where(first[:, None], x[edges[:, 1]], x[edges[:, 0]])
@@ -91,7 +90,7 @@ def _clip(
     s = sign[tets]
     whole = tets[(s >= 0).all(axis=1) & (s > 0).any(axis=1)]
     mixed = (s > 0).any(axis=1) & (s < 0).any(axis=1)
-    # metal first, then vertices on the surface, then outside ones; metal by number, so that neighbours cut a face alike
+    # vertices in metal first, then on the surface, then outside; equal signs by number, so that neighbours cut a face alike
     order = np.lexsort((tets[mixed], -s[mixed]), axis=1)
     v = np.take_along_axis(tets[mixed], order, axis=1)
     s = np.take_along_axis(s[mixed], order, axis=1)
@@ -102,7 +101,7 @@ def _clip(
         wanted = np.minimum(p, q) * len(x) + np.maximum(p, q)
         return len(x) + by_key[np.searchsorted(key, wanted, sorter=by_key)]
 
-    found = [whole]
+    kept = [whole]
     plus, minus = (s > 0).sum(axis=1), (s < 0).sum(axis=1)
 
     def case(a: int, b: int) -> tuple[np.ndarray, ...]:
@@ -110,29 +109,29 @@ def _clip(
         return tuple(rows[:, i] for i in range(4))
 
     p, n, m, o = case(1, 3)
-    found.append(np.stack([p, cuts(p, n), cuts(p, m), cuts(p, o)], axis=1))
+    kept.append(np.stack([p, cuts(p, n), cuts(p, m), cuts(p, o)], axis=1))
     p, z, n, m = case(1, 2)
-    found.append(np.stack([p, z, cuts(p, n), cuts(p, m)], axis=1))
+    kept.append(np.stack([p, z, cuts(p, n), cuts(p, m)], axis=1))
     p, z, y, n = case(1, 1)
-    found.append(np.stack([p, z, y, cuts(p, n)], axis=1))
+    kept.append(np.stack([p, z, y, cuts(p, n)], axis=1))
     p, q, z, n = case(2, 1)
     pn, qn = cuts(p, n), cuts(q, n)
-    found += [np.stack([p, q, qn, z], axis=1), np.stack([p, qn, pn, z], axis=1)]
+    kept += [np.stack([p, q, qn, z], axis=1), np.stack([p, qn, pn, z], axis=1)]
     p, q, n, m = case(2, 2)
     pn, pm, qn, qm = cuts(p, n), cuts(p, m), cuts(q, n), cuts(q, m)
-    found += [np.stack(c, axis=1) for c in ((p, q, qn, qm), (p, pn, pm, qm), (p, pn, qm, qn))]
+    kept += [np.stack(c, axis=1) for c in ((p, q, qn, qm), (p, pn, pm, qm), (p, pn, qm, qn))]
     p, q, r, n = case(3, 1)
     pn, qn, rn = cuts(p, n), cuts(q, n), cuts(r, n)
-    found += [np.stack(c, axis=1) for c in ((p, q, r, rn), (p, q, qn, rn), (p, pn, qn, rn))]
+    kept += [np.stack(c, axis=1) for c in ((p, q, r, rn), (p, q, qn, rn), (p, pn, qn, rn))]
 
-    points, made = np.concatenate([x, cut]), np.concatenate(found)
-    signed = volumes(points, made)
-    made[signed < 0] = made[signed < 0][:, [0, 1, 3, 2]]
-    return compact(points, made)
+    points, cells = np.concatenate([x, cut]), np.concatenate(kept)
+    signed = volumes(points, cells)
+    cells[signed < 0] = cells[signed < 0][:, [0, 1, 3, 2]]
+    return compact(points, cells)
 
 
-def swell(points: np.ndarray, tets: np.ndarray, target: float, most: float) -> tuple[np.ndarray, float]:
-    """Boundary nodes moved along their normals until the body has `target` m3; the points, and by how much, m."""
+def correct_volume(points: np.ndarray, tets: np.ndarray, target: float, max_offset: float) -> tuple[np.ndarray, float]:
+    """Points (n,3) m with the boundary moved along its normals until the mesh has `target` m3, and the offset, m."""
     used, numbered = np.unique(boundary(tets), return_inverse=True)
     numbered = numbered.reshape(-1, 3)
     x, moved = points.copy(), 0.0
@@ -140,7 +139,7 @@ def swell(points: np.ndarray, tets: np.ndarray, target: float, most: float) -> t
         skin = x[used]
         a, b, c = (skin[numbered[:, i]] for i in range(3))
         area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-        step = float(np.clip(moved + (target - float(volumes(x, tets).sum())) / area, -most, most)) - moved
+        step = float(np.clip(moved + (target - float(volumes(x, tets).sum())) / area, -max_offset, max_offset)) - moved
         x[used] = skin + step * normals(skin, numbered)
         moved += step
     return x, moved

@@ -1,8 +1,9 @@
-"""From a field to the surfaces of a body: marching cubes, an even remesh on the level set, the volume put right."""
+"""From a field to the surfaces of a body: marching cubes, an even remesh on the level set, a correction of the volume."""
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from skimage.measure import marching_cubes
 
 from ..sph.carried_surface import volume
 from . import remesh
@@ -14,27 +15,25 @@ Surface = tuple[np.ndarray, np.ndarray]
 
 def contour(field: Field, level: float) -> Surface:
     """Vertices (k,3) m and outward triangles (m,3) of a level set (marching cubes, Lewiner 2003)."""
-    from skimage.measure import marching_cubes
-
     vertices, triangles, _, _ = marching_cubes(field.values, level, gradient_direction="ascent")
     return field.origin + vertices.astype(float) * field.h, triangles.astype(np.int64)
 
 
 def shells(surface: Surface, smallest: float) -> list[Surface]:
-    """The closed pieces of a surface that enclose `smallest` m3 or more, cavities too (their volume is negative); largest first."""
+    """The closed pieces of a surface that enclose `smallest` m3 or more, largest first; a cavity has a negative volume."""
     vertices, triangles = surface
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(vertices), len(vertices)))
-    count, which = connected_components(graph, directed=False)
-    found = []
+    count, label = connected_components(graph, directed=False)
+    pieces = []
     for piece in range(count):
-        own = triangles[which[triangles[:, 0]] == piece]
+        own = triangles[label[triangles[:, 0]] == piece]
         if len(own) == 0:
             continue
         part = compact(vertices, own)
         if abs(volume(*part)) >= smallest:
-            found.append(part)
-    return sorted(found, key=lambda part: -volume(*part))
+            pieces.append(part)
+    return sorted(pieces, key=lambda part: -volume(*part))
 
 
 def area(surface: Surface) -> float:
@@ -49,7 +48,7 @@ def handles(surface: Surface) -> int:
 
 
 def open_or_double(triangles: np.ndarray) -> str:
-    """What keeps triangles (m,3) from being a closed oriented surface; empty if nothing does."""
+    """Why triangles (m,3) are not a closed oriented surface; empty if they are one."""
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
     many = int(triangles.max()) + 1
     key, back = edges[:, 0] * many + edges[:, 1], edges[:, 1] * many + edges[:, 0]
@@ -60,18 +59,19 @@ def open_or_double(triangles: np.ndarray) -> str:
 
 
 class LevelSet:
-    """Where a field has a value: `settle` moves vertices (k,3) m onto it, at most 0.3 size in all."""
+    """The surface where a field has the value `level`. size: m, of elements."""
 
     def __init__(self, field: Field, level: float, size: float):
         self.field, self.level, self.size = field, level, size
         self.gradient = [Field(g, field.origin, field.h) for g in np.gradient(field.values, field.h)]
 
-    def settle(self, x: np.ndarray, _triangles: np.ndarray | None = None) -> np.ndarray:
+    def project(self, x: np.ndarray) -> np.ndarray:
+        """Vertices (k,3) m moved to the level set by two Newton steps, each at most 0.15 size."""
         x = x.copy()
         for _ in range(2):
             slope = np.stack([g.at(x) for g in self.gradient], axis=1)
             square = np.einsum("ij,ij->i", slope, slope)
-            # where the field is flat its slope says nothing about the distance
+            # a lower bound on the slope: where the field is flat the distance is unknown
             pull = (self.level - self.field.at(x))[:, None] * slope
             pull /= np.maximum(square, (0.05 / self.size) ** 2)[:, None]
             length = np.linalg.norm(pull, axis=1)
@@ -81,16 +81,16 @@ class LevelSet:
 
 def even(surface: Surface, size: float, level_set: LevelSet | None = None) -> Surface:
     """The same closed surface with edges of about `size` m, on the level set if one is given."""
-    return remesh.even(*surface, size, level_set.settle if level_set else None)
+    return remesh.even(*surface, size, level_set.project if level_set else None)
 
 
-def swell(parts: list[Surface], target: float, most: float) -> tuple[list[Surface], float]:
-    """Shells moved along their normals until together they enclose `target` m3; also by how much, m (never over `most`)."""
+def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:
+    """Shells moved along their normals until they enclose `target` m3 together, and the offset, m (at most `max_offset`)."""
     moved = 0.0
     for _ in range(6):
         missing = target - sum(volume(*part) for part in parts)
         step = missing / sum(area(part) for part in parts)
-        step = float(np.clip(moved + step, -most, most)) - moved
+        step = float(np.clip(moved + step, -max_offset, max_offset)) - moved
         parts = [(part[0] + step * remesh.normals(*part), part[1]) for part in parts]
         moved += step
     return parts, moved

@@ -1,26 +1,22 @@
 """State from the points of a cloud to the nodes and elements of its mesh.
 
-Linear moving least squares; then what must be conserved is made exact: velocities get the rigid motion a + omega x r that
-restores linear and angular momentum and a scaling of the rest that restores the
-kinetic energy, temperature, plastic strain and energy a uniform shift that restores their sum over
-the mass. No value leaves the range of the points it comes from by more than REACH of that range.
+Linear moving least squares (Lancaster & Salkauskas 1981), then a correction that conserves sums. Velocities get the rigid
+motion a + omega x r that restores linear and angular momentum, and a scaling of the remainder that restores the kinetic energy.
+Temperature, plastic strain and energy get a uniform shift that restores their sum over the mass. No value leaves the range of
+the points it comes from by more than EXTRAPOLATION of that range.
 """
-
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from . import quality
+from .cloud import Cloud
 from .kernels import least_squares_weights
 
-if TYPE_CHECKING:
-    from .convert import Cloud
-
 NEIGHBOURS = 16  # the twelve nearest of a face-centred cubic lattice and a few more
-STRETCH = 0.1  # of velocities, to keep the kinetic energy: more would be noise of the points made coarse
-REACH = 0.3  # what a fit may extrapolate, over the range of its points
-RIDGE = 0.02  # of a spacing: points that lie flatter than that are taken for flat
+MAX_SCALING = 0.1  # of velocities, to conserve the kinetic energy: more would amplify noise of the points
+EXTRAPOLATION = 0.3  # of a fit, over the range of its points
+RIDGE = 0.02  # of a spacing: points with less thickness count as a plane
 
 
 class Fit:
@@ -40,7 +36,7 @@ class Fit:
             return np.stack([self(column) for column in values.T], axis=1)
         around = values[self.near]
         low, high = around.min(axis=1), around.max(axis=1)
-        slack = REACH * (high - low)
+        slack = EXTRAPOLATION * (high - low)
         return np.clip(np.einsum("ij,ij->i", self.phi, around), low - slack, high + slack)
 
 
@@ -50,7 +46,7 @@ def with_momentum(v: np.ndarray, x: np.ndarray, mass: np.ndarray, P: np.ndarray,
 
 
 def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """The velocities (n,3) of a rigid motion with these momenta, as in `with_momentum`."""
+    """The velocities (n,3) of the rigid motion with momenta P and L, as in `with_momentum`."""
     centre = mass @ x / mass.sum()
     r = x - centre
     inertia = np.eye(3) * float(mass @ np.einsum("ij,ij->i", r, r)) - np.einsum("i,ij,ik->jk", mass, r, r)
@@ -58,18 +54,18 @@ def rigid(x: np.ndarray, mass: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.n
 
 
 def with_energy(v: np.ndarray, x: np.ndarray, mass: np.ndarray, kinetic: float) -> np.ndarray:
-    """Velocities (n,3) of the same momenta whose part beside the rigid motion is scaled (STRETCH at most) to a kinetic energy, J."""
+    """Velocities (n,3) of the same momenta whose non-rigid part is scaled (MAX_SCALING at most) to a kinetic energy, J."""
     whole = rigid(x, mass, mass @ v, mass @ np.cross(x, v))
     own = v - whole
     moving, rest = (0.5 * float(mass @ np.einsum("ij,ij->i", w, w)) for w in (own, whole))
     scale = np.sqrt(max(kinetic - rest, 0.0) / moving) if moving > 0.0 else 1.0
-    return whole + float(np.clip(scale, 1.0 - STRETCH, 1.0 + STRETCH)) * own
+    return whole + float(np.clip(scale, 1.0 - MAX_SCALING, 1.0 + MAX_SCALING)) * own
 
 
 def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float | None = None) -> np.ndarray:
-    """Values (n,) shifted alike so that weights @ values is `total`, none below `floor`.
+    """Values (n,) with a uniform shift so that weights @ values is `total`, none below `floor`.
 
-    Where the floor is hit the rest is shifted further; a total below what the floor allows leaves all on the floor.
+    Values at the floor stay there and the others are shifted further. A total below floor times the weights gives the floor.
     """
     whole = weights.sum()
     if floor is None:
@@ -77,23 +73,24 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
     if total <= floor * whole:
         return np.full_like(values, floor)
     shift = (total - weights @ values) / whole
-    made = np.maximum(values + shift, floor)
+    shifted = np.maximum(values + shift, floor)
     for _ in range(100):
-        off = total - weights @ made
-        free = made > floor
+        off = total - weights @ shifted
+        free = shifted > floor
         if abs(off) <= 1e-14 * abs(total) or not free.any():
             break
-        made = np.where(free, np.maximum(made + off / weights[free].sum(), floor), made)
-    return made
+        shifted = np.where(free, np.maximum(shifted + off / weights[free].sum(), floor), shifted)
+    return shifted
 
 
 def transfer(
-    cloud: "Cloud", points: np.ndarray, tets: np.ndarray
-) -> tuple[dict[str, np.ndarray | None], dict[str, Any]]:
-    """Fields of a mesh, and what the transfer changed.
+    cloud: Cloud, points: np.ndarray, tets: np.ndarray
+) -> tuple[dict[str, np.ndarray | None], float, dict[str, float]]:
+    """Fields of a mesh as in `cloud.Body`, None where the cloud has none; its mass_scale; relative errors.
 
-    points (n,3) m, tets (m,4). Fields as in `convert.Body`, None where the cloud has none; the report holds the share by
-    which each conserved sum and a few others came out different before they were put right (`_raw`) and after.
+    points (n,3) m, tets (m,4). The errors are those of each sum over the mass (temperature, plastic strain, energy, linear and
+    angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
+    sigma : sigma (stress_square), which is not corrected.
     """
     volumes = quality.volumes(points, tets)
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
@@ -105,27 +102,26 @@ def transfer(
     scale = float(cloud.volume.sum() / reference.sum())
     share = reference / reference.sum()
     node_share = np.bincount(tets.ravel(), np.repeat(0.25 * share, 4), len(points))
-    report: dict[str, Any] = {"mass_scale": scale}
+    errors: dict[str, float] = {}
     fields["J"] = J
 
-    def put(name: str, raw: np.ndarray, over: np.ndarray, floor: float | None = None) -> None:
+    def add_field(name: str, raw: np.ndarray, over: np.ndarray, floor: float | None = None) -> None:
         source = getattr(cloud, name)
         mean, span = float(weights @ source), float(np.abs(source).max())
-        made = with_sum(raw, over, mean, floor)
-        report[f"{name}_raw"] = float(over @ raw - mean) / span if span else 0.0
-        report[name] = float(over @ made - mean) / span if span else 0.0
-        fields[name] = made
+        fields[name] = corrected = with_sum(raw, over, mean, floor)
+        errors[f"{name}_raw"] = float(over @ raw - mean) / span if span else 0.0
+        errors[name] = float(over @ corrected - mean) / span if span else 0.0
 
     if cloud.T is not None:
-        put("T", at_elements(cloud.T), share)
+        add_field("T", at_elements(cloud.T), share)
     if cloud.eps_p is not None:
-        put("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
+        add_field("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
     if cloud.energy is not None:
-        put("energy", at_nodes(cloud.energy), node_share)
+        add_field("energy", at_nodes(cloud.energy), node_share)
     if cloud.stress is not None:
         fields["stress"] = stress = at_elements(cloud.stress)
         before = float(cloud.current_volume @ _square(cloud.stress))
-        report["stress_square"] = float(volumes @ _square(stress)) / before - 1.0 if before else 0.0
+        errors["stress_square"] = float(volumes @ _square(stress)) / before - 1.0 if before else 0.0
     if cloud.velocity is not None:
         mass, node_mass = cloud.mass, node_share * cloud.mass.sum()
         P, L = mass @ cloud.velocity, mass @ np.cross(cloud.x, cloud.velocity)
@@ -134,13 +130,13 @@ def transfer(
         P_size, L_size = float(mass @ speed), float(mass @ (speed * np.linalg.norm(cloud.x, axis=1)))
         kinetic = 0.5 * float(mass @ speed**2)
         v = with_energy(with_momentum(raw, points, node_mass, P, L), points, node_mass, kinetic)
-        fields["velocity"] = v = with_momentum(v, points, node_mass, P, L)  # once more: rounding
-        report["momentum_raw"] = float(np.linalg.norm(node_mass @ raw - P)) / (P_size or 1.0)
-        report["momentum"] = float(np.linalg.norm(node_mass @ v - P)) / (P_size or 1.0)
-        report["angular_momentum"] = float(np.linalg.norm(node_mass @ np.cross(points, v) - L)) / (L_size or 1.0)
+        fields["velocity"] = v = with_momentum(v, points, node_mass, P, L)  # again, against rounding
+        errors["momentum_raw"] = float(np.linalg.norm(node_mass @ raw - P)) / (P_size or 1.0)
+        errors["momentum"] = float(np.linalg.norm(node_mass @ v - P)) / (P_size or 1.0)
+        errors["angular_momentum"] = float(np.linalg.norm(node_mass @ np.cross(points, v) - L)) / (L_size or 1.0)
         own = 0.5 * float(node_mass @ np.einsum("ij,ij->i", v, v))
-        report["kinetic_energy"] = own / kinetic - 1.0 if kinetic else 0.0
-    return fields, report
+        errors["kinetic_energy"] = own / kinetic - 1.0 if kinetic else 0.0
+    return fields, scale, errors
 
 
 def _square(stress: np.ndarray) -> np.ndarray:

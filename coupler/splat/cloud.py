@@ -1,0 +1,177 @@
+"""Records of a conversion: the cloud of points that goes in, the bodies of tetrahedra that come out, the reports."""
+
+from dataclasses import dataclass, field, replace
+from typing import TypedDict
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import SplatError
+from .surface import open_or_double
+
+MIN_POINTS = 50  # of a body
+FIELD_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0}  # 0: one value a point
+
+
+class Report(TypedDict, total=False):
+    """Measures of one body, or of a whole splat (sums, worst values, and the largest body's own)."""
+
+    method: str
+    failed: list[str]  # strategies that failed before, with the reason
+    missed: list[str]  # limits that the mesh of method "paper" does not meet
+    points: int
+    tets: int
+    nodes: int
+    surface: list[int]  # triangles of each closed surface
+    element_size_m: float
+    volume_m3: float
+    volume_error_before: float  # relative, of the shape before its volume is corrected
+    moved_m: float  # by which the surface is moved to correct the volume
+    smoothing: float  # over element size
+    handles: int
+    gamma_min: float
+    gamma_mean: float
+    dihedral_min_deg: float
+    step_length_min_m: float
+    dt_s: float
+    mass_scale: float
+    extent_m: list[float]
+    width_m: float
+    top_m: float
+    source_extent_m: list[float]
+    source_width_m: float
+    source_top_m: float
+    centroid_off: float  # spacings
+    outside_half: float
+    outside_max: float  # spacings
+    transfer: dict[str, float]  # relative errors, see `transfer.transfer`
+    seconds: dict[str, float]
+    # of a whole splat only
+    bodies: int
+    lost_points: int
+    cpu_s: float
+    wall_s: float
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points of one splat and their state; a field that the cloud does not have is None. SI units.
+
+    x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume;
+    rho: reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; eps_p, T (n,); J (n,): volume
+    ratio; energy (n,): J per reference m3. surface: vertices (k,3) and outward triangles (m,3) of the body's deformed
+    carried surface, cavities included. wave_speed: m/s, for the explicit time step in the report.
+    """
+
+    x: np.ndarray
+    volume: np.ndarray
+    spacing: float
+    rho: float
+    velocity: np.ndarray | None = None
+    stress: np.ndarray | None = None
+    eps_p: np.ndarray | None = None
+    T: np.ndarray | None = None
+    J: np.ndarray | None = None
+    energy: np.ndarray | None = None
+    surface: tuple[np.ndarray, np.ndarray] | None = None
+    wave_speed: float | None = None
+
+    @property
+    def mass(self) -> np.ndarray:
+        """(n,) kg."""
+        return self.rho * self.volume
+
+    @property
+    def current_volume(self) -> np.ndarray:
+        """(n,) m3, as deformed."""
+        return self.volume if self.J is None else self.volume * self.J
+
+    @property
+    def solid_volume(self) -> float:
+        """Current volume of the metal, m3."""
+        return float(self.current_volume.sum())
+
+    def part(self, index: np.ndarray) -> "Cloud":
+        """The cloud of the points `index` (p,); the surface stays whole."""
+        kept = {n: getattr(self, n)[index] for n in ("x", "volume", *FIELD_COLUMNS) if getattr(self, n) is not None}
+        return replace(self, **kept)
+
+    def check(self) -> None:
+        """Raise SplatError, with the remedy, where the cloud cannot be meshed."""
+        x = np.asarray(self.x)
+        n = len(x)
+        if x.ndim != 2 or x.shape[1] != 3:
+            raise SplatError(f"points must be (n, 3) coordinates, got {x.shape}: give x, y and z of each point")
+        if n < MIN_POINTS:
+            raise SplatError(f"the cloud has {n} points, {MIN_POINTS} or more are needed: use a finer resolution")
+        for name, columns in {"x": 3, "volume": 0, **FIELD_COLUMNS}.items():
+            values = getattr(self, name)
+            if values is None:
+                continue
+            shape = (n, columns) if columns else (n,)
+            if np.shape(values) != shape:
+                raise SplatError(f"{name} must have the shape {shape}, has {np.shape(values)}")
+            bad = np.flatnonzero(~np.isfinite(np.asarray(values).reshape(n, -1)).all(axis=1))
+            if len(bad):
+                raise SplatError(
+                    f"{name} of {len(bad)} points is not a number (first: point {bad[0]}): remove or mend them"
+                )
+        for name in ("spacing", "rho"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise SplatError(f"{name} must be positive, is {getattr(self, name):g}")
+        if not np.min(self.volume) > 0.0 or (self.J is not None and not np.min(self.J) > 0.0):
+            raise SplatError("volume and J of every point must be positive")
+        self._check_places(x)
+        if self.surface is not None:
+            vertices, triangles = self.surface
+            if not np.isfinite(vertices).all():
+                raise SplatError("the carried surface has vertices that are not numbers: leave it out, or mend it")
+            if problem := open_or_double(np.asarray(triangles, np.int64)):
+                raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or mend it")
+
+    def _check_places(self, x: np.ndarray) -> None:
+        extent = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) * np.sqrt(12.0 / len(x))
+        if extent[2] < 0.05 * self.spacing:
+            shape = "a line" if extent[1] < 0.05 * self.spacing else "a plane"
+            raise SplatError(
+                f"the points lie in {shape}: a body needs points in three dimensions, or a smaller spacing"
+            )
+        distance, nearest = cKDTree(x).query(x, k=2)
+        double = np.flatnonzero(distance[:, 1] < 1e-4 * self.spacing)
+        if len(double):
+            i = int(double[0])
+            other = next(int(k) for k in nearest[i] if k != i)  # of two equal points either may come first
+            raise SplatError(
+                f"{len(double)} points lie on top of others (points {i} and {other} at one place): remove the doubles"
+            )
+
+
+@dataclass(frozen=True)
+class Body:
+    """One body of tetrahedra with its state; a field is None where the cloud has none. SI units.
+
+    points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, eps_p, T, J
+    (m,). At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor on the sum over elements of rho V / J
+    that gives the mass of the points of this body. cloud_index (k,): those points. report: measures of this body.
+    """
+
+    points: np.ndarray
+    tets: np.ndarray
+    mass_scale: float
+    cloud_index: np.ndarray
+    velocity: np.ndarray | None = None
+    energy: np.ndarray | None = None
+    stress: np.ndarray | None = None
+    eps_p: np.ndarray | None = None
+    T: np.ndarray | None = None
+    J: np.ndarray | None = None
+    report: Report = field(default_factory=Report)
+
+
+@dataclass(frozen=True)
+class Splat:
+    """The bodies of a cloud, largest first. lost_mass: kg, of fragments with fewer than MIN_POINTS points."""
+
+    bodies: list[Body]
+    lost_mass: float
+    report: Report

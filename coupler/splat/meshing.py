@@ -1,0 +1,235 @@
+"""From the points of one body to its tetrahedra: a list of strategies, each mesh held against the same limits."""
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from ..errors import SplatError
+from ..geometry import tetrahedra
+from ..geometry.poisson import poisson_surface
+from ..sph.carried_surface import volume
+from . import field as fields
+from . import quality, stuffing, surface
+from .cloud import Cloud, Report
+
+T = TypeVar("T")
+MIN_GAMMA = 0.05
+TETS_PER_SIZE3 = 4.2  # tetrahedra that gmsh makes in a volume size^3
+MIN_STEP_LENGTH = 0.05  # of an element size, of the worst element; regular tetrahedra have about 0.4
+MAX_VOLUME_ERROR = 0.01
+SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing over element size
+CELLS = 6  # of the grid along an edge of an element, unless that makes more than
+MAX_CELLS = 2e6  # ... in total: more cost time on fine clouds and change nothing
+POINT_SMOOTHING = 0.6  # least smoothing of a cloud, in spacings: below it single points show
+MIN_VOID = 30  # spacing^3: smaller voids and fragments are noise
+MAX_OFFSET = 0.25  # of an element size, by which the surface is moved to correct the volume
+CARRIED_VOLUME_ERROR = (
+    -0.22,
+    0.06,
+)  # of the carried surface against the points; beyond it, the surface is not the body's
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """source: of the shape ("carried", "density", "paper"); mesher: "HXT", "Delaunay" or "stuffing".
+
+    factor: element size over the one asked for; sigma: least smoothing over element size.
+    """
+
+    source: str
+    mesher: str
+    factor: float = 1.0
+    sigma: float = SIGMAS[0]
+
+    def __str__(self) -> str:
+        size = f", size x {self.factor:g}" if self.factor != 1 else ""
+        return f"{self.source} + {self.mesher}{size}" + (
+            f", smoothing {self.sigma:g}" if self.sigma != SIGMAS[0] else "")  # fmt: skip
+
+
+def strategies(method: str, has_surface: bool) -> list[Strategy]:
+    """The strategies of a method (`convert.METHODS`), in the order in which they are tried."""
+    meshed = ((1.0, 0.15, "HXT"), (1.0, 0.25, "HXT"), (0.8, 0.2, "HXT"), (1.0, 0.4, "Delaunay"))
+    by_source = {
+        source: [Strategy(source, mesher, factor, sigma) for factor, sigma, mesher in meshed]
+        for source in ("carried", "density")
+    }
+    first = "carried" if has_surface else "density"
+    stuffed = [Strategy(first, "stuffing", factor, sigma) for factor, sigma in ((1.0, 0.25), (0.7, 0.15), (1.0, 0.4))]
+    stuffed += [
+        Strategy("density", "stuffing", factor, sigma) for factor, sigma in ((1.0, 0.25), (0.7, 0.15), (0.5, 0.15))
+    ]
+    if method == "auto":
+        return (by_source["carried"] if has_surface else []) + by_source["density"] + stuffed
+    if method == "stuffing":
+        return stuffed
+    if method == "paper":
+        return [Strategy("paper", "HXT"), Strategy("paper", "Delaunay")]
+    return by_source[method]
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A body as a level set of a field.
+
+    volume_error: of the source before correction, relative; pieces: cells (p,3) of each component, largest first;
+    sigma: smoothing over element size; handles: of its surface.
+    """
+
+    field: fields.Field
+    level: float
+    volume_error: float
+    pieces: list[np.ndarray]
+    shells: list[surface.Surface]
+    sigma: float
+    handles: int
+
+
+@dataclass
+class CloudShape:
+    """The points of one body, those of the others (k,3) m, and the last shape found, which the next strategy may reuse."""
+
+    cloud: Cloud
+    others: np.ndarray
+    cache: tuple[tuple[str, float, float], Shape] | None = None
+
+    def find(self, source: str, size: float, least_sigma: float) -> Shape:
+        """The least smoothed shape whose surface has no handles, or the fewest. size: m, of elements.
+
+        Perforated lips are noise that no mesh of this size can follow, hence the search. Raises SplatError where the
+        carried surface cannot be that of the points.
+        """
+        key = source, size, least_sigma
+        if self.cache is None or self.cache[0] != key:
+            best: Shape | None = None
+            for sigma in (s for s in SIGMAS if s >= least_sigma):
+                shape = smoothed_shape(self.cloud, self.others, source, size, sigma)
+                if best is None or shape.handles < best.handles:
+                    best = shape
+                if shape.handles == 0:
+                    break
+            assert best is not None
+            self.cache = key, best
+        return self.cache[1]
+
+
+def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, sigma: float) -> Shape:
+    """The shape of a cloud at one smoothing (sigma, over the element size, m); others (k,3) m: points of other bodies."""
+    solid = cloud.solid_volume
+    min_void = MIN_VOID * cloud.spacing**3
+    if source == "carried":
+        assert cloud.surface is not None
+        h = _cell_size(cloud.surface[0], size / CELLS)
+        metal, inside = fields.of_surface(*cloud.surface, h, max(sigma * size, h))
+        if len(others):
+            metal = fields.only(metal, cloud.x, others)
+            inside = float(metal.values.sum(dtype=float)) * metal.h**3
+    else:
+        smooth = POINT_SMOOTHING * cloud.spacing * (sigma / SIGMAS[0]) ** 0.35
+        h = _cell_size(cloud.x, min(size / CELLS, 0.5 * cloud.spacing))
+        metal = fields.of_points(cloud.x, cloud.current_volume, h, max(smooth, sigma * size, h))
+        inside = fields.inside(metal, fields.steepness(metal), 0.5)
+    error = inside / solid - 1.0
+    if source == "carried" and not CARRIED_VOLUME_ERROR[0] < error < CARRIED_VOLUME_ERROR[1]:
+        raise SplatError(f"the carried surface holds {error:+.1%} of the points' volume")
+    # noise is removed before the level is sought, because it counts in the volume
+    metal, _ = fields.clean(metal, 0.5, min_void)
+    level = fields.level_of(metal, solid)
+    metal, pieces = fields.clean(metal, level, min_void)
+    if not pieces:
+        raise SplatError("no metal is left of the body at this smoothing")
+    shells = surface.shells(surface.contour(metal, level), 0.2 * min_void)
+    return Shape(metal, level, error, pieces, shells, sigma, sum(surface.handles(shell) for shell in shells))
+
+
+def _cell_size(x: np.ndarray, h: float) -> float:
+    """A cell size (m), h or larger, that keeps a grid over x (n,3) within MAX_CELLS."""
+    return max(h, float(np.prod(np.ptp(x, axis=0) + 12.0 * h) / MAX_CELLS) ** (1.0 / 3.0))
+
+
+def build_mesh(
+    strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float]
+) -> tuple[np.ndarray, np.ndarray, Report]:
+    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements.
+
+    The wall time of each stage is added to `seconds`. Raises SplatError where a stage fails or the mesh misses a limit.
+    """
+    size = strategy.factor * size
+    cloud = body.cloud
+    solid = cloud.solid_volume
+    report: Report = {"element_size_m": size}
+
+    def timed(stage: str, work: Callable[[], T]) -> T:
+        start = clock.perf_counter()
+        result = work()
+        seconds[stage] = seconds.get(stage, 0.0) + clock.perf_counter() - start
+        return result
+
+    if strategy.source == "paper":
+        skin = timed("surface", lambda: poisson_surface(cloud.x, cloud.spacing))
+        report["volume_error_before"] = volume(*skin) / solid - 1.0
+        shells, max_offset = [skin], cloud.spacing
+    else:
+        max_offset = MAX_OFFSET * size
+        shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
+        report |= {"volume_error_before": shape.volume_error, "smoothing": shape.sigma, "handles": shape.handles}
+        if strategy.mesher == "stuffing":
+            points, tets = timed("volume", lambda: stuffing.stuff(shape.field, shape.level, size))
+            points, tets = quality.largest(points, tets)
+            points, moved = stuffing.correct_volume(points, tets, solid, max_offset)
+            report |= {"moved_m": moved, **check_mesh(points, tets, solid, size)}
+            return points, tets, report
+        level_set = surface.LevelSet(shape.field, shape.level, size)
+        shells = timed("surface", lambda: [surface.even(shell, size, level_set) for shell in _one_piece(shape)])
+    shells, moved = surface.correct_volume(shells, solid, max_offset)
+    report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
+    algorithm = tetrahedra.DELAUNAY if strategy.mesher == "Delaunay" else tetrahedra.HXT
+    improve = 0.3 if strategy.source == "paper" else 0.45
+    points, tets = timed("volume", lambda: tetrahedra.fill(shells, size, algorithm, improve))
+    report |= check_mesh(points, tets, solid, size, strict=strategy.source != "paper")
+    return points, tets, report
+
+
+def _one_piece(shape: Shape) -> list[surface.Surface]:
+    """The outer surface of the one piece of a shape, and its cavities. Raises SplatError if it is in pieces."""
+    outer = [shell for shell in shape.shells if volume(*shell) > 0.0]
+    if len(outer) != 1:
+        raise SplatError(f"the surface falls into {len(outer)} pieces")
+    return shape.shells
+
+
+def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, strict: bool = True) -> Report:
+    """Measures of a mesh, points (n,3) m and tets (m,4), of a body of `solid` m3. Raises SplatError with all missed limits.
+
+    Not strict: missed limits on quality, step length and volume are reported under "missed"; a mesh that is inverted, open or
+    in pieces is refused in any case.
+    """
+    if len(tets) == 0:
+        raise SplatError("no tetrahedra")
+    volumes = quality.volumes(points, tets)
+    gamma, steps = quality.gamma(points, tets), quality.step_lengths(points, tets)
+    report: Report = {
+        "tets": len(tets), "nodes": len(points), "volume_m3": float(volumes.sum()), "gamma_min": float(gamma.min()),
+        "gamma_mean": float(gamma.mean()), "dihedral_min_deg": float(np.degrees(quality.dihedral_angles(points, tets).min())),
+        "step_length_min_m": float(steps.min()),
+    }  # fmt: skip
+    wrong, poor = [], []
+    if inverted := int(np.sum(~(volumes > 0.0))):
+        wrong.append(f"{inverted} tetrahedra are inverted")
+    if unclosed := surface.open_or_double(quality.boundary(tets)):
+        wrong.append(unclosed)
+    if (pieces := quality.pieces(points, tets)) != 1:
+        wrong.append(f"{pieces} pieces")
+    if gamma.min() < MIN_GAMMA:
+        poor.append(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
+    if steps.min() < MIN_STEP_LENGTH * size:
+        poor.append(f"smallest step length {steps.min() / size:.3f} of the element size, allowed {MIN_STEP_LENGTH}")
+    if abs(error := report["volume_m3"] / solid - 1.0) > MAX_VOLUME_ERROR:
+        poor.append(f"volume off by {error:+.1%}")
+    if wrong or (strict and poor):
+        raise SplatError("; ".join(wrong + poor))
+    report["missed"] = poor
+    return report
