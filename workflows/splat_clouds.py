@@ -60,7 +60,7 @@ def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, A
                 triangles = np.concatenate([triangles, inner.triangles + len(vertices)])
                 vertices = np.concatenate([vertices, inner.positions(x)])
             state = {
-                "x": x, "X": body.points, "volume": np.full(len(x), body.volume), "spacing": body.spacing, "velocity": np.array(p.v),
+                "x": x, "volume": np.full(len(x), body.volume), "spacing": body.spacing, "velocity": np.array(p.v),
                 "stress": np.array(p.stress()), "eps_p": np.array(p.eps_p), "T": np.array(p.T), "J": np.array(p.J),
                 "energy": np.array(p.energy), "rho": material(metal).rho, "wave_speed": material(metal).wave_speed,
                 "vertices": vertices, "triangles": triangles,
@@ -140,7 +140,7 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> dict[str, An
         [(motion(body.points + step * e) - motion(body.points - step * e)) / (2.0 * step) for e in np.eye(3)], -1
     )
     J = np.abs(np.linalg.det(gradient))
-    made = filled(x, body.volume, body.spacing) | {"J": J, "X": body.points}
+    made = filled(x, body.volume, body.spacing) | {"J": J}
     if carried:
         vertices, triangles = body.vertices, body.triangles
         if body.inner is not None:
@@ -170,7 +170,7 @@ def ball(n: int) -> shapes.Body:
 def joined(*parts: dict[str, Any]) -> dict[str, Any]:
     """Several clouds as one, without surfaces."""
     first = parts[0]
-    arrays = {k for k, v in first.items() if np.ndim(v) and k not in ("vertices", "triangles", "X", "J")}
+    arrays = {k for k, v in first.items() if np.ndim(v) and k not in ("vertices", "triangles", "J")}
     return {
         k: np.concatenate([p[k] for p in parts]) if k in arrays else first[k]
         for k in (*arrays, "spacing", "rho", "wave_speed")
@@ -208,7 +208,7 @@ def dust(n: int, share: float, seed: int) -> dict[str, Any]:
     off = rng.choice(len(cloud["x"]), round(share * n), replace=False)
     away = rng.normal(size=(len(off), 3))
     cloud["x"][off] = away / np.linalg.norm(away, axis=1)[:, None] * D * (1.5 + rng.random((len(off), 1)))
-    return {k: v for k, v in cloud.items() if k not in ("J", "X")}
+    return {k: v for k, v in cloud.items() if k != "J"}
 
 
 def ring(n: int) -> dict[str, Any]:
