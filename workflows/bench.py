@@ -99,7 +99,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     each at a time: what slows down one slows down the other.
     """
     from coupler.deposition.run import build
-    from coupler.sph.machdyn import Particle
+    from coupler.sph.engine import ENGINES
 
     scene = Scene.from_text(
         f'[particle]\nmaterial="Ni"\ndiameter="25 um"\nvelocity="500 m/s"\n[substrate]\nmaterial="SS304"\n'
@@ -109,7 +109,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     setting = build(plan(scene))
     p = setting.particle
     impact = Impact(p, setting.bodies, setting.surface, setting.contact)
-    plain = Particle(p.piece.X, p.piece.volume_of_point, p.piece.law, (0.0, 0.0, -500.0), 300.0)
+    plain = ENGINES["machdyn"](p.piece.X, p.piece.volume_of_point, p.piece.law, (0.0, 0.0, -500.0), 300.0)
     plain.v += np.random.default_rng(1).standard_normal(plain.v.shape)  # no arithmetic with zeros
     plain.lmp.command("unfix coupler")
     plain.lmp.command("run 0 post no")
@@ -133,7 +133,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         (impact.target, "advance", "target"),
         (impact.target, "finish", "target"),
         (impact.target, "stable_dt", "target"),
-        (p.piece, "_apply_law", "our law"),
+        (p.piece, "_update_stress", "our law"),
         (p.piece.lmp, "command", "LAMMPS"),
         (setting.contact, "forces", "contact"),
         (setting.contact, "search", "search"),

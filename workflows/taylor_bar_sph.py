@@ -20,7 +20,8 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.sph import shapes
 from coupler.sph.carried_surface import CarriedSurface
-from coupler.sph.machdyn import Numerics, Particle
+from coupler.sph.engine import ENGINES
+from coupler.sph.particle import Numerics
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "docs" / "tables" / "taylor_bar_sph.csv"
@@ -54,14 +55,14 @@ class Bar:
     wall_s: float
 
 
-def taylor_bar(points: int, numerics: Numerics = NUMERICS) -> Bar:
+def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "compiled") -> Bar:
     """One bar of about `points` points, from first touch to 80 us."""
     started = clock.perf_counter()
     steel = material("42CrMo4")
     body = shapes.cylinder(DIAMETER, LENGTH, points)
     place = np.array([0.0, 0.0, body.half_height])
     law = law_record(steel, rate_filter=RATE_FILTER)
-    bar = Particle(body.points + place, body.volume, law, (0.0, 0.0, -VELOCITY), TEMPERATURE, numerics=numerics)
+    bar = ENGINES[engine](body.points + place, body.volume, law, (0.0, 0.0, -VELOCITY), TEMPERATURE, numerics=numerics)
     skin = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
     stiffness = steel.K * body.area / len(body.vertices) / body.spacing
     force = np.zeros((len(body.vertices), 3))

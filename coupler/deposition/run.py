@@ -41,7 +41,7 @@ def run(
     out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how
     far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in
     turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the
-    scheme, values in place of the defaults of `coupler.sph.machdyn.Numerics`. probe(impact): called after every few steps
+    scheme, values in place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps
     with the `coupling.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
@@ -385,12 +385,13 @@ def build_particle(
 ) -> Any:
     """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
     from ..physics.constitutive import law_record
-    from ..sph.machdyn import Numerics, Particle
+    from ..sph.engine import ENGINES
+    from ..sph.particle import Numerics
 
     p, body = what.impacts[i], body_of(what, i)
     law = law_record(p.material, {row.name: row.on for row in what.effects.rows}, p.rate_filter)
     knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
-    return Particle(
+    return ENGINES["machdyn"](
         body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
         comm=ranks.sph_comm, log=log, shares=ranks.shares,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from .ranks import STEP, Elsewhere, Ranks, attempt, caught
 
 
 class Team:
-    """The particle as the home sees it: all its points, wherever they are. Has what one `sph.machdyn.Particle` has.
+    """The particle as the home sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
     the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps.

@@ -32,7 +32,7 @@ COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",
 )  # fmt: skip
-COURANT, STRETCH = 0.4, 0.9  # the defaults of `coupler.sph.machdyn.Numerics`: a dt factor multiplies both
+COURANT, STRETCH = 0.4, 0.9  # the defaults of `coupler.sph.particle.Numerics`: a dt factor multiplies both
 # Knobs of the scheme: axis -> what is tried, by its name in the table, as changes of the defaults.
 _TRIED: tuple[dict[str, dict[str, float]], ...] = (
     {"1.2 spacings": {"element": 1.2}, "2.5 spacings": {"element": 2.5}},

@@ -1,0 +1,153 @@
+"""The particle with our own two passes over points and pairs (`sph.compiled_kernels`), in the form that MACHDYN has.
+
+LAMMPS keeps, integrates and distributes the points. Neighbours are those of the reference configuration for good, so that lists
+are made once. On several ranks LAMMPS brings x and vest of the neighbours' points; between the passes the ranks exchange
+F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import SolverError
+from . import compiled_kernels as k
+from .particle import H, Particle
+
+KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
+THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
+PER_POINT = 19  # numbers of a point that other ranks need: F, Q, plastic strain
+
+
+class CompiledParticle(Particle):
+    """Deformation, stress and internal forces by compiled passes within LAMMPS's step (`pair_style zero`).
+
+    F, R (n,9): deformation gradient and its rotation, row by row.
+    """
+
+    PAIR = "pair_compiled.lmp"
+    OWN_STATE: ClassVar[tuple[str, ...]] = (*Particle.OWN_STATE, "R")
+
+    def _start_engine(self) -> None:
+        super()._start_engine()
+        array = self.lmp.numpy.extract_atom
+        everyone = self.n + int(self.lmp.extract_setting("nghost"))
+        self._tag = array("id", nelem=everyone)[:everyone].astype(np.int64)
+        self._all_x, self._all_v = (array(name, nelem=everyone, dim=3) for name in ("x", "vest"))
+        self._X = self._all_x.copy()
+        self._all_F, self._all_Q = np.zeros((everyone, 9)), np.zeros((everyone, 9))
+        self._all_F[:] = np.eye(3).ravel()
+        self._effective = np.ones(everyone)
+        self.F, self.R = self._all_F[: self.n], self._all_F[: self.n].copy()
+        self._h = 2.0 * self.numerics.kernel_radius * self.spacing
+        K, G, self._rho = (float(self.law[0][name]) for name in ("K", "G", "rho"))
+        self._E = 9 * K * G / (3 * K + G)
+        self._list_neighbours()
+        self._list_exchange()
+        self._force = np.zeros((len(self._pairs), 3))
+
+    def _list_neighbours(self) -> None:
+        """Neighbours of each point and pairs, ascending by the points' numbers in the whole particle; gradients on both."""
+        n, X, tag, h, V = self.n, self._X, self._tag, self._h, self.volume_of_point
+        pairs = cKDTree(X).query_pairs(1.01 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
+        pairs = pairs[(pairs < n).any(axis=1)]
+        pairs = np.where((tag[pairs[:, 0]] < tag[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
+        d = X[pairs[:, 1]] - X[pairs[:, 0]]
+        r0 = np.sqrt((d * d).sum(axis=1))
+        order = np.lexsort((tag[pairs[:, 1]], tag[pairs[:, 0]]))
+        order = order[r0[order] < h]
+        pairs, d, r0 = pairs[order], d[order], r0[order]
+        slope = KERNEL * (h - r0) ** 2 / h**6
+        W = np.float32(-THIRD * (h - r0) * slope).astype(float)
+        w = np.float32(slope).astype(float) / r0  # MACHDYN keeps both in single precision
+        self._pairs, self._r0, self._w, self._W = pairs.astype(np.uint32), r0, w, W
+
+        # each pair is seen from both its points, where they are here
+        point, other = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
+        row = np.concatenate([np.arange(len(pairs)), ~np.arange(len(pairs))])
+        order = np.lexsort((tag[other], point))
+        order = order[point[order] < n]
+        point, other, row = point[order], other[order], row[order]
+        g = (np.concatenate([w, w])[:, None] * np.concatenate([d, -d]))[order]
+        K = np.zeros((n, 3, 3))
+        np.add.at(K, point, -V * g[:, :, None] * (X[other] - X[point])[:, None, :])
+        stretch, axes = np.linalg.eigh(K)
+        inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=np.abs(stretch) > 1e-16)
+        self._K_inverse = np.ascontiguousarray(np.einsum("nik,nk,njk->nij", axes, inverse, axes))
+        self._ghat = -V * np.einsum("kij,kj->ki", self._K_inverse[point], g)
+        self._first = np.searchsorted(point, np.arange(n + 1)).astype(np.uint32)
+        self._neighbour, self._signed = other.astype(np.uint32), row.astype(np.int32)
+
+    def _list_exchange(self) -> None:
+        """Which rows go to which rank between the passes, and which come from there."""
+        self._sends: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._receives: list[tuple[int, np.ndarray, np.ndarray]] = []
+        if self.comm is None or self.comm.size == 1:
+            return
+        needed = np.unique(self._neighbour[self._neighbour >= self.n]).astype(np.int64)
+        owner = np.empty(self.total, np.int64)
+        for rank, ids in enumerate(self.comm.allgather(self.ids)):
+            owner[ids] = rank
+        wanted = [needed[owner[self._tag[needed] - 1] == rank] for rank in range(self.comm.size)]
+        asked = self.comm.alltoall([self._tag[rows] - 1 for rows in wanted])
+        row_of = np.empty(self.total, np.int64)
+        row_of[self.ids] = np.arange(self.n)
+        for rank in range(self.comm.size):
+            for lists, rows in ((self._sends, row_of[asked[rank]]), (self._receives, wanted[rank])):
+                if len(rows):
+                    lists.append((rank, rows, np.empty((len(rows), PER_POINT))))
+
+    def _update_stress(self) -> None:
+        try:
+            failed = k.stress_points(
+                0, self.n, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._ghat,
+                self._K_inverse, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
+                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, self.sums,
+            )  # fmt: skip
+        finally:
+            self._skip_step()
+        if failed >= 0:
+            self._refuse(failed)
+        self._pair_forces(0, len(self._pairs))
+        k.sum_forces(0, self.n, self._first, self._signed, self._force, self.f)
+        self._eps[:] = self.sigma_y / H
+
+    def _pair_forces(self, lo: int, hi: int) -> None:
+        num = self.numerics
+        k.pair_forces(
+            lo, hi, self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
+            self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
+            self._force,
+        )  # fmt: skip
+
+    def _skip_step(self) -> None:
+        """Exchange what pass 2 needs of points of other ranks."""
+        if not self._sends and not self._receives:
+            return
+        comm: Any = self.comm
+        requests = [comm.Irecv(buffer, source=rank, tag=8) for rank, _, buffer in self._receives]
+        for rank, rows, buffer in self._sends:
+            buffer[:, :9], buffer[:, 9:18], buffer[:, 18] = self._all_F[rows], self._all_Q[rows], self._effective[rows]
+            requests.append(comm.Isend(buffer, dest=rank, tag=8))
+        for request in requests:
+            request.Wait()
+        for _, rows, buffer in self._receives:
+            self._all_F[rows], self._all_Q[rows], self._effective[rows] = buffer[:, :9], buffer[:, 9:18], buffer[:, 18]
+
+    def _refuse(self, point: int) -> None:
+        if np.isfinite(self.J[point]):
+            text = f"point {self.ids[point]} was distorted beyond what the kernel can follow"
+        else:
+            text = f"the stress at point {self.ids[point]} is no longer a number"
+        raise SolverError(self._where(text, point))
+
+    def _strain(self) -> np.ndarray:
+        F = self.F.reshape(-1, 3, 3)
+        E = 0.5 * (np.einsum("nki,nkj->nij", F, F) - np.eye(3)).reshape(-1, 9)
+        return E[:, [0, 4, 8, 1, 2, 5]]
+
+    def stress(self) -> np.ndarray:
+        s = self._stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        R = self.R.reshape(-1, 3, 3)
+        T = np.einsum("nij,njk,nlk->nil", R, s, R).reshape(-1, 9)
+        return T[:, [0, 4, 8, 5, 2, 1]]

@@ -1,0 +1,271 @@
+"""Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then forces of each pair.
+
+The letters are those of the equations (Ganzenmueller 2015, Comput. Methods Appl. Mech. Eng. 286, 87-106): X, x reference and
+present positions; F = sum_j (x_j - x_i) (x) ghat_ij and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated
+Cauchy stress; V volume; g = w (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i| the kernel gradient, ghat = -V K^-1 g with
+K = -sum_j V g (x) (X_j - X_i).
+
+Each kernel works on a range [lo, hi) of points or of pairs and writes only its own rows: any split of the range over threads
+gives the same numbers to the last bit. Arrays n of this rank's points, N of these and of the neighbours' copies. SI units.
+"""
+
+from math import sqrt
+
+from numba import njit
+
+from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
+
+ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
+TURNED = 1e-14  # rad: the rotation is exact to rounding
+FAR = 0.3  # rad: a rotation farther from the last one is sought by Newton's iteration of the polar decomposition
+J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
+PLASTIC = 1e-3  # effective plastic strain of LAMMPS beyond which MACHDYN's hourglass control is viscous
+LEAST_ERROR = 0.05  # hourglass error that the viscous control assumes at the least
+SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at the most
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _inverse(a):
+    """Inverse of a 3x3 matrix, row by row, and its determinant."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    c00, c01, c02 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
+    det = a00 * c00 + a01 * c01 + a02 * c02
+    d = 1.0 / det
+    return (
+        d * c00, d * (a02 * a21 - a01 * a22), d * (a01 * a12 - a02 * a11),
+        d * c01, d * (a00 * a22 - a02 * a20), d * (a02 * a10 - a00 * a12),
+        d * c02, d * (a01 * a20 - a00 * a21), d * (a00 * a11 - a01 * a10),
+    ), det  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _product(a, b):
+    """Product of two 3x3 matrices, row by row."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    b00, b01, b02, b10, b11, b12, b20, b21, b22 = b
+    return (
+        a00 * b00 + a01 * b10 + a02 * b20, a00 * b01 + a01 * b11 + a02 * b21, a00 * b02 + a01 * b12 + a02 * b22,
+        a10 * b00 + a11 * b10 + a12 * b20, a10 * b01 + a11 * b11 + a12 * b21, a10 * b02 + a11 * b12 + a12 * b22,
+        a20 * b00 + a21 * b10 + a22 * b20, a20 * b01 + a21 * b11 + a22 * b21, a20 * b02 + a21 * b12 + a22 * b22,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _transposed(a):
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    return a00, a10, a20, a01, a11, a21, a02, a12, a22
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _polar(F):
+    """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
+    R = F
+    for _ in range(12):
+        (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = _inverse(R)
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = R
+        R = (
+            0.5 * (r00 + i00), 0.5 * (r01 + i10), 0.5 * (r02 + i20), 0.5 * (r10 + i01), 0.5 * (r11 + i11),
+            0.5 * (r12 + i21), 0.5 * (r20 + i02), 0.5 * (r21 + i12), 0.5 * (r22 + i22),
+        )  # fmt: skip
+    return R
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def rotation(F, R):
+    """Rotation of F = R U and the stretch U, from the rotation of the step before.
+
+    A = R^T F, S = sym A: (tr(S) 1 - S) omega is the axial vector of A, and R <- R Cayley(omega) until omega vanishes.
+    """
+    for sweep in range(30):
+        a00, a01, a02, a10, a11, a12, a20, a21, a22 = A = _product(_transposed(R), F)
+        s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
+        t0, t1, t2 = a21 - a12, a02 - a20, a10 - a01
+        W, _ = _inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
+        o0, o1, o2 = (
+            W[0] * t0 + W[1] * t1 + W[2] * t2,
+            W[3] * t0 + W[4] * t1 + W[5] * t2,
+            W[6] * t0 + W[7] * t1 + W[8] * t2,
+        )
+        square = o0 * o0 + o1 * o1 + o2 * o2
+        if square < TURNED * TURNED:
+            break
+        if sweep == 0 and not square < FAR * FAR:
+            R = _polar(F)
+            continue
+        c = 1.0 / (4.0 + square)  # Cayley: 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega
+        x, y, z = 4.0 * c * o0, 4.0 * c * o1, 4.0 * c * o2
+        c *= 2.0
+        R = _product(
+            R,
+            (
+                1.0 - c * (o1 * o1 + o2 * o2), c * o0 * o1 - z, c * o0 * o2 + y,
+                c * o0 * o1 + z, 1.0 - c * (o0 * o0 + o2 * o2), c * o1 * o2 - x,
+                c * o0 * o2 - y, c * o1 * o2 + x, 1.0 - c * (o0 * o0 + o1 * o1),
+            ),
+        )  # fmt: skip
+    return R, A
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def stress_points(
+    lo, hi, dt, laws, V, H, start, neighbour, ghat, K_inverse, x, v, R, F, Q, stress, effective, sigma_y, eps_p, rate, T, J, p,
+    energy, work, sums,
+):  # fmt: skip
+    """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
+
+    start (n+1,), neighbour, ghat (m,3) 1/m: neighbours of each point and their corrected gradients; K_inverse (n,3,3). x, v
+    (N,3): positions and velocities at n+1. R, F (N,9); Q (N,9) N m receives V^2 J R sigma B K^-1 with B = U^-1; stress (n,6):
+    unrotated Cauchy stress, xx xy xz yy yz zz, as LAMMPS keeps it; effective (N,): sigma_y / H and the plastic strain of the
+    step, by which MACHDYN chooses its hourglass control. The plastic state is that of `physics.constitutive`. sums (2,) grow by
+    plastic work and by what of its heat makes pressure, J. A point fails where J leaves [J_MIN, J_MAX].
+
+    As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
+    """
+    failed = -1
+    plastic = 0.0
+    warmth = 0.0
+    for i in range(lo, hi):
+        law = laws[0]
+        x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
+        v0, v1, v2 = v[i, 0], v[i, 1], v[i, 2]
+        f00 = f01 = f02 = f10 = f11 = f12 = f20 = f21 = f22 = 0.0
+        r00 = r01 = r02 = r10 = r11 = r12 = r20 = r21 = r22 = 0.0
+        for k in range(start[i], start[i + 1]):
+            j = neighbour[k]
+            g0, g1, g2 = ghat[k, 0], ghat[k, 1], ghat[k, 2]
+            d0, d1, d2 = x[j, 0] - x0, x[j, 1] - x1, x[j, 2] - x2
+            f00 += d0 * g0
+            f01 += d0 * g1
+            f02 += d0 * g2
+            f10 += d1 * g0
+            f11 += d1 * g1
+            f12 += d1 * g2
+            f20 += d2 * g0
+            f21 += d2 * g1
+            f22 += d2 * g2
+            d0, d1, d2 = v[j, 0] - v0, v[j, 1] - v1, v[j, 2] - v2
+            r00 += d0 * g0
+            r01 += d0 * g1
+            r02 += d0 * g2
+            r10 += d1 * g0
+            r11 += d1 * g1
+            r12 += d1 * g2
+            r20 += d2 * g0
+            r21 += d2 * g1
+            r22 += d2 * g2
+        Fi = f00, f01, f02, f10, f11, f12, f20, f21, f22
+        Ri, U = rotation(Fi, (R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]))
+        B, Ji = _inverse(U)
+        if not J_MIN <= Ji <= J_MAX and failed < 0:
+            failed = i
+        for k in range(9):
+            F[i, k] = Fi[k]
+            R[i, k] = Ri[k]
+
+        # rate of deformation in the unrotated frame, D = sym(R^T Fdot B), and the trial deviator
+        L = _product(_product(_transposed(Ri), (r00, r01, r02, r10, r11, r12, r20, r21, r22)), B)
+        mean_rate = (L[0] + L[4] + L[8]) / 3.0
+        mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
+        c = 2.0 * law.G * dt
+        sxx = stress[i, 0] - mean + c * (L[0] - mean_rate)
+        syy = stress[i, 3] - mean + c * (L[4] - mean_rate)
+        szz = stress[i, 5] - mean + c * (L[8] - mean_rate)
+        sxy = stress[i, 1] + 0.5 * c * (L[1] + L[3])
+        sxz = stress[i, 2] + 0.5 * c * (L[2] + L[6])
+        syz = stress[i, 4] + 0.5 * c * (L[5] + L[7])
+        q = sqrt(1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (sxy * sxy + sxz * sxz + syz * syz)))
+        sy = sigma_y[i]
+        deps = 0.0
+        if q > sy:
+            deps = (q - sy) / (3.0 * law.G)
+            back = sy / q
+            sxx, syy, szz, sxy, sxz, syz = back * sxx, back * syy, back * szz, back * sxy, back * sxz, back * syz
+        effective[i] = sy / H + deps
+
+        # the mean stress: the Hugoniot of now, the rest of the pressure of the step before
+        mean = -hugoniot_pressure(law, Ji)
+        if on(law.Gamma0) and law.Gamma0 > 0.0:
+            mean += (hugoniot_pressure(law, J[i]) - p[i]) * J[i] / Ji
+        eps_p[i], rate[i], T[i], sigma_y[i], w = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i])
+        heat = 0.0
+        if on(law.taylor_quinney) and on(law.expansion):
+            heat = law.expansion * law.taylor_quinney * w
+            warmth += V * heat
+        p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
+        J[i] = Ji
+        work[i] += w
+        plastic += V * w
+
+        sxx, syy, szz = sxx + mean, syy + mean, szz + mean
+        stress[i, 0], stress[i, 1], stress[i, 2] = sxx, sxy, sxz
+        stress[i, 3], stress[i, 4], stress[i, 5] = syy, syz, szz
+        M = K_inverse[i]
+        P = _product(_product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
+        P = _product(P, (M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]))
+        c = V * V * Ji
+        for k in range(9):
+            Q[i, k] = c * P[k]
+    sums[0] += plastic
+    sums[1] += warmth
+    return failed
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def pair_forces(lo, hi, pairs, r0, w, W, X, x, v, F, Q, effective, h, c, E, V, rho, Q1, Q2, hourglass, force):
+    """Pass 2: the force (N) on the first point of each pair; on the second it is the opposite.
+
+    pairs (m,2); r0 (m,) m, w (m,) 1/m5, W (m,) 1/m3: distance, W'/r and W of the reference; force (m,3) is written. h m: reach of
+    the kernel; c m/s: longitudinal wave speed; E Pa; V m3 and rho kg/m3 of each point; Q1, Q2, hourglass: MACHDYN's numbers.
+
+    f = -(Q_i + Q_j) g + viscosity + hourglass, the last two along x_j - x_i. The hourglass error is
+    gamma = (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i).
+    """
+    m2 = (rho * V) ** 2 / rho
+    for k in range(lo, hi):
+        i, j = pairs[k, 0], pairs[k, 1]
+        X0, X1, X2 = X[j, 0] - X[i, 0], X[j, 1] - X[i, 1], X[j, 2] - X[i, 2]
+        x0, x1, x2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+        v0, v1, v2 = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+        r = sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+        g0, g1, g2 = w[k] * X0, w[k] * X1, w[k] * X2
+        f0 = -((Q[i, 0] + Q[j, 0]) * g0 + (Q[i, 1] + Q[j, 1]) * g1 + (Q[i, 2] + Q[j, 2]) * g2)
+        f1 = -((Q[i, 3] + Q[j, 3]) * g0 + (Q[i, 4] + Q[j, 4]) * g1 + (Q[i, 5] + Q[j, 5]) * g2)
+        f2 = -((Q[i, 6] + Q[j, 6]) * g0 + (Q[i, 7] + Q[j, 7]) * g1 + (Q[i, 8] + Q[j, 8]) * g2)
+
+        soft = 1.0 / (r + 0.1 * h)
+        closing = min(max((x0 * v0 + x1 * v1 + x2 * v2) * soft, -SLOW * c), SLOW * c)
+        mu = h * closing * soft
+        e0 = 0.5 * ((F[i, 0] + F[j, 0]) * X0 + (F[i, 1] + F[j, 1]) * X1 + (F[i, 2] + F[j, 2]) * X2) - x0
+        e1 = 0.5 * ((F[i, 3] + F[j, 3]) * X0 + (F[i, 4] + F[j, 4]) * X1 + (F[i, 5] + F[j, 5]) * X2) - x1
+        e2 = 0.5 * ((F[i, 6] + F[j, 6]) * X0 + (F[i, 7] + F[j, 7]) * X1 + (F[i, 8] + F[j, 8]) * X2) - x2
+        along = e0 * x0 + e1 * x1 + e2 * x2  # gamma . dx
+        gradient = m2 * w[k] * r0[k]
+        a = gradient * (Q2 * mu - Q1 * c) * mu  # times the unit vector: the viscous force
+        if max(effective[i], effective[j]) > PLASTIC:
+            if closing * along < 0.0:
+                error = max(sqrt(e0 * e0 + e1 * e1 + e2 * e2) / r0[k], LEAST_ERROR)
+                a -= gradient * error * hourglass * c * mu
+        else:
+            along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) * soft
+            a -= V * V * W[k] * E * hourglass * along / (r0[k] * r0[k] + 0.01 * h * h)
+        a /= r + 0.01 * h
+        force[k, 0], force[k, 1], force[k, 2] = f0 + a * x0, f1 + a * x1, f2 + a * x2
+
+
+@njit(cache=True, nogil=True)
+def sum_forces(lo, hi, start, signed, force, f):
+    """Sum of the forces of each point's pairs: f (n,3) is written. signed: row of a pair, ~row where the point is its second."""
+    for i in range(lo, hi):
+        f0 = f1 = f2 = 0.0
+        for k in range(start[i], start[i + 1]):
+            row = signed[k]
+            if row >= 0:
+                f0 += force[row, 0]
+                f1 += force[row, 1]
+                f2 += force[row, 2]
+            else:
+                row = ~row
+                f0 -= force[row, 0]
+                f1 -= force[row, 1]
+                f2 -= force[row, 2]
+        f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2

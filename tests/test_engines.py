@@ -1,0 +1,201 @@
+"""Both engines are one particle: in MACHDYN's form our compiled passes give MACHDYN's numbers to rounding."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from coupler.errors import SolverError
+from coupler.physics import constitutive
+from coupler.physics.materials import material
+from coupler.sph import compiled_kernels, packing
+from coupler.sph.compiled import CompiledParticle
+from coupler.sph.machdyn import MachdynParticle
+from coupler.sph.packing import Lattice
+from coupler.sph.particle import Numerics, Particle
+
+D = 25e-6
+DT = 1e-11
+TURNED = Lattice("fcc", (0.3, -0.5, 0.8))
+BOTH = (MachdynParticle, CompiledParticle)
+# What of the largest value two engines may differ by: rounding, as some 300 explicit steps let it grow
+CLOSE = {"x": 1e-13, "v": 1e-11, "eps_p": 1e-12, "T": 1e-12, "J": 1e-12, "p": 1e-10, "sigma_y": 1e-12, "energy": 1e-10}
+
+
+@pytest.fixture
+def pair() -> Iterator[Callable[..., tuple[Particle, Particle]]]:
+    """Builds the same particle with both engines: MACHDYN, compiled."""
+    alive: list[Particle] = []
+
+    def build(name: str = "Ni", points: int = 500, T: float = 300.0, lattice: Lattice | None = None, **numerics: float):
+        cloud, volume = packing.sphere(D, points, lattice or Lattice())
+        law = constitutive.law_record(material(name), rate_filter=5e-10)
+        made = [cls(cloud, volume, law, (0.0, 0.0, 0.0), T, Numerics(**numerics)) for cls in BOTH]
+        alive.extend(made)
+        return made[0], made[1]
+
+    yield build
+    for particle in alive:
+        particle.close()
+
+
+def both(particles: tuple[Particle, Particle], do: Callable[[Particle], object]) -> None:
+    for particle in particles:
+        do(particle)
+
+
+def set_velocity(rates: tuple[float, float, float], noise: float = 20.0) -> Callable[[Particle], None]:
+    """Velocities that stretch at these rates (1/s), and some that no linear field has (m/s)."""
+
+    def do(p: Particle) -> None:
+        p.v[:] = p.X * np.array(rates) + noise * np.random.default_rng(5).normal(size=p.X.shape)
+        p._vest[:] = p.v
+
+    return do
+
+
+def assert_equal(a: Particle, b: Particle, factor: float = 1.0) -> None:
+    for name, share in CLOSE.items():
+        expected, got = getattr(a, name), getattr(b, name)
+        scale = D if name == "x" else np.abs(expected).max()
+        assert np.abs(got - expected).max() <= factor * share * scale, name
+    assert np.abs(a.stress() - b.stress()).max() <= factor * 1e-10 * np.abs(a.stress()).max()
+    assert np.abs(a.f - b.f).max() <= factor * 1e-10 * np.abs(a.f).max()
+    assert a._strain() == pytest.approx(b._strain(), abs=factor * 1e-11)
+    assert a.stable_dt() == pytest.approx(b.stable_dt(), rel=factor * 1e-11)
+    for quantity in ("kinetic", "elastic"):
+        assert getattr(a, quantity)() == pytest.approx(getattr(b, quantity)(), rel=factor * 1e-9)
+    assert a.internal_work == pytest.approx(b.internal_work, rel=factor * 1e-9)
+    assert a.sums == pytest.approx(b.sums, rel=factor * 1e-10)
+
+
+@pytest.mark.parametrize("name", ["Ni", "Ti"])
+@pytest.mark.parametrize("lattice", [Lattice(), TURNED, Lattice("hcp")], ids=["fcc", "turned", "hcp"])
+def test_300_steps_are_the_same(pair: Callable[..., tuple[Particle, Particle]], name: str, lattice: Lattice) -> None:
+    particles = pair(name, lattice=lattice)
+    both(particles, set_velocity((4e7, 3e7, -7e7)))
+    both(particles, lambda p: p.run(300, DT, lambda: None))
+    assert particles[0].eps_p.max() > 0.15
+    assert_equal(*particles)
+
+
+@pytest.mark.parametrize("numerics", [{"kernel_radius": 0.9}, {"Q1": 0.5, "Q2": 1.0, "hourglass": 10.0}])
+def test_other_numbers_of_the_scheme(
+    pair: Callable[..., tuple[Particle, Particle]], numerics: dict[str, float]
+) -> None:
+    particles = pair(**numerics)
+    both(particles, set_velocity((4e7, 3e7, -7e7), noise=200.0))
+    both(particles, lambda p: p.run(200, DT, lambda: None))
+    assert_equal(*particles)
+
+
+def test_a_stretched_and_rotated_start(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    """2.5 rad about an oblique axis from one step to the next: no rotation of the step before helps to find it."""
+    from scipy.spatial.transform import Rotation
+
+    particles = pair()
+    turn = Rotation.from_rotvec(2.5 * np.array([1.0, 2.0, -2.0]) / 3.0).as_matrix()
+    stretch = np.array([[1.05, 0.02, 0.0], [0.02, 0.97, 0.01], [0.0, 0.01, 0.98]])
+
+    def displace(p: Particle) -> None:
+        p.x[:] = p.X @ (turn @ stretch).T
+        set_velocity((1e7, 0.0, -1e7))(p)
+
+    both(particles, displace)
+    both(particles, lambda p: p.run(150, DT, lambda: None))
+    assert_equal(*particles)
+
+
+def test_a_spin_of_many_steps_keeps_the_rotation_exact(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    particles = pair(points=300)
+
+    def spin(p: Particle) -> None:
+        p.v[:] = np.cross(np.array([0.0, 0.0, 5e6]), p.X)
+        p._vest[:] = p.v
+
+    both(particles, spin)
+    both(particles, lambda p: p.run(1000, 2e-11, lambda: None))
+    # the hourglass control jumps where its error changes sign, and in a rigid spin that error is rounding
+    assert np.abs(particles[0].x - particles[1].x).max() < 1e-8 * D
+    R = particles[1].R.reshape(-1, 3, 3)  # type: ignore[attr-defined]
+    assert np.abs(np.einsum("nki,nkj->nij", R, R) - np.eye(3)).max() < 1e-12
+
+
+def test_heat_between_steps(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    """Heat comes in every ten steps, as from conduction; some points melt, and their hourglass control is the elastic one."""
+    particles = pair()
+    heat = 2e9 * particles[0].volume_of_point * (particles[0].X[:, 2] > 0.0)
+    both(particles, set_velocity((2e7, 2e7, -4e7)))
+
+    def heated(p: Particle) -> None:
+        for _ in range(15):
+            p.run(10, DT, lambda: None)
+            p.warm(heat / 15 * 8)
+
+    both(particles, heated)
+    melt = float(particles[0].law["T_m"][0])
+    assert particles[0].T.max() > melt
+    assert (particles[0].sigma_y < compiled_kernels.PLASTIC * 1e9).sum() > 20
+    assert_equal(*particles, factor=100.0)
+
+
+def test_preheated_without_effects(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    cloud, volume = packing.sphere(D, 300)
+    off = dict.fromkeys(("thermal_expansion", "mie_gruneisen", "rate_hardening", "thermal_softening"), False)
+    law = constitutive.law_record(material("OFHC_Cu"), off, rate_filter=5e-10)
+    particles = (
+        MachdynParticle(cloud, volume, law, (0.0, 0.0, 0.0), 600.0),
+        CompiledParticle(cloud, volume, law, (0.0, 0.0, 0.0), 600.0),
+    )
+    both(particles, set_velocity((4e7, 3e7, -7e7)))
+    both(particles, lambda p: p.run(200, DT, lambda: None))
+    assert_equal(*particles)
+    both(particles, lambda p: p.close())
+
+
+@pytest.mark.parametrize("rate", [-3e8, 3e8], ids=["crushed", "torn"])
+def test_the_same_point_fails_in_the_same_step(pair: Callable[..., tuple[Particle, Particle]], rate: float) -> None:
+    """det F beyond 0.2 or 2, one step at a time. MACHDYN then zeroes the stress: without a volume for it our law may speak first."""
+    particles = pair(points=300)
+    both(particles, set_velocity((rate, rate, rate), noise=0.0))
+    said: list[str] = []
+
+    def go(p: Particle) -> None:
+        for _ in range(1000):
+            p.run(1, DT, lambda: None)
+
+    for p in particles:
+        with pytest.raises(SolverError, match=r"distorted beyond|no longer a number") as error:
+            go(p)
+        said.append(str(error.value))
+    assert "distorted beyond" in said[1]
+    assert particles[0].steps == particles[1].steps
+    assert rate < 0.0 or said[0] == said[1]
+
+
+def test_a_restored_particle_goes_on_to_the_last_bit(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    _, first = pair()
+    set_velocity((4e7, 3e7, -7e7))(first)
+    first.run(100, DT, lambda: None)
+    state = first.state()
+    first.run(100, DT, lambda: None)
+    _, second = pair()
+    second.restore(state)
+    second.run(100, DT, lambda: None)
+    for name in ("x", "v", "eps_p", "T", "p", "f"):
+        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+    assert first.internal_work == second.internal_work
+
+
+def test_passes_over_parts_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+    """Any split of points and pairs over threads gives the same forces."""
+    _, p = pair(points=1000)
+    set_velocity((4e7, 3e7, -7e7))(p)
+    p.run(50, DT, lambda: None)
+    assert isinstance(p, CompiledParticle)
+    whole = p._force.copy()
+    p._force[:] = 0.0
+    m = len(p._pairs)
+    for lo, hi in ((m // 3, m), (0, m // 3)):
+        p._pair_forces(lo, hi)
+    assert np.array_equal(p._force, whole)
