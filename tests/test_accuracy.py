@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from test_scene import scene_with, several
 
+from coupler import __version__
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
 from coupler.errors import ColdsprayError, SolverError, StoreError
@@ -15,10 +16,12 @@ from coupler.measures import BANDED
 from coupler.plan import bands
 from coupler.plan import cost as estimates
 from coupler.plan.planning import plan
+from coupler.progress import Progress
 from coupler.scene.model import Scene
 from coupler.studies import accuracy_figures as draw
 from coupler.studies import accuracy_fit as fit
-from coupler.studies import ladder, pace
+from coupler.studies import ladder, ladder_runs, pace, timing
+from coupler.studies.table import read_rows
 
 MEASURED = {
     "flattening_ratio": (0.57, -0.2), "flattening_ratio_total": (0.38, -0.4), "crater_depth_m": (5e-6, 0.6),
@@ -28,7 +31,7 @@ MEASURED = {
 ORDER = 1.25
 
 
-def row(setting: ladder.Setting, failed: str = "", off: float = 0.0) -> dict[str, str]:
+def row(setting: ladder.LadderPoint, failed: str = "", off: float = 0.0) -> dict[str, str]:
     """A rung whose measures go with h^ORDER; off: a share by which its setting moves all of them."""
     h = setting.points ** (-1 / 3)
     found = {name: limit * (1.0 + slope * h**ORDER + off) + (300.0 if name.startswith("T_") else 0.0)
@@ -37,18 +40,18 @@ def row(setting: ladder.Setting, failed: str = "", off: float = 0.0) -> dict[str
     told |= {"elements": 5000, "steps": 500, "dt_mean_s": 1e-10, "sim_time_s": 5e-8, "cpu_s": 0.005 * setting.points}
     told |= {"cpu_loop_s": 1.0, "wall_s": 2.0, "numerical_dissipation": 0.05, "energy_drift": 0.001, "failed": failed}
     measures = dict.fromkeys(found, "") if failed else found
-    return {name: str((told | measures)[name]) for name in ladder.COLUMNS}
+    return {name: str((told | measures)[name]) for name in ladder.COLUMNS} | {"version": __version__}
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[dict[str, str]]:
-    rungs = ladder.settings()
+    rungs = ladder.ladder_points()
     off = {"viscosity": 0.02, "contact stiffness": -0.01}
     return [row(r, "crushed flat" if r.name == "2 dt" else "", off.get(r.axis, 0.0)) for r in rungs]
 
 
 def test_the_rungs_vary_one_thing_at_a_time():
-    rungs = ladder.settings()
+    rungs = ladder.ladder_points()
     assert {r.axis for r in rungs} == {"points", "reference", "effects", *ladder.KNOBS}
     assert len({r.key for r in rungs}) == len(rungs)
     assert rungs[-1].axis == "reference"
@@ -60,49 +63,49 @@ def test_the_rungs_vary_one_thing_at_a_time():
     assert by_name["2.5 spacings"].element_size == pytest.approx(2.5 * by_name["2.5 spacings"].spacing)
     assert by_name["effects none"].effects == "none"
     assert by_name["3500 points"].particles == scene.particles
-    assert {r.axis for r in ladder.settings(knobs_at=None)} == {"points", "reference"}
+    assert {r.axis for r in ladder.ladder_points(knobs_at=None)} == {"points", "reference"}
 
 
 def test_a_reference_that_is_no_finer_is_refused():
-    with pytest.raises(StoreError, match="--reference 5000 has to be finer"):
-        ladder.settings(reference=5000)
+    with pytest.raises(StoreError, match="--reference 5000 must be finer"):
+        ladder.ladder_points(reference=5000)
     with pytest.raises(StoreError, match="more than 700"):
-        ladder.settings((300,), 600, 700)
+        ladder.ladder_points((300,), 600, 700)
 
 
 def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatch):
-    rungs, computed = ladder.settings((1000, 1200), 2000, 1000), []
+    rungs, computed = ladder.ladder_points((1000, 1200), 2000, 1000), []
 
-    def compute(scene, rung, folder, progress=None):
+    def compute(scene, rung, folder, progress):
         computed.append(rung.key)
         if rung.key == ("viscosity", "Q1 0", "1000") and computed.count(rung.key) == 1:
             raise KeyboardInterrupt
         return row(rung, "crushed flat" if rung.name == "2 dt" else "") | {"cpu_s": 1.0}
 
-    monkeypatch.setattr(ladder, "compute", compute)
-    monkeypatch.setattr(ladder, "_warm_up", lambda out, say: None)
+    monkeypatch.setattr(ladder_runs, "compute", compute)
+    monkeypatch.setattr(ladder_runs, "_warm_up", lambda out, say: None)
     path, said = tmp_path / "accuracy.csv", []
     for expected in (KeyboardInterrupt, None):
-        table = ladder.Table(path, "made by a test")
+        table = ladder.ladder_table(path, "made by a test")
         if expected:
             with pytest.raises(expected):
-                ladder.climb(scene_with(), tmp_path, rungs, table, lambda: None, said.append)
+                ladder_runs.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
         else:
-            ladder.climb(scene_with(), tmp_path, rungs, table, lambda: None, said.append)
+            ladder_runs.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
     assert computed == [r.key for r in rungs[: computed.index(rungs[7].key)]] + [
         r.key for r in rungs[computed.index(rungs[7].key) :] for _ in range(1 + (r.name == "Q1 0"))
     ]
-    found = ladder.read(path)
+    found = read_rows(path)
     assert [(r["axis"], r["setting"], r["points"]) for r in found] == [r.key for r in rungs]
     assert [r["failed"] for r in found if r["setting"] == "2 dt"] == ["crushed flat"]
     assert any("crushed flat" in text for text in said)
-    coarse = ladder.settings((300,), 600, 300)
-    ladder.climb(scene_with(), tmp_path, coarse, ladder.Table(path, ""), lambda: None, said.append)
-    (refused,) = (r for r in ladder.read(path) if (r["setting"], r["points"]) == ("2.5 spacings", "300"))
+    coarse = ladder.ladder_points((300,), 600, 300)
+    ladder_runs.compute_missing(scene_with(), tmp_path, coarse, ladder.ladder_table(path, ""), said.append)
+    (refused,) = (r for r in read_rows(path) if (r["setting"], r["points"]) == ("2.5 spacings", "300"))
     assert "too coarse for the crater" in refused["failed"]  # not a scene, and a row all the same
     path.write_text("points,flattening\n1,2\n")
-    with pytest.raises(StoreError, match="no table of a ladder"):
-        ladder.Table(path, "")
+    with pytest.raises(StoreError, match="has other columns"):
+        ladder.ladder_table(path, "")
 
 
 def test_a_folder_keeps_to_its_scene(tmp_path):
@@ -114,7 +117,7 @@ def test_a_folder_keeps_to_its_scene(tmp_path):
 
 def test_orders_and_limits_that_are_there_are_found(rows):
     found = {m: fit.order([fit.resolutions(rows, m, 300.0)]) for m in MEASURED}
-    assert all(one["order"] == one["fitted"] == pytest.approx(ORDER, abs=0.03) for one in found.values())
+    assert all(used == fitted.order == pytest.approx(ORDER, abs=0.03) for used, fitted in found.values())
     best = fit.reference(rows)
     assert best is not None
     off = dict(zip((r["setting"] for r, _ in fit.errors(rows, "crater_depth_m", 300.0)),
@@ -126,15 +129,14 @@ def test_orders_and_limits_that_are_there_are_found(rows):
     with pytest.raises(ValueError, match="4 resolutions"):
         fit.order([fit.resolutions(rows[:2], "crater_depth_m", 300.0)])
     h = np.array([500.0, 1000, 2000, 4000, 8000]) ** (-1 / 3)
-    assert fit.order([(h, -np.log(h))])["fitted"] == fit.ORDERS[0]
-    scatter = fit.order([(h, np.array([1.0, 1.02, 0.99, 1.01, 1.0]))])  # tells no order: the usual one is taken
-    assert (scatter["order"], scatter["low"], scatter["high"]) == (fit.USUAL, fit.ORDERS[0], fit.ORDERS[-1])
+    assert fit.order([(h, -np.log(h))])[1].order == fit.ORDERS[0]
+    used, scatter = fit.order([(h, np.array([1.0, 1.02, 0.99, 1.01, 1.0]))])
+    assert used == fit.USUAL
+    assert not scatter.is_determined
 
 
 def test_what_is_packaged_says_slopes_and_knobs(rows):
-    found = {
-        r["measure"]: r for r in fit.packaged({"a case": ({"speed": 500.0, "temperature": 300.0, "impacts": 1}, rows)})
-    }
+    found = {r["measure"]: r for r in fit.packaged([fit.StudyCase("a case", 1, 500.0, 300.0, rows)])}
     assert not {"eps_p_max", "T_max_K"} & set(found)  # local maxima do not converge
     crater, h = found["crater_depth_m"], ladder.REFERENCE ** (-ORDER / 3)
     assert crater["limit"] == pytest.approx(1 / (1 + 0.6 * h), rel=1e-3)
@@ -245,22 +247,20 @@ def test_what_cannot_be_chosen_is_one_clear_message(options, complaint, tmp_path
 def test_the_pace_is_timed_once_and_remembered(tmp_path, monkeypatch):
     monkeypatch.setenv("COLDSPRAY_CACHE", str(tmp_path))
     times = iter([(2.0, 1.5), (3.0, 1.25)])
-    monkeypatch.setattr(pace, "measure", lambda: next(times))
     said: list[str] = []
-    first, second = (pace.of_this_machine(say=said.append) for _ in range(2))
+    first, second = (pace.of_this_machine(lambda: next(times), say=said.append) for _ in range(2))
     assert (first.steps, first.points) == (second.steps, second.points) == (2.0, 1.5)
     assert len(said) == 1
-    assert pace.of_this_machine(anew=True).steps == 3.0
+    assert pace.of_this_machine(lambda: next(times), anew=True).steps == 3.0
     path = tmp_path / "pace.json"
     assert list(json.loads(path.read_text())) == [pace.machine()]
 
     def fails():
         raise SolverError("it broke")
 
-    monkeypatch.setattr(pace, "measure", fails)
-    assert pace.of_this_machine().steps == 3.0
+    assert pace.of_this_machine(fails).steps == 3.0
     path.write_text('{"x": ')
-    broken = pace.of_this_machine()
+    broken = pace.of_this_machine(fails)
     assert (broken.steps, broken.points) == (1.0, 1.0)
     assert "timing this one failed (it broke)" in broken.said
 
@@ -269,12 +269,12 @@ def test_the_factors_carry_the_constants_to_another_machine(monkeypatch):
     disturbed = iter([1.5, 1.0, 1.0, 3.0])  # of each size the faster run counts
 
     def timed(text):
-        N, E = (300, 4000) if pace.SIZES[0][0] in text else (3000, 8000)
+        N, E = (300, 4000) if timing.SIZES[0][0] in text else (3000, 8000)
         own = estimates.SECONDS_PER_STEP + estimates.SECONDS_PER_ELEMENT * E
         return N, E, (2.5 * own + 1.4 * estimates.SECONDS_PER_POINT * N) * next(disturbed)
 
-    monkeypatch.setattr(pace, "_timed", timed)
-    steps, points = pace.measure()
+    monkeypatch.setattr(timing, "_timed", timed)
+    steps, points = timing.measure()
     assert (steps, points) == (pytest.approx(2.5), pytest.approx(1.4))
     what = plan(scene_with())
     cost, found = what.cost, pace.Pace(steps, points, "").seconds(what)
@@ -294,6 +294,12 @@ def test_check_foretells_time_and_accuracy(tmp_path, capsys):
     assert "local maxima do not converge" in text
     first = text.splitlines().index(next(line for line in text.splitlines() if "wall time" in line))
     assert max(map(len, text.splitlines()[first : first + 5])) <= 120
+
+
+def test_rows_of_another_version_are_named(rows, tmp_path):
+    older = [row | {"version": "0.0.9"} if row["setting"] == "2000 points" else row for row in rows]
+    page = draw.html(older, "a case", 300.0, b"")
+    assert page.count("(version 0.0.9)") == 1
 
 
 def test_diagram_and_page_hide_nothing(rows, tmp_path):
@@ -343,7 +349,7 @@ def climbed(tmp_path_factory) -> Path:
 
 
 def test_the_command_computes_a_ladder(climbed):
-    found = ladder.read(climbed / "accuracy.csv")
+    found = read_rows(climbed / "accuracy.csv")
     assert [r["points"] for r in found] == ["200", "300", "400"]
     assert not any(r["failed"] for r in found)
     assert all(0.0 < float(r["cpu_loop_s"]) < float(r["cpu_s"]) for r in found)
@@ -357,9 +363,9 @@ def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
     def breaks(*_, **__):
         raise SolverError("it broke\nin two lines")
 
-    monkeypatch.setattr("coupler.deposition.run.run", breaks)
+    monkeypatch.setattr(ladder_runs, "run", breaks)
     scene = Scene.from_text(SMALL, "small")
-    found = ladder.compute(scene, ladder.Setting("dt", "2 dt", 300), tmp_path / "run")
+    found = ladder_runs.compute(scene, ladder.LadderPoint("dt", "2 dt", 300), tmp_path / "run", Progress(quiet=True))
     assert found["failed"] == "it broke in two lines"
     assert "flattening_ratio" not in found
     assert issubclass(bands.AccuracyError, ColdsprayError)
@@ -368,7 +374,7 @@ def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
 def test_a_run_carries_its_bands(climbed):
     from coupler import run
 
-    scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.Setting("points", "", 200))
+    scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.LadderPoint("points", "", 200))
     summary = run(scene, climbed / "one", threads=1).summary
     found = bands.of_summary(summary, bands.Kind(summary["points"], 500.0), 300.0)
     assert summary["bands"].keys() == found.keys()

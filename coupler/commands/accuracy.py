@@ -48,10 +48,9 @@ def add_to_run(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Climb the ladder of a scene, or go on with it, and draw."""
-    from ..progress import Progress
+    """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
     from ..scene.model import Scene
-    from ..studies import ladder
+    from ..studies import ladder, ladder_runs
     from ..studies.accuracy_figures import write
 
     scene = Scene.load(arguments.scene)
@@ -60,17 +59,25 @@ def run(arguments: argparse.Namespace) -> int:
     for name, numbers in {"points": arguments.points or [], "knobs-at": [knobs] if knobs else []}.items():
         if any(n < ladder.FEWEST_POINTS for n in numbers):
             raise StoreError(f"--{name} {min(numbers)} is too coarse: {ladder.FEWEST_POINTS} points at least")
-    rungs = ladder.settings(arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None)
+    points = ladder.ladder_points(
+        arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None
+    )
     same_scene(scene, out)
-    say = ladder.announce(arguments.quiet)
-    table = ladder.Table(out / "accuracy.csv", "made by: coldspray accuracy (rows that are here are kept)")
+
+    def say(text: str) -> None:
+        if not arguments.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    table = ladder.ladder_table(
+        out / "accuracy.csv", "made by: coldspray accuracy (rows in this table are not computed again)"
+    )
     try:
-        ladder.climb(scene, out, rungs, table, lambda: Progress(quiet=arguments.quiet), say)
+        ladder_runs.compute_missing(scene, out, points, table, say, arguments.quiet)
     except KeyboardInterrupt:
-        say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} of {len(rungs)} settings")
+        say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} of {len(points)} settings")
         raise
-    wanted = {rung.key for rung in rungs}
-    rows = [row for row in table.rows if (row["axis"], row["setting"], row["points"]) in wanted]
+    wanted = {point.key for point in points}
+    rows = [row for row in table.rows if tuple(row[name] for name in ladder.KEY) in wanted]
     picture, page = write(rows, out, scene.name, scene.particles[-1].temperature)
     if not arguments.quiet:
         print(f"table in {table.path}\nfigure in {picture}\npage in {page}")
@@ -100,7 +107,12 @@ def here(recalibrate: bool = False) -> "Pace":
         if sys.stderr.isatty():
             print(text, file=sys.stderr, flush=True)
 
-    return pace.of_this_machine(recalibrate, say)
+    def measure() -> tuple[float, float]:
+        from ..studies.timing import measure
+
+        return measure()
+
+    return pace.of_this_machine(measure, recalibrate, say)
 
 
 def kind_of(what: "Plan") -> "Kind":
@@ -198,6 +210,6 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
 
 def at_points(scene: "Scene", points: int) -> "Scene":
     """The scene with so many points in its largest particle, its elements in the usual ratio to their spacing."""
-    from ..studies.ladder import Setting, scene_at
+    from ..studies.ladder import LadderPoint, scene_at
 
-    return scene_at(scene, Setting("points", "", points))
+    return scene_at(scene, LadderPoint("points", "", points))

@@ -4,9 +4,12 @@ import argparse
 import contextlib
 import io
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
+
+if TYPE_CHECKING:
+    from ..studies.coating import CoatingMeasures
 
 
 def add(commands: Any) -> None:
@@ -39,41 +42,41 @@ def run(arguments: argparse.Namespace) -> int:
     radius = length("window", arguments.window, True) if arguments.window is not None else None
     plane = length("section", arguments.section, False)
     result = Result(arguments.run)
-    found = coating.measure(result, radius)
+    measures = coating.measure(result, radius)
     folder = arguments.out or arguments.run / "coating"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(f"cannot write to {folder}: {error.strerror}") from None
-    coating_files.write_measures(folder, found)
+    coating_files.write_measures(folder, measures)
     heading = (
-        f"{found['impacts']} of {found['of']} impacts" if found["impacts"] < found["of"] else f"{found['of']} impacts"
+        f"{measures.impacts} of {measures.of} impacts" if measures.impacts < measures.of else f"{measures.of} impacts"
     )
     coating_files.section(
-        result, folder / "section.png", 1.3 * found["window_radius_m"] / coating.WINDOW, heading, plane
+        result, folder / "section.png", 1.3 * measures.window_radius_m / coating.WINDOW, heading, plane
     )
     with contextlib.redirect_stdout(io.StringIO()):  # meshio speaks of what it thinks of the fields
         meshes = coating_files.write_meshes(coating.read(result), folder)
-    print("\n".join(describe(found)))
+    print("\n".join(describe(measures)))
     print(f"coating.json, coating_depth.csv, section.png, coating.vtu and {len(meshes) - 1} surfaces in {folder}")
     return 0
 
 
-def describe(found: dict[str, Any]) -> list[str]:
-    """The measures as lines for a terminal. found: as `coating.measure` gives it."""
-    um = {name: f"{1e6 * value:.1f} um" for name, value in found.items() if name.endswith("_m")}
-    lines = [*found["warnings"]]
+def describe(measures: "CoatingMeasures") -> list[str]:
+    """The measures as lines for a terminal."""
+    um = {name: f"{1e6 * value:.1f} um" for name, value in vars(measures).items() if name.endswith("_m")}
+    lines = [*measures.warnings]
     lines += [
-        f"deposition efficiency  {found['deposition_efficiency']:.1%}: {found['rebounded']} of {found['impacts']} particles have left",
+        f"deposition efficiency  {measures.deposition_efficiency:.1%}: {measures.rebounded} of {measures.impacts} particles have left",
         f"thickness              {um['thickness_mean_m']} (mean), {um['thickness_min_m']} to {um['thickness_max_m']},"
-        f" in a window of {um['window_radius_m']} radius; bare: {found['bare_share']:.1%} of it",
+        f" in a window of {um['window_radius_m']} radius; bare: {measures.bare_share:.1%} of it",
         f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
-        f"porosity               {found['porosity_closed']:.2%} closed, {found['porosity_open']:.2%} open; voids lower than"
-        f" {1e6 * found['void_limit_m']:.2f} um are not resolved",
+        f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; voids lower than"
+        f" {1e6 * measures.void_limit_m:.2f} um are not resolved",
         "",
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]
-    for row in found["layers"]:
+    for row in measures.layers:
         name = f"{row['layer']}" if row["layer"] else "substrate"
         lines.append(
             f"{name:9} {row['splats']:7d} {row['eps_p_mean']:14.2f} {row['eps_p_p99']:6.2f} {row['eps_p_max']:6.2f}"

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from ..errors import StoreError
 from ..files.result import Result
 from .picture import beyond, colour_range, cut, drawable, panels, stage, stored_steps, window
 from .words import title
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from PIL.Image import Image
 
 SECONDS = 4.0  # a film lasts about so long, whatever the number of its pictures
 RATES = (5.0, 25.0)  # pictures in a second, least and most
@@ -67,16 +66,14 @@ def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
 
 
 def _even(figure: Figure) -> NDArray[np.uint8]:
-    canvas = figure.canvas
+    canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    picture = np.asarray(canvas.buffer_rgba())[..., :3]  # type: ignore[attr-defined]
+    picture = np.asarray(canvas.buffer_rgba())[..., :3]
     rows, columns = (length - length % 2 for length in picture.shape[:2])
     return np.ascontiguousarray(picture[:rows, :columns])
 
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    import imageio_ffmpeg  # type: ignore[import-untyped]
-
     first = next(pictures)
     size = (first.shape[1], first.shape[0])
     try:
@@ -97,8 +94,6 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
 
 
 def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    from PIL import Image
-
     images = [Image.fromarray(picture) for picture in pictures]
     images = [image.resize((image.width * 2 // 3, image.height * 2 // 3), Image.Resampling.LANCZOS) for image in images]
     # One palette for all: the same colour has the same number, and the same look, in every picture.
@@ -109,12 +104,10 @@ def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
     small[0].save(path, save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=False)
 
 
-def _mosaic(images: Sequence[Image]) -> Image:
+def _mosaic(images: Sequence[Image.Image]) -> Image.Image:
     """First, middle and last picture below each other."""
-    from PIL.Image import new
-
     some = [images[0], images[len(images) // 2], images[-1]]
-    whole = new("RGB", (some[0].width, some[0].height * len(some)))
+    whole = Image.new("RGB", (some[0].width, some[0].height * len(some)))
     for k, image in enumerate(some):
         whole.paste(image, (0, k * image.height))
     return whole

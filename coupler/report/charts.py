@@ -6,14 +6,15 @@ Each is a dict of `traces` and `layout` in the words of plotly.js, which draws t
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from .profiles import Profile
 
-Figure = dict[str, Any]
+Figure = dict[str, object]  # traces, layout and height, for JSON
 
 # Entries of the ledger, from the bottom of the stack: columns of the history, words, colours (after Okabe & Ito, who
 # chose them to be told apart by everybody).
@@ -129,9 +130,6 @@ def with_depth(
 
 def shades(times: Iterable[float]) -> dict[float, str]:
     """A colour for each time, the later the darker."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
     each = sorted(set(times))
     return {t: to_hex(colormaps["viridis_r"](0.15 + 0.85 * (k / max(len(each) - 1, 1)))) for k, t in enumerate(each)}
 
@@ -147,7 +145,7 @@ def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) ->
     return _deep(traces, "normal stress (MPa)", span, legend=True) if lines else None
 
 
-def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> dict[str, Any]:
+def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> dict[str, object]:
     """Values of several bodies as one line with gaps between them."""
     x: list[float | None] = []
     y: list[float | None] = []
@@ -158,9 +156,9 @@ def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, das
     return {"x": x, "y": y, "name": words, "mode": "lines", "line": line, "connectgaps": False}
 
 
-def _deep(traces: list[dict[str, Any]], words: str, span: tuple[float, float], legend: bool) -> Figure:
-    surface: dict[str, Any] = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0}
-    surface["line"] = {"color": "#888", "width": 1, "dash": "dash"}
+def _deep(traces: list[dict[str, object]], words: str, span: tuple[float, float], legend: bool) -> Figure:
+    line = {"color": "#888", "width": 1, "dash": "dash"}
+    surface = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0, "line": line}
     layout = {
         "xaxis": {"title": words, "side": "bottom"},
         "yaxis": {"title": "depth below the surface (µm)", "range": [1.02 * span[1], span[0] - 0.02 * span[1]]},

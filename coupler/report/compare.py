@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+
+from matplotlib.figure import Figure
+from rich.table import Table
+from rich.text import Text
 
 from ..errors import StoreError
 from ..files.result import Result
@@ -27,10 +30,6 @@ from .picture import (
     window,
 )
 from .words import NOTES, columns, grouped, shown, title, words
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from rich.table import Table
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
@@ -62,7 +61,7 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
     return [(key, values) for key, values in found if key != "name" and len(set(values)) > 1]
 
 
-def measured(result: Result) -> dict[str, Any]:
+def measured(result: Result) -> dict[str, object]:
     """The measures of a run, those of its end where it has several; none of an unfinished one."""
     return dict(list(columns(result.summary).values())[-1]) if result.summary else {}
 
@@ -72,9 +71,6 @@ def comparison_table(results: Sequence[Result]) -> Table:
 
     Raises StoreError if a summary is damaged or the runs are too few or too many.
     """
-    from rich.table import Table
-    from rich.text import Text
-
     _check(results)
     entries = [measured(result) for result in results]
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
@@ -204,14 +200,17 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[Cut], t
     return cuts, (half, low, high)
 
 
-def _change(before: Any, after: Any) -> str:
-    numbers = [value for value in (before, after) if isinstance(value, int | float) and not isinstance(value, bool)]
-    if len(numbers) < 2 or before == 0:
+def _change(before: object, after: object) -> str:
+    if (
+        isinstance(before, bool)
+        or not (isinstance(before, int | float) and isinstance(after, int | float))
+        or not before
+    ):
         return ""
     return f"{(after - before) / abs(before):+.1%}"
 
 
-def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, str]:
+def _flat(table: Mapping[str, object], above: str = "") -> dict[str, str]:
     """A scene's keys, dotted, and their values as text; a particle's keys are named alike whether one or several."""
     found: dict[str, str] = {}
     for key, value in table.items():

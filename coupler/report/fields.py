@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from ..files.result import Fields
 
@@ -43,8 +44,6 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
     points: (n, 3) m. places: (k, 3) m. void: m, a place without a point so near lies in none of the metal. Returns
     indices and weights, (k, j) each; weights of a place sum to one, and are not numbers in a void.
     """
-    from scipy.spatial import cKDTree
-
     near = min(NEAR, len(points))
     distance, index = cKDTree(points).query(places, k=near)
     distance, index = distance.reshape(len(places), near), index.reshape(len(places), near)

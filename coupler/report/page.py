@@ -12,10 +12,11 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 
 from ..errors import StoreError
 from ..files.result import Result
@@ -51,7 +52,7 @@ class Page:
     def __init__(self) -> None:
         self.sections: list[tuple[str, str, str]] = []  # id, heading, HTML
         self.charts: dict[str, charts.Figure] = {}
-        self.solid: dict[str, Any] | None = None
+        self.solid: dict[str, object] | None = None
 
     def section(self, name: str, heading: str, body: str) -> None:
         """A section, unless there is nothing to say in it."""
@@ -69,8 +70,6 @@ class Page:
 
     def html(self, heading: str, under: str, top: str, footer: str) -> str:
         """The whole file."""
-        from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
-
         here = files(__package__)
         data = json.dumps({"charts": self.charts, "solid": self.solid}, allow_nan=False, separators=(",", ":"))
         return Template((here / "page.html").read_text(encoding="utf-8")).substitute(
@@ -160,7 +159,7 @@ def write_text(path: Path, text: str) -> None:
         raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def embedded(figure: Any) -> str:
+def embedded(figure: Figure) -> str:
     """A figure of matplotlib as an address that holds the picture itself."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
@@ -178,7 +177,7 @@ SOLID = """<div class="controls" id="solid-controls">
 their range has the last one.</p>"""
 
 
-def _named_times(summary: Mapping[str, Any]) -> dict[str, float]:
+def _named_times(summary: Mapping[str, object]) -> dict[str, float]:
     """What happened when, s from the start of the run: the greatest deformation of each impact."""
     several = summary.get("impacts")
     entries = several if isinstance(several, list) and len(several) > 1 else [summary]
@@ -193,7 +192,7 @@ def _named_times(summary: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def _under(result: Result, scene: Mapping[str, Any], history: Mapping[str, NDArray]) -> str:
+def _under(result: Result, scene: Mapping[str, object], history: Mapping[str, NDArray]) -> str:
     said = [str(scene.get("name", result.directory.resolve().name))]
     if "preset" in scene:
         said.append(f"preset {scene['preset']}")
@@ -218,7 +217,7 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
     return state + parts.tiles(result.summary) + parts.warnings(warned)
 
 
-def _footer(summary: Mapping[str, Any]) -> str:
+def _footer(summary: Mapping[str, object]) -> str:
     version = f" {summary['version']}" if "version" in summary else ""
     return escape(
         f"Computed by coldspray{version}. Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
@@ -293,7 +292,7 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
     )
 
 
-def _energy(page: Page, history: Mapping[str, NDArray], summary: Mapping[str, Any]) -> str:
+def _energy(page: Page, history: Mapping[str, NDArray], summary: Mapping[str, object]) -> str:
     kinetic_0 = summary.get("kinetic_energy_0_J")
     stack = page.chart("ledger", charts.energy(history, float(kinetic_0) if isinstance(kinetic_0, float) else None))
     if not stack:

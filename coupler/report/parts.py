@@ -5,7 +5,6 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
-from typing import Any
 
 from ..errors import ColdsprayError, StoreError
 from ..files.result import Result
@@ -44,7 +43,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[
     return f'<div class="wide"><table>{above}<tbody>{body}</tbody></table></div>'
 
 
-def tiles(summary: Mapping[str, Any]) -> str:
+def tiles(summary: Mapping[str, object]) -> str:
     """The measures most asked for, large."""
     width = bands(summary)
     values = list(columns(summary).values())[-1:] or [{}]
@@ -57,7 +56,7 @@ def tiles(summary: Mapping[str, Any]) -> str:
     return f'<div class="tiles">{"".join(found)}</div>' if found else ""
 
 
-def measures(summary: Mapping[str, Any]) -> str:
+def measures(summary: Mapping[str, object]) -> str:
     """All measures of a summary, a table for each group, with bands where there are any."""
     blocks, band = columns(summary), bands(summary)
     tables = []
@@ -76,7 +75,7 @@ def measures(summary: Mapping[str, Any]) -> str:
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
 
 
-def several(entries: Sequence[Mapping[str, Any]], headings: Sequence[str]) -> str:
+def several(entries: Sequence[Mapping[str, object]], headings: Sequence[str]) -> str:
     """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
     rows = []
     for group, keys in grouped(key for entry in entries for key in entry):
@@ -96,13 +95,13 @@ def several(entries: Sequence[Mapping[str, Any]], headings: Sequence[str]) -> st
     return f'<div class="wide"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>' if rows else ""
 
 
-def each_impact(summary: Mapping[str, Any]) -> str:
+def each_impact(summary: Mapping[str, object]) -> str:
     """The impacts of a run of several, side by side; nothing for a run of one."""
     entries = impacts(summary)
     return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
 
 
-def scene_of(result: Result) -> dict[str, Any]:
+def scene_of(result: Result) -> dict[str, object]:
     """The scene as nested dicts of its own words; empty if there is none that can be read."""
     try:
         return tomllib.loads(result.scene_text)
@@ -110,13 +109,14 @@ def scene_of(result: Result) -> dict[str, Any]:
         return {}
 
 
-def asked(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+def asked(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
     """What was computed, in the scene's own words, and how finely."""
     given = scene.get("particle")
     bodies = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, Mapping)]
     lines = [("particle" if len(bodies) == 1 else f"particle {k + 1}", _particle(one)) for k, one in enumerate(bodies)]
-    if isinstance(scene.get("substrate"), Mapping):
-        lines.append(("target", _target(scene["substrate"])))
+    substrate = scene.get("substrate")
+    if isinstance(substrate, Mapping):
+        lines.append(("target", _target(substrate)))
     for name, word in (("contact", "contact"), ("adhesion", "adhesion"), ("end", "ends")):
         entry = scene.get(name)
         if isinstance(entry, Mapping) and entry:
@@ -186,7 +186,7 @@ def material_data(result: Result) -> str:
     return f"<details><summary>Material data and their sources</summary>{whole}{sources}</details>"
 
 
-def warnings(given: Any) -> str:
+def warnings(given: object) -> str:
     """What the run warned of, a list of texts; nothing if it did not."""
     if not isinstance(given, list) or not given:
         return ""
@@ -205,7 +205,7 @@ def planned_warnings(result: Result) -> list[str]:
         return []
 
 
-def timing(summary: Mapping[str, Any]) -> str:
+def timing(summary: Mapping[str, object]) -> str:
     """Where the seconds went, as far as the summary says."""
     wall, loop, steps = (_number(summary, key) for key in ("wall_s", "wall_loop_s", "steps"))
     if not (wall and loop and steps):
@@ -239,20 +239,20 @@ def timing(summary: Mapping[str, Any]) -> str:
     return bar + table(("", ""), rows, numbers=(1,))
 
 
-def _particle(one: Mapping[str, Any]) -> str:
+def _particle(one: Mapping[str, object]) -> str:
     shape = str(one.get("shape", "sphere")).replace("_", " ")
     said = f"{one.get('material', '?')} {shape}, {one.get('diameter', '?')}, {one.get('velocity', '?')}"
     said += f" at {one.get('angle', '0 deg')} from the surface normal, {one.get('temperature', '300 K')}"
     return said + "".join(f", {key} {one[key]}" for key in ("tilt",) if str(one.get(key, "0 deg")) != "0 deg")
 
 
-def _target(one: Mapping[str, Any]) -> str:
+def _target(one: Mapping[str, object]) -> str:
     said = f"{one.get('material', '?')} cylinder, {one.get('diameter', '?')} across and {one.get('height', '?')} high"
     said += f", {one.get('temperature', '300 K')}"
     return said + "".join(f", {key} {one[key]}" for key in ("sides", "bottom") if key in one)
 
 
-def _resolution(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
+def _resolution(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
     said = [f"preset {scene['preset']}"] if "preset" in scene else []
     for count, size, what in (
         ("points", "spacing_m", "points {} µm apart"),
@@ -263,12 +263,12 @@ def _resolution(scene: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
     return ", ".join(said)
 
 
-def _number(values: Mapping[str, Any], key: str) -> float | None:
+def _number(values: Mapping[str, object], key: str) -> float | None:
     value = values.get(key)
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def _taking_part(given: Any) -> list[str] | None:
+def _taking_part(given: object) -> list[str] | None:
     """Names of effects, of a list of names or of tables with `name` and `on`; None if there is no list."""
     if not isinstance(given, list):
         return None

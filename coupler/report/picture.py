@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from ..errors import StoreError
@@ -15,10 +23,6 @@ from ..files.result import DOMAINS, Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from .fields import FIELDS, at_nodes, from_points
 from .words import title
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
@@ -179,12 +183,6 @@ def colour_range(cuts: Sequence[Cut], name: str) -> tuple[float, float]:
 
 def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
     """Draw the cut coloured by one field. ends: of the colours, as from `colour_range`."""
-    from matplotlib.collections import LineCollection, PolyCollection
-    from matplotlib.colors import Normalize
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path as Outline
-    from matplotlib.tri import Triangulation
-
     left, right, bottom, top = what.window
     colours, scale = FIELDS[name].colours, Normalize(*ends)
     corners, values = what.corners, what.values[name]
@@ -224,9 +222,6 @@ def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
 
 def colour_bar(box: Axes, name: str, ends: tuple[float, float], beyond: bool, across: bool = False) -> None:
     """Draw the colours of a field with their values. beyond: some values lie above them; across: lying down."""
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     field = FIELDS[name]
     bar = box.figure.colorbar(
         ScalarMappable(Normalize(*ends), field.colours),
@@ -261,9 +256,6 @@ def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
 
 def blank(width: float, height: float, dpi: float) -> Figure:
     """A white figure of this size in inches that needs no screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
     FigureCanvasAgg(figure)
     return figure

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import to_hex
+from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
 
 from ..files.result import Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
@@ -32,7 +35,9 @@ def frames(count: int) -> list[int]:
     return sorted({round(step) for step in np.linspace(0, count - 1, min(count, FRAMES))})
 
 
-def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, tuple[float, float]], at: Stage) -> dict[str, Any]:
+def solid(
+    result: Result, steps: Sequence[int], ranges: Mapping[str, tuple[float, float]], at: Stage
+) -> dict[str, object]:
     """The 3D view as plain data for JSON. steps: stored ones to show. ranges: ends of the colours of each field.
 
     `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cut (um);
@@ -156,9 +161,6 @@ def _particle(points: NDArray, cloud: Mapping[str, NDArray], surface: Fields, ke
 
 def _particle_cut(points: NDArray, cloud: Mapping[str, NDArray], loops: list[NDArray], at: Stage) -> Mesh:
     """The section of the particle in triangles: between its outline and a grid of points inside, without hollows."""
-    from matplotlib.path import Path as Outline
-    from scipy.spatial import Delaunay, cKDTree
-
     if not loops:
         return np.zeros((0, 3)), np.zeros((0, 3), int), {name: np.zeros(0) for name in cloud}
 
@@ -186,10 +188,7 @@ def _upright(places: NDArray, at: Stage) -> NDArray:
     return np.stack([places[:, 0], np.full(len(places), at.plane * MICRO), places[:, 1]], axis=1)
 
 
-def _colours(name: str, low: float, high: float, least: float, span: float) -> dict[str, Any]:
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
+def _colours(name: str, low: float, high: float, least: float, span: float) -> dict[str, object]:
     field = FIELDS[name]
     scale = [[k / 16, to_hex(colormaps[field.colours](k / 16))] for k in range(17)]
     words = {"name": name, "label": field.label, "unit": field.unit, "colours": scale}
@@ -202,9 +201,9 @@ def _frame(
     box: NDArray,
     reach: Mapping[str, tuple[float, float]],
     triangles: dict[str, int],
-) -> dict[str, Any]:
+) -> dict[str, object]:
     span = box[1] - box[0]
-    frame: dict[str, Any] = {"lines": [np.round(line, 2).ravel().tolist() for line in lines]}
+    frame: dict[str, object] = {"lines": [np.round(line, 2).ravel().tolist() for line in lines]}
     for kind, (points, corners, values) in meshes.items():
         frame[kind] = {
             "triangles": triangles.setdefault(_packed(corners), len(triangles)),

@@ -5,21 +5,20 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
 
 from ..errors import StoreError
 from ..files.result import Result
 from ..measures import GROUPS, measure
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 TOGETHER = ("steps", "sim_time_s", "wall_s", "wall_loop_s")  # of a run of several impacts: the sum of all
 SAID = 3  # particles that a title names
 NOTES = ("effects", "warnings")  # lists of words, below the table
 
 
-def columns(summary: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def columns(summary: Mapping[str, object]) -> dict[str, dict[str, object]]:
     """Heading -> values of a summary: what "greatest_deformation" and "end" hold side by side, all else in the last.
 
     Lists of words and of impacts, bands and tables within the summary are left out, and lists of nothing.
@@ -47,7 +46,7 @@ def words(key: str) -> tuple[str, str]:
     return record.label, record.unit
 
 
-def shown(key: str, value: Any, band: float | None = None) -> str:
+def shown(key: str, value: object, band: float | None = None) -> str:
     """A value of the summary in the unit of its label, with its band where there is one: "0.566 ± 0.012"."""
     if value is None:
         return ""
@@ -71,7 +70,7 @@ def with_band(value: float, band: float) -> str:
     return f"{value:.{digits}f} ± {band:.{digits}f}"
 
 
-def bands(summary: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
+def bands(summary: Mapping[str, object]) -> dict[str, tuple[float, str]]:
     """Key -> half-width of its band, in the key's own unit, and what drives it ("" if not said).
 
     Read from summary["bands"]: a number, or a table with `half_width` and `why`, for each key.
@@ -85,7 +84,7 @@ def bands(summary: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
     return found
 
 
-def impacts(summary: Mapping[str, Any]) -> list[dict[str, Any]]:
+def impacts(summary: Mapping[str, object]) -> list[dict[str, object]]:
     """The measures of each impact of a run of several, in order; empty for a run of one."""
     given = summary.get("impacts")
     entries = [entry for entry in given if isinstance(entry, Mapping)] if isinstance(given, list) else []
@@ -109,17 +108,17 @@ def title(result: Result) -> str:
     return " ".join(said).replace(" um ", " µm ")
 
 
-def _whose(impact: Mapping[str, Any]) -> str:
+def _whose(impact: Mapping[str, object]) -> str:
     """The particle of an impact, for the head of its column; its spaces do not break."""
     known = [shown(key, impact[key]) for key in ("diameter_m", "material") if impact.get(key) is not None]
     return "\u00a0µm\u00a0".join(known) if len(known) == 2 else ""
 
 
-def _short(text: Any) -> str:
+def _short(text: object) -> str:
     return str(text)[:40]
 
 
-def _alike(quantities: Sequence[Any]) -> str:
+def _alike(quantities: Sequence[object]) -> str:
     """Quantities of one unit in a row, said once where they are equal: "500 m/s" or "500, 546, 610 m/s"."""
     texts = list(dict.fromkeys(_short(one) for one in quantities))
     number, unit = zip(*(text.split(maxsplit=1) for text in texts), strict=True)
@@ -134,9 +133,6 @@ def summary_table(result: Result) -> Table:
     What the blocks "greatest_deformation" and "end" hold stands side by side, all else in the last column. Of a run of several
     impacts each has a column with its own end, and what they took together stands below.
     """
-    from rich.table import Table
-    from rich.text import Text
-
     summary = result.summary
     several = impacts(summary)
     blocks, band = columns(summary), bands(summary)
@@ -169,6 +165,6 @@ def summary_table(result: Result) -> Table:
     return table
 
 
-def _nested(value: Any) -> bool:
+def _nested(value: object) -> bool:
     of_tables = isinstance(value, list) and (not value or any(isinstance(item, Mapping) for item in value))
     return isinstance(value, Mapping) or of_tables

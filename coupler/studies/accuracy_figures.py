@@ -4,9 +4,11 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..measures import BANDED
 from ..measures import measure as record
@@ -16,10 +18,8 @@ from ..report.page import Page, write_text
 from ..report.picture import blank, save
 from . import accuracy_fit as fit
 from .ladder import KNOBS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from .order import FEWEST
+from .table import other_version
 
 AXES = ("points", *KNOBS, "effects")
 MARKS = ("o", "s", "D", "^", "v", "P", "X")  # of matplotlib, one for each axis
@@ -28,23 +28,19 @@ Rows = Sequence[Mapping[str, str]]
 
 
 def preset_of(row: Mapping[str, str]) -> str:
-    """The preset that has the resolution of a rung of the ladder, "" if none."""
+    """The preset with the resolution of a row, "" if none."""
     plain = row["axis"] in ("points", "reference")
     return next((name for name, n in estimates.PRESETS.items() if plain and int(row["points"]) == n), "")
 
 
 def order_of(rows: Rows, measure: str, T_0: float) -> str:
-    """The fitted order in words, or why there is none."""
+    """The fitted order in words, or why there is none. T_0: K, of the last particle before its impact."""
     try:
-        found = fit.order([fit.resolutions(rows, measure, T_0)])
+        _, found = fit.order([fit.resolutions(rows, measure, T_0)])
     except ValueError:
-        return f"fewer than {fit.FEWEST} resolutions, no order"
-    open_ended = found["low"] <= fit.ORDERS[0] and found["high"] >= fit.ORDERS[-1]
-    if open_ended:
-        return "no order can be told"
-    low = f"{'below ' if found['low'] <= fit.ORDERS[0] else ''}{found['low']:.2g}"
-    high = f"{'above ' if found['high'] >= fit.ORDERS[-1] else ''}{found['high']:.2g}"
-    return f"order {found['fitted']:.2g} ({low} to {high})"
+        return f"fewer than {FEWEST} resolutions, no order"
+    low, high = found.interval()
+    return f"order {found.order:.2g} ({low} to {high})" if found.is_determined else "order not determined"
 
 
 def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Path]:
@@ -58,7 +54,7 @@ def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Pat
     return picture, page
 
 
-def diagram(rows: Rows, heading: str, T_0: float) -> "Figure":
+def diagram(rows: Rows, heading: str, T_0: float) -> Figure:
     """All measures, a panel for each."""
     across = 3
     down = -(-len(BANDED) // across)
@@ -83,9 +79,7 @@ def diagram(rows: Rows, heading: str, T_0: float) -> "Figure":
     return figure
 
 
-def _panel(panel: "Axes", rows: Rows, measure: str, T_0: float) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
+def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
     found = fit.errors(rows, measure, T_0)
     panel.set_title(f"{record(measure).short}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
     if not found:  # no reference, or a measure that is zero in it
@@ -154,8 +148,8 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
     return page.html(f"Accuracy against time: {heading}", escape(under), "", "Computed by coldspray.")
 
 
-def _chart(found: Sequence[tuple[Mapping[str, str], float]]) -> dict[str, Any]:
-    traces = []
+def _chart(found: Sequence[tuple[Mapping[str, str], float]]) -> charts.Figure:
+    traces: list[charts.Figure] = []
     for k, axis in enumerate(AXES):
         x, y, names = _points(found, axis)
         if not len(x):
@@ -179,7 +173,8 @@ def _table(rows: Rows, T_0: float) -> str:
     for row in rows:
         cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in BANDED]
         shown = ["" if error is None else f"{error:+.2f}" for error in cells]
-        name = " ".join(filter(None, (row["setting"], f"({preset_of(row)})" if preset_of(row) else "")))
+        notes = filter(None, (preset_of(row), f"version {other_version(row)}" if other_version(row) else ""))
+        name = " ".join([row["setting"], *(f"({note})" for note in notes)])
         lines.append((row["axis"], name, row["points"], row["steps"], f"{float(row['cpu_s']):.3g}", *shown))
     head = ("axis", "setting", "points", "steps", "s", *(f"{record(m).short}, %" for m in BANDED))
     return parts.table(head, lines, numbers=range(2, len(head)))

@@ -1,18 +1,18 @@
-"""What a ladder's table teaches: errors against the reference, orders, and what is packaged of them for `coupler.plan.bands`."""
+"""Evaluation of a ladder: errors against the reference, orders, and the rows of `coupler/plan/bands.csv`."""
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..measures import BANDED
 from ..measures import measure as record
 from .ladder import KNOBS, finished
+from .order import Case, OrderFit, fit_order, line
 
-ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: slower would be no convergence, faster is beyond both schemes
+ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: the schemes converge no faster
 USUAL = 1.0  # the order taken where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
-FEWEST = 4  # resolutions, the reference among them: one more than a fit has numbers
 PERCENT_AT_LEAST = 1e-3  # errors are drawn no lower, in percent: a log axis has no zero
 Row = Mapping[str, str]
 
@@ -50,60 +50,55 @@ def resolutions(rows: Sequence[Row], measure: str, T_0: float) -> tuple[np.ndarr
     return h, np.array([value(row, measure, T_0) for row in ladder]) / value(best, measure, T_0)
 
 
-def order(cases: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, float]:
-    """Fit y = v + a h^p by least squares, v and a of each case its own, the order p common, within ORDERS.
+def order(cases: Sequence[Case]) -> tuple[float, OrderFit]:
+    """The order to use and its fit: USUAL where the fit does not exclude it, else the fitted one. cases: h (k,), values (k,).
 
-    cases: pairs h (k,), y (k,). Returns fitted, low and high (what an F test at 95 % takes for the same), and order: USUAL if
-    that lies between them, else the fitted one. Raises ValueError without a case of FEWEST resolutions.
+    Raises ValueError without a case of `order.FEWEST` resolutions.
     """
-    from scipy.special import fdtri  # the quantile of Fisher's distribution
-
-    cases = [(h, y) for h, y in cases if len(h) >= FEWEST]
-    if not cases:
-        raise ValueError(f"an order needs {FEWEST} resolutions at least, the reference among them")
-    left = np.array([sum(float(np.sum(_line(h, y, p)[2] ** 2)) for h, y in cases) for p in ORDERS])
-    best, free = int(left.argmin()), sum(len(h) - 2 for h, _ in cases) - 1
-    same = left <= left[best] * (1.0 + fdtri(1, free, 0.95) / free)
-    fitted, low, high = (float(p) for p in (ORDERS[best], ORDERS[same].min(), ORDERS[same].max()))
-    return {"order": USUAL if low <= USUAL <= high else fitted, "fitted": fitted, "low": low, "high": high}
+    fit = fit_order(cases, ORDERS)
+    return (USUAL if fit.low <= USUAL <= fit.high else fit.order), fit
 
 
-def _line(h: np.ndarray, y: np.ndarray, p: float) -> tuple[float, float, np.ndarray]:
-    """Limit, slope and what is left (k,) of y = v + a h^p."""
-    A = np.stack([np.ones_like(h), h**p], axis=1)
-    (v, a), *_ = np.linalg.lstsq(A, y, rcond=None)
-    return float(v), float(a), y - A @ [v, a]
+@dataclass(frozen=True)
+class StudyCase:
+    """A scene of the accuracy study. impacts: of the run; speed m/s and temperature K: of its last particle; rows: of its ladder."""
+
+    name: str
+    impacts: int
+    speed: float
+    temperature: float
+    rows: Sequence[Row]
 
 
-def packaged(cases: Mapping[str, tuple[Mapping[str, Any], Sequence[Row]]]) -> list[dict[str, Any]]:
+def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
     """Rows of `coupler/plan/bands.csv`: what bands are made of, for each case and measure that converges.
 
-    cases: name -> what is said of it (speed m/s, temperature K, impacts) and the rows of its table. Single impacts share the
-    order of each measure; a sequence takes theirs.
+    Single impacts share the order of each measure; a sequence takes theirs.
     """
-    singles = [about for about in cases.values() if about[0]["impacts"] == 1]
-    found = []
+    found: list[dict[str, object]] = []
     for measure in BANDED:
-        fitted = order([resolutions(rows, measure, about["temperature"]) for about, rows in singles])
-        for name, (about, rows) in cases.items():
-            h, y = resolutions(rows, measure, about["temperature"])
+        used, fit = order([resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
+        for case in cases:
+            h, y = resolutions(case.rows, measure, case.temperature)
             if len(h) < 3:
                 continue
-            limit, slope, left = _line(h, y, fitted["order"])
-            best = reference(rows)
+            limit, slope, residuals = line(h, y, used)
+            best = reference(case.rows)
             found.append({
-                "case": name, "impacts": about["impacts"], "speed": about["speed"], "measure": measure,
+                "case": case.name, "impacts": case.impacts, "speed": case.speed, "measure": measure,
                 "points_from": round(float(h.max()) ** -3), "points_to": round(float(h.min()) ** -3),
-                "reference": value(best, measure, about["temperature"]) if best else math.nan, "limit": limit, **fitted,
-                "slope": abs(slope), "scatter": float(np.sqrt(np.mean(left**2))), **_knobs(rows, measure, about["temperature"]),
+                "reference": value(best, measure, case.temperature) if best else math.nan, "limit": limit,
+                "order": used, "fitted": fit.order, "low": fit.low, "high": fit.high,
+                "slope": abs(slope), "scatter": float(np.sqrt(np.mean(residuals**2))),
+                **_knobs(case.rows, measure, case.temperature),
             })  # fmt: skip
     return found
 
 
-def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, Any]:
+def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, object]:
     """Half of what each knob of the scheme moves a measure by over the values tried, over the reference; and at how many points."""
     best = reference(rows)
-    found: dict[str, Any] = {"knobs_at": ""}
+    found: dict[str, object] = {"knobs_at": ""}
     for axis in KNOBS:
         tried = [row for row in finished(rows) if row["axis"] == axis]
         found[axis] = ""

@@ -7,14 +7,15 @@ crosses the closed surfaces of the bodies, so overlaps and gaps between splats a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..errors import StoreError
 from ..files.result import Fields, Result
 from ..report.picture import boundary_faces
+from ..scene.model import Scene
 
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
@@ -44,8 +45,6 @@ class Splats:
 
 def read(result: Result) -> Splats:
     """What a run has built so far, finished or not. Raises StoreError where the files do not tell which body is which."""
-    from ..scene.model import Scene
-
     scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
     numbers, times = result.history("impact"), result.history("time")
     if not len(numbers) or not len(result.times("target")):
@@ -86,17 +85,18 @@ class Columns:
     where its middle is.
     """
 
-    def __init__(self, what: Splats, centre: tuple[float, float], radius: float, step: float):
+    def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
         self.step = step
         n = max(int(np.ceil(radius / step)), 4)
         axis = (np.arange(-n, n) + 0.5) * step
         self.inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= radius
         self._origin, self._side = (centre[0] - n * step, centre[1] - n * step), 2 * n
         skins = [
-            (what.mesh.points, boundary_faces(what.mesh.cells[what.body == b]), b > 0) for b in range(len(what.impact))
+            (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b]), b > 0)
+            for b in range(len(splats.impact))
         ]
-        if what.last is not None:
-            skins.append((*what.last, True))
+        if splats.last is not None:
+            skins.append((*splats.last, True))
         points, faces, _ = skins[0]
         corners = points[faces]
         upward = _cross2(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) > 0
@@ -157,8 +157,6 @@ class Columns:
         """Cells (k, layers) without matter below each column's top: (open, closed); closed are those that no way through cells
         without matter joins to the outside. Voids lower than `thinnest` m are taken for matter.
         """
-        from scipy import ndimage
-
         span = max(round(thinnest / self.step), 0)
         whole = np.zeros((self._side, self._side, self.layers), bool)
         whole[self.inside] = self.matter
@@ -191,36 +189,60 @@ def roughness(z: NDArray) -> tuple[float, float]:
     return float(np.abs(away).mean()), float(np.sqrt((away**2).mean()))
 
 
-def measure(result: Result, radius: float | None = None) -> dict[str, Any]:
-    """All measures of a coating, SI. radius: of the window, m; WINDOW of the patch's by default.
+@dataclass(frozen=True)
+class CoatingMeasures:
+    """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; bare_share: share of the window
+    without coating; void_limit_m: height below which a void is not resolved; layers, depth: rows of `per_layer`, `over_depth`."""
+
+    impacts: int
+    of: int
+    rebounded: int
+    deposition_efficiency: float
+    window_radius_m: float
+    column_m: float
+    thickness_mean_m: float
+    thickness_min_m: float
+    thickness_max_m: float
+    height_mean_m: float
+    bare_share: float
+    Sa_m: float
+    Sq_m: float
+    porosity_open: float
+    porosity_closed: float
+    void_limit_m: float
+    layers: list[dict[str, float]]
+    depth: list[dict[str, float]]
+    warnings: list[str]
+
+
+def measure(result: Result, radius: float | None = None) -> CoatingMeasures:
+    """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default.
 
     Raises StoreError where there is nothing to measure.
     """
-    from ..scene.model import Scene
-
     scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
-    what = read(result)
-    patch = scene.coating.radius if scene.coating is not None else float(np.hypot(*what.sites.T).max())
-    size = scene.splat_element_size
+    splats = read(result)
+    patch = scene.coating.radius if scene.coating is not None else float(np.hypot(*splats.sites.T).max())
+    size, planned = scene.splat_element_size, len(scene.particles)
     radius = radius or max(WINDOW * patch, 4.0 * size)
-    columns = Columns(what, (0.0, 0.0), radius, COLUMN * size)
-    top, interface = columns.top(), columns.interface()
-    sa, sq = roughness(top)
-    limit = FINEST * size
-    opened, closed = columns.voids(limit)
+    columns = Columns(splats, (0.0, 0.0), radius, COLUMN * size)
+    top = columns.top()
+    thickness = top - columns.interface()
+    Sa, Sq = roughness(top)
+    opened, closed = columns.voids(FINEST * size)
     volume = float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum())
     layers = scene.coating.layers if scene.coating is not None else 1
-    return {
-        "impacts": what.last_impact, "of": len(scene.particles), "rebounded": int(what.rebounded.sum()),
-        "deposition_efficiency": what.deposition_efficiency, "window_radius_m": radius, "column_m": columns.step,
-        "thickness_mean_m": float((top - interface).mean()), "thickness_min_m": float((top - interface).min()),
-        "thickness_max_m": float((top - interface).max()), "height_mean_m": float(top.mean()),
-        "bare_share": float((top - interface < columns.step).mean()), "Sa_m": sa, "Sq_m": sq,
-        "porosity_open": float(opened.sum()) / volume if volume else 0.0,
-        "porosity_closed": float(closed.sum()) / volume if volume else 0.0, "void_limit_m": limit,
-        "layers": per_layer(what, -(-len(scene.particles) // layers)), "depth": over_depth(what, radius, 0.5 * size),
-        "warnings": [] if result.finished else [f"the run is not finished: {what.last_impact} of {len(scene.particles)} impacts"],
-    }  # fmt: skip
+    unfinished = f"the run is not finished: {splats.last_impact} of {planned} impacts"
+    return CoatingMeasures(
+        impacts=splats.last_impact, of=planned, rebounded=int(splats.rebounded.sum()),
+        deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=columns.step,
+        thickness_mean_m=float(thickness.mean()), thickness_min_m=float(thickness.min()), thickness_max_m=float(thickness.max()),
+        height_mean_m=float(top.mean()), bare_share=float((thickness < columns.step).mean()), Sa_m=Sa, Sq_m=Sq,
+        porosity_open=float(opened.sum()) / volume if volume else 0.0,
+        porosity_closed=float(closed.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
+        layers=per_layer(splats, -(-planned // layers)), depth=over_depth(splats, radius, 0.5 * size),
+        warnings=[] if result.finished else [unfinished],
+    )  # fmt: skip
 
 
 def _volumes(mesh: Fields) -> NDArray:
@@ -228,21 +250,21 @@ def _volumes(mesh: Fields) -> NDArray:
     return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
 
 
-def per_layer(what: Splats, each: int) -> list[dict[str, Any]]:
+def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
     """Strain, temperature and stress of the substrate (layer 0: what yielded of it) and of each layer of `each` particles, over volume.
 
     The last particle, still made of points, is in none of them.
     """
-    volume, data = _volumes(what.mesh), what.mesh.data
-    layer = np.where(what.impact > 0, (what.impact - 1) // each + 1, 0)[what.body]
+    volume, data = _volumes(splats.mesh), splats.mesh.data
+    layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
     found = []
     for number in range(int(layer.max()) + 1):
         own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
         if not own.any():
             continue
-        row: dict[str, Any] = {
+        row: dict[str, float] = {
             "layer": number,
-            "splats": int(np.sum(np.unique(what.body[own]) > 0)),
+            "splats": int(np.sum(np.unique(splats.body[own]) > 0)),
             "volume_m3": float(volume[own].sum()),
         }
         for name in ("eps_p", "T", "von_mises"):
@@ -256,19 +278,19 @@ def per_layer(what: Splats, each: int) -> list[dict[str, Any]]:
     return found
 
 
-def over_depth(what: Splats, radius: float, step: float) -> list[dict[str, float]]:
+def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
     """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the window, from the top down.
 
     sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. coating: share of splats in the slice's matter.
     """
-    middle = what.mesh.points[what.mesh.cells].mean(axis=1)
+    middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
-    z, volume = middle[own, 2], _volumes(what.mesh)[own]
+    z, volume = middle[own, 2], _volumes(splats.mesh)[own]
     columns = {
-        f"sigma_{axis}": what.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
+        f"sigma_{axis}": splats.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
     }
-    columns |= {name: what.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
-    columns["coating"] = (what.body[own] > 0).astype(float)
+    columns |= {name: splats.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
+    columns["coating"] = (splats.body[own] > 0).astype(float)
     slot = np.floor(z / step).astype(int)
     rows = []
     for number in np.unique(slot)[::-1]:

@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import csv
 import json
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
+import meshio
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.result import Result
 from ..report.picture import Stage, boundary_faces, colour_range, cut, panels, read, save
 from ..report.picture import beyond as beyond_of
-from .coating import Splats
+from .coating import CoatingMeasures, Splats
+from .table import write_rows
 
 _DRAWN = ("eps_p", "T", "von_mises")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress")
 MICRO = 1e6
 
 
-def write_measures(folder: Path, found: dict[str, Any]) -> list[Path]:
+def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
     """coating.json, all of it, and coating_depth.csv, means over slices of the depth; SI. Raises StoreError."""
     paths = [folder / "coating.json", folder / "coating_depth.csv"]
+    write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
     try:
-        paths[0].write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-        with paths[1].open("w", newline="", encoding="ascii") as file:
-            rows = found["depth"]
-            table = csv.DictWriter(file, list(rows[0]) if rows else ["z_m"])
-            table.writeheader()
-            table.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in rows)
+        paths[0].write_text(json.dumps(asdict(measures), indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise StoreError(f"cannot write {error.filename}: {error.strerror}") from error
     return paths
@@ -48,42 +46,42 @@ def section(result: Result, path: Path, radius: float, heading: str, plane: floa
     seen = (-across, across, -0.35 * across, top + 0.08 * across)
     points = result.fields(-1, "particle").points
     spacing = float(np.cbrt(_volume(surface.points, surface.cells) / max(len(points), 1)))
-    what = cut(result, -1, _DRAWN, Stage(plane, 0.0, across, 1.6 * spacing), seen)
-    ranges = {name: colour_range([what], name) for name in _DRAWN}
-    figure = panels(what, ranges, heading, {name: beyond_of([what], name, ranges[name]) for name in _DRAWN})
+    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, across, 1.6 * spacing), seen)
+    ranges = {name: colour_range([section_cut], name) for name in _DRAWN}
+    figure = panels(
+        section_cut, ranges, heading, {name: beyond_of([section_cut], name, ranges[name]) for name in _DRAWN}
+    )
     save(figure, path)
     return path
 
 
-def _volume(points: Any, triangles: Any) -> float:
+def _volume(points: NDArray, triangles: NDArray) -> float:
     a, b, c = (points[triangles[:, k]] for k in range(3))
     return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0
 
 
-def write_meshes(what: Splats, folder: Path) -> list[Path]:
+def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     """The splats for homogenisation: coating.vtu, tetrahedra of all with the body and the impact of each and its fields, and
     splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m. Raises StoreError.
     """
-    import meshio
-
     inner = folder / "splats"
-    own = np.flatnonzero(what.body > 0)
-    cells = what.mesh.cells[own]
+    own = np.flatnonzero(splats.body > 0)
+    cells = splats.mesh.cells[own]
     used, local = np.unique(cells, return_inverse=True)
-    data = {name: [what.mesh.data[name][own]] for name in _IN_CELLS}
-    data |= {"body": [what.body[own].astype(np.int32)], "impact": [what.impact[what.body[own]].astype(np.int32)]}
+    data = {name: [splats.mesh.data[name][own]] for name in _IN_CELLS}
+    data |= {"body": [splats.body[own].astype(np.int32)], "impact": [splats.impact[splats.body[own]].astype(np.int32)]}
     paths = [folder / "coating.vtu"]
     try:
         inner.mkdir(parents=True, exist_ok=True)
         for old in inner.glob("splat_*.stl"):
             old.unlink()
-        meshio.Mesh(what.mesh.points[used], [("tetra", local.reshape(cells.shape))], cell_data=data).write(paths[0])
+        meshio.Mesh(splats.mesh.points[used], [("tetra", local.reshape(cells.shape))], cell_data=data).write(paths[0])
         skins = [
-            (int(what.impact[b]), what.mesh.points, boundary_faces(what.mesh.cells[what.body == b]))
-            for b in range(1, len(what.impact))
+            (int(splats.impact[b]), splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b]))
+            for b in range(1, len(splats.impact))
         ]
-        if what.last is not None:
-            skins.append((what.last_impact, *what.last))
+        if splats.last is not None:
+            skins.append((splats.last_impact, *splats.last))
         several = {number for number, _, _ in skins if sum(other == number for other, _, _ in skins) > 1}
         for k, (number, points, faces) in enumerate(skins):
             part = f"_{k}" if number in several else ""

@@ -7,23 +7,24 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import math
+import tomllib
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from .. import units
 from ..errors import ColdsprayError, SceneError, StoreError
 from ..files.result import Result
 from ..physics.adhesion import critical_velocity
-
-if TYPE_CHECKING:
-    from ..scene.model import Scene
+from ..scene.model import Scene
+from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
@@ -66,7 +67,7 @@ def table(folder: str | Path) -> list[Row]:
 
 
 def _row(folder: Path, name: str) -> Row:
-    """What is known of a point: from its scene, how it ended, and its summary."""
+    """The row of a point: from its scene, its end status and its summary."""
     row: Row = dict.fromkeys(COLUMNS) | {
         "point": name,
         "material": "",
@@ -100,8 +101,6 @@ def _row(folder: Path, name: str) -> Row:
 
 def _scene(folder: Path, name: str, row: Row) -> Scene | None:
     """The point's scene, its values put into the row; None, and why, if it cannot be read."""
-    from ..scene.model import Scene
-
     given = folder / f"{name}.toml"
     try:
         scene = Scene.load(given if given.is_file() else folder / name / "scene.toml")
@@ -117,8 +116,6 @@ def _scene(folder: Path, name: str, row: Row) -> Scene | None:
 
 
 def _is_scene(path: Path) -> bool:
-    import tomllib
-
     try:
         return "particle" in tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -127,9 +124,6 @@ def _is_scene(path: Path) -> bool:
 
 def _as_written(path: Path) -> Row:
     """Material and axes of a scene that cannot be computed, as far as they can be read."""
-    import tomllib
-
-    from .. import units
 
     found: Row = {}
     try:
@@ -145,7 +139,7 @@ def _as_written(path: Path) -> Row:
 _WRITTEN = (("velocity", "velocity"), ("diameter", "length"), ("temperature", "temperature"))
 
 
-def _ended(path: Path) -> Mapping[str, Any]:
+def _ended(path: Path) -> Mapping[str, object]:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -153,24 +147,15 @@ def _ended(path: Path) -> Mapping[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def write_table(rows: Iterable[Row], path: Path, head: str = "") -> None:
-    """The rows as CSV; head: a first line after '# '. Raises StoreError."""
-    try:
-        with path.open("w", encoding="utf-8", newline="") as stream:
-            if head:
-                stream.write(f"# {head}\n")
-            writer = csv.writer(stream, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for row in rows:
-                writer.writerow([_cell(row[column]) for column in COLUMNS])
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror}") from error
+def write_table(rows: Iterable[Row], path: Path, about: str = "") -> None:
+    """The rows as CSV; about: a first line after "# ". Raises StoreError."""
+    write_rows(path, COLUMNS, rows, about)
 
 
-def _cell(value: Any) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+class Regressor(Protocol):
+    """The part of scikit-learn's regressors that is used."""
+
+    def predict(self, X: NDArray, *, return_std: bool) -> tuple[NDArray, NDArray]: ...
 
 
 @dataclass(frozen=True)
@@ -192,11 +177,11 @@ class Interpolation:
     gap_rms: dict[str, float]
     spread: float
     kernel: str
-    _model: Any
+    _model: Regressor
     _centre: NDArray
     _scale: NDArray
 
-    def __call__(self, *at: Any) -> tuple[NDArray, NDArray]:
+    def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
         """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
 
         The standard deviation is that of a run that would be made there, its scatter included.
@@ -225,8 +210,6 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         raise StoreError(
             f"{quantity}: {len(used)} points are done; a map needs at least {LEAST_POINTS}, and an axis that varies"
         )
-    import warnings
-
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel

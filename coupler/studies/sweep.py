@@ -8,6 +8,7 @@ again by the same command, whoever runs it: `Sweep.run`, or workflows/Snakefile,
 import fcntl
 import itertools
 import json
+import math
 import os
 import re
 import signal
@@ -19,9 +20,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
+from .. import units
 from ..errors import SceneError, StoreError
+from ..scene.model import Scene, safe_name
 
 AXES = {"diameter": "um", "velocity": "m/s", "temperature": "K"}  # and the unit of each in the names of points
 MOST_POINTS = 10_000
@@ -61,15 +63,13 @@ class Sweep:
         return cls.from_dict(data, str(path))
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], source: str = "sweep") -> "Sweep":
+    def from_dict(cls, data: Mapping[str, object], source: str = "sweep") -> "Sweep":
         """A sweep from nested dicts, as TOML has them. Raises SceneError with every problem of it.
 
         data["points"]: lists of `material`, `diameter`, `velocity` and `temperature` (["300 K"] unless given), as a scene's
         particle has them, all combined; substrate_diameter, substrate_height: over the particle's diameter.
         data["scene"]: what all scenes share, as a scene has it.
         """
-        from ..scene.model import Scene, safe_name
-
         problems = _unknown(data, _KEYS, "")
         name = data.get("name", safe_name(source))
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
@@ -78,14 +78,12 @@ class Sweep:
         for key, table in (("points", points), ("scene", shared)):
             if not isinstance(table, Mapping):
                 problems.append(f"{key}: expected a table [{key}]")
-        if problems or not isinstance(points, Mapping):
+        if problems or not (isinstance(points, Mapping) and isinstance(shared, Mapping) and isinstance(name, str)):
             raise SceneError(problems, source)
         problems = _unknown(points, _POINT_KEYS, "points.")
-        values, sizes = _axes(points, problems), _sizes(points, problems)
+        materials, values, sizes = _materials(points, problems), _axes(points, problems), _sizes(points, problems)
         problems += _shared_problems(shared)
-        count = len(values["material"])
-        for axis in AXES:
-            count *= len(values[axis])
+        count = len(materials) * math.prod(map(len, values.values()))
         if count > MOST_POINTS:
             problems.append(f"points: {count} combinations; at most {MOST_POINTS} are possible")
         if problems:
@@ -93,8 +91,8 @@ class Sweep:
         scenes: dict[str, str] = {}
         refused: dict[str, str] = {}
         first: SceneError | None = None
-        for material, *of_axes in itertools.product(values["material"], *(values[axis] for axis in AXES)):
-            at = dict(zip(AXES, of_axes, strict=True))
+        for material, on_axes in itertools.product(materials, itertools.product(*values.values())):
+            at = dict(zip(AXES, on_axes, strict=True))
             point, scene = point_name(material, **at), _scene(shared, material, at, sizes)
             scenes[point] = _toml(scene)
             try:
@@ -124,14 +122,14 @@ class Sweep:
         folder = Path(out) if out is not None else Path("runs") / self.name
         done = itertools.count(1)
 
-        def one(point: str) -> None:
+        def run_point(point: str) -> None:
             known, scene = folder / f"{point}.json", self.write(folder, point)
             fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
             ended = json.loads(known.read_text(encoding="utf-8")) if fresh else compute(scene, known)
             log(f"{next(done)}/{len(self.points)} {point}: {_said(ended)}")
 
         with ThreadPoolExecutor(max(jobs, 1)) as pool:
-            waiting = [pool.submit(one, point) for point in self.points]
+            waiting = [pool.submit(run_point, point) for point in self.points]
             try:
                 for future in waiting:
                     future.result()
@@ -146,7 +144,7 @@ def point_name(material: str, diameter: float, velocity: float, temperature: flo
     return f"{material}_{diameter * 1e6:.6g}um_{velocity:.6g}ms_{temperature:.6g}K"
 
 
-def compute(scene: Path, status: Path) -> dict[str, Any]:
+def compute(scene: Path, status: Path) -> dict[str, object]:
     """Run a scene into the folder of its name, or go on there, on one core; write how it ended to `status` and return it.
 
     {"status": "done" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
@@ -190,44 +188,49 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _unknown(table: Mapping[str, Any], known: tuple[str, ...], where: str) -> list[str]:
-    from ..units import nearest
-
+def _unknown(table: Mapping[str, object], known: tuple[str, ...], where: str) -> list[str]:
     return [
-        f"{where}{key}: unknown key{nearest(str(key), known)}; known: {', '.join(known)}"
+        f"{where}{key}: unknown key{units.nearest(str(key), known)}; known: {', '.join(known)}"
         for key in table
         if key not in known
     ]
 
 
-def _axes(points: Mapping[str, Any], problems: list[str]) -> dict[str, list[Any]]:
-    """Materials and SI values of each axis, doubles left out; what is wrong goes to problems."""
-    from .. import units
+def _list(points: Mapping[str, object], axis: str, problems: list[str]) -> list[object]:
+    entry = points.get(axis, ["300 K"] if axis == "temperature" else None)
+    values = [entry] if isinstance(entry, str) else entry
+    if isinstance(values, list) and values:
+        return values
+    problems.append(f"points.{axis}: expected a list, such as {_EXAMPLES[axis]}")
+    return []
 
-    found: dict[str, list[Any]] = {}
-    for axis in ("material", *AXES):
-        given = points.get(axis, ["300 K"] if axis == "temperature" else None)
-        given = [given] if isinstance(given, str) else given
-        if not isinstance(given, list) or not given:
-            problems.append(f"points.{axis}: expected a list, such as {_EXAMPLES[axis]}")
-            given = []
-        values: list[Any] = []
-        for item in given:
-            if axis == "material":
-                if isinstance(item, str) and re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", item):
-                    values.append(item)
-                else:
-                    problems.append(f"points.material = {json.dumps(item, default=str)[:60]}: expected a name")
-                continue
+
+def _materials(points: Mapping[str, object], problems: list[str]) -> list[str]:
+    """Names of materials, each once; what is wrong goes to problems."""
+    names: list[str] = []
+    for item in _list(points, "material", problems):
+        if isinstance(item, str) and re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", item):
+            names.append(item)
+        else:
+            problems.append(f"points.material = {json.dumps(item, default=str)[:60]}: expected a name")
+    return list(dict.fromkeys(names))
+
+
+def _axes(points: Mapping[str, object], problems: list[str]) -> dict[str, list[float]]:
+    """SI values of each axis, each once; what is wrong goes to problems."""
+    values: dict[str, list[float]] = {}
+    for axis, unit in AXES.items():
+        parsed = []
+        for item in _list(points, axis, problems):
             try:
-                values.append(units.parse(item, units.dimension_of(AXES[axis])))
+                parsed.append(units.parse(item, units.dimension_of(unit)))
             except units.UnitError as error:
                 problems.append(f"points.{axis} = {json.dumps(item, default=str)[:60]} {error}")
-        found[axis] = list(dict.fromkeys(values))
-    return found
+        values[axis] = list(dict.fromkeys(parsed))
+    return values
 
 
-def _sizes(points: Mapping[str, Any], problems: list[str]) -> tuple[float, float]:
+def _sizes(points: Mapping[str, object], problems: list[str]) -> tuple[float, float]:
     sizes = []
     for key, default in zip(("substrate_diameter", "substrate_height"), SUBSTRATE, strict=True):
         value = points.get(key, default)
@@ -238,7 +241,7 @@ def _sizes(points: Mapping[str, Any], problems: list[str]) -> tuple[float, float
     return sizes[0], sizes[1]
 
 
-def _shared_problems(shared: Mapping[str, Any]) -> list[str]:
+def _shared_problems(shared: Mapping[str, object]) -> list[str]:
     particle = shared.get("particle", {})
     if not isinstance(particle, Mapping):
         return ["scene.particle: expected one table [scene.particle]; a point is one impact"]
@@ -247,20 +250,21 @@ def _shared_problems(shared: Mapping[str, Any]) -> list[str]:
     ] + [f"scene.{key}: a sweep gives velocities and temperatures itself" for key in ("gas",) if key in shared]
 
 
-def _scene(shared: Mapping[str, Any], material: str, at: dict[str, float], sizes: tuple[float, float]) -> dict:
-    from ..units import show
-
-    values = {axis: show(value, AXES[axis]) for axis, value in at.items()}
-    D = at["diameter"]
-    substrate = {"diameter": show(sizes[0] * D, "um"), "height": show(sizes[1] * D, "um")}
-    return {
-        **shared,
-        "particle": {**shared.get("particle", {}), "material": material, **values},
-        "substrate": {**substrate, **shared.get("substrate", {})},
-    }
+def _scene(
+    shared: Mapping[str, object], material: str, at: dict[str, float], sizes: tuple[float, float]
+) -> dict[str, object]:
+    values = {axis: units.show(value, AXES[axis]) for axis, value in at.items()}
+    D, (particle, substrate) = at["diameter"], (_subtable(shared, name) for name in ("particle", "substrate"))
+    size = {"diameter": units.show(sizes[0] * D, "um"), "height": units.show(sizes[1] * D, "um")}
+    return {**shared, "particle": {**particle, "material": material, **values}, "substrate": {**size, **substrate}}
 
 
-def _toml(table: Mapping[str, Any], above: str = "") -> str:
+def _subtable(shared: Mapping[str, object], name: str) -> Mapping[str, object]:
+    table = shared.get(name, {})
+    return table if isinstance(table, Mapping) else {}
+
+
+def _toml(table: Mapping[str, object], above: str = "") -> str:
     """Nested dicts as lines of dotted keys."""
     lines = ""
     for key, value in table.items():
@@ -282,8 +286,6 @@ def _wait_for(folder: Path) -> None:
 
 def _begun(scene: Path, folder: Path) -> bool:
     """Whether the folder holds a run of this very scene."""
-    from ..scene.model import Scene
-
     try:
         return (folder / "scene.toml").read_text(encoding="utf-8") == Scene.load(scene).to_toml()
     except (OSError, SceneError):
@@ -301,7 +303,7 @@ def _reason(code: int, errors: str) -> str:
     return " ".join(text.split())
 
 
-def _said(ended: Mapping[str, Any]) -> str:
+def _said(ended: Mapping[str, object]) -> str:
     return f"{ended['status']}" + (f": {ended['reason']}" if ended.get("reason") else "")
 
 

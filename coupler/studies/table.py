@@ -1,0 +1,79 @@
+"""Tables of studies: CSV files whose rows are kept, each with the version of the program that computed it."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from .. import __version__
+from ..errors import StoreError
+
+Row = dict[str, str]
+
+
+class StudyTable:
+    """The rows of a study, kept in a CSV file that is rewritten with each new row.
+
+    columns: of the file; `version` follows them. key: the columns that identify a row. about: lines above the header; the first
+    says how to remake the table. Raises StoreError for a file with other columns; rows without a version get "unknown".
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], key: Sequence[str], about: str):
+        self.path, self.columns, self.key, self.about = path, (*columns, "version"), tuple(key), about
+        self.rows: list[Row] = read_rows(path) if path.exists() else []
+        for row in self.rows:
+            row.setdefault("version", "unknown")
+            if set(row) != set(self.columns) or None in row.values():
+                raise StoreError(f"{path} has other columns than this study: move it away to begin again")
+
+    def __contains__(self, key: tuple[str, ...]) -> bool:
+        return any(self._key_of(row) == key for row in self.rows)
+
+    def add(self, row: Mapping[str, object]) -> Row:
+        """Put a row in, in place of one with the same key, stamp it with this program's version and write the file."""
+        new = {name: cell(row.get(name, "")) for name in self.columns} | {"version": __version__}
+        same = [k for k, old in enumerate(self.rows) if self._key_of(old) == self._key_of(new)]
+        self.rows[same[0] if same else len(self.rows) :] = [new, *self.rows[same[0] + 1 :]] if same else [new]
+        self.write()
+        return new
+
+    def write(self) -> None:
+        """Write the file. Raises StoreError."""
+        write_rows(self.path, self.columns, self.rows, self.about)
+
+    def _key_of(self, row: Row) -> tuple[str, ...]:
+        return tuple(row[name] for name in self.key)
+
+
+def other_version(row: Mapping[str, str]) -> str:
+    """The version that computed a row where it is not this program's, "" otherwise."""
+    version = row.get("version", "unknown")
+    return "" if version == __version__ else version
+
+
+def cell(value: object) -> str:
+    """A value as it stands in a table: six digits of a float, nothing for None."""
+    return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The rows of a CSV file, lines that begin with # left out. Raises StoreError if it cannot be read."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise StoreError(f"cannot read {path}: {error}") from None
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]], about: str = "") -> None:
+    """Write a CSV file as a whole. about: lines above the header, each after "# ". Raises StoreError."""
+    part = path.with_suffix(".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("w", newline="", encoding="utf-8") as file:
+            file.writelines(f"# {line}\n" for line in about.splitlines())
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows([cell(row.get(name)) for name in columns] for row in rows)
+        part.replace(path)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror}") from error
