@@ -82,7 +82,7 @@ bench: setup
 studies: setup
 	$(VENV)/bin/python workflows/taylor_bar.py
 	$(VENV)/bin/python workflows/taylor_bar_sph.py
-	$(VENV)/bin/python workflows/convergence.py --knobs
+	$(VENV)/bin/python workflows/convergence.py --parameters
 
 accuracy: setup
 	$(VENV)/bin/python workflows/accuracy.py

@@ -1,203 +1,176 @@
-"""What accuracy costs in time, for the cases of docs/accuracy.md: computes their ladders and writes all that rests on them.
+"""What accuracy costs in time: computes the ladders of the accuracy page and writes all that rests on them.
 
-    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, coupler/plan/bands.csv, docs/accuracy.md
-    python workflows/accuracy.py --docs      # runs nothing: from the tables that are there
+    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, coupler/plan/bands.csv, the page
+    python workflows/accuracy.py --docs      # runs nothing: from the tables that exist
 
-Rows that are there are kept; a stopped ladder goes on where it was.
+Rows in the tables are not computed again; a stopped ladder goes on where it was.
 """
 
 import argparse
-import csv
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pages import PAGES, ROOT, figure_path, markdown, marked, table_rows, versions, write_parts
 
 from coupler.measures import BANDED, MEASURES
-from coupler.plan import bands
-from coupler.plan import cost as estimates
-from coupler.progress import Progress
+from coupler.plan import bands, cost
 from coupler.report.picture import save
 from coupler.scene.model import Scene
 from coupler.studies import accuracy_fit as fit
-from coupler.studies import ladder
+from coupler.studies import ladder, ladder_runs
 from coupler.studies.accuracy_figures import diagram, order_of, preset_of
-
-# name -> heading, scene, points, reference, points of the other settings (0: not tried)
-CASES: dict[str, tuple[str, str, tuple[int, ...], int, int]] = {
-    "ni500": ("Ni at 500 m/s", "single_ni", ladder.POINTS, 16000, 1000),
-    "ti500": ("Ti at 500 m/s", "single_ti", ladder.POINTS, 16000, 1000),
-    "ni1000": ("Ni at 1000 m/s", "fast_ni", ladder.POINTS, 16000, 0),
-    "triple": ("three Ni, 500 to 610 m/s", "triple_ni", (600, 1000, 2000, 3500), 8000, 0),
-}  # fmt: skip
-TABLES, DOCS, PACKAGED = Path("docs/tables"), Path("docs/accuracy.md"), Path("coupler/plan/bands.csv")
-REMAKE = "remake: make accuracy (rows that are here are kept)"
-BEGIN, END = "<!-- tables: written by workflows/accuracy.py -->", "<!-- end of tables -->"
-PACE, PACE_MARKS = TABLES / "pace.csv", ("<!-- pace: written by workflows/accuracy.py -->", "<!-- end of pace -->")
+from coupler.studies.order import OrderFit, fit_order
+from coupler.studies.table import StudyTable, write_rows
 
 
-def table_of(name: str) -> ladder.Table:
-    return ladder.Table(TABLES / f"accuracy_{name}.csv", REMAKE)
+@dataclass(frozen=True)
+class Study:
+    """A case of the page. knobs_at: points at which the other settings are tried, 0 for not at all."""
+
+    heading: str
+    scene: str
+    points: tuple[int, ...] = ladder.POINTS
+    reference: int = 16000
+    knobs_at: int = 0
+
+    def load(self) -> Scene:
+        return Scene.load(ROOT / "workflows" / f"{self.scene}.toml")
 
 
-def scene_of(name: str) -> Scene:
-    return Scene.load(f"workflows/{CASES[name][1]}.toml")
+STUDIES = {
+    "ni500": Study("Ni at 500 m/s", "single_ni", knobs_at=1000),
+    "ti500": Study("Ti at 500 m/s", "single_ti", knobs_at=1000),
+    "ni1000": Study("Ni at 1000 m/s", "fast_ni"),
+    "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", (600, 1000, 2000, 3500), 8000),
+}
+PACKAGED = ROOT / "coupler" / "plan" / "bands.csv"
 
 
-def climb(names: list[str]) -> None:
-    """Compute what the tables lack."""
+def table_of(name: str) -> StudyTable:
+    about = "remake: make accuracy (rows in this table are not computed again)"
+    return ladder.ladder_table(ROOT / "docs" / "tables" / f"accuracy_{name}.csv", about)
+
+
+def case_of(name: str) -> fit.StudyCase:
+    particles = STUDIES[name].load().particles
+    last = particles[-1]
+    return fit.StudyCase(STUDIES[name].heading, len(particles), last.velocity, last.temperature, table_of(name).rows)
+
+
+def compute(names: Sequence[str]) -> None:
+    """Compute the rows that the tables lack."""
     for name in names:
-        _, _, points, reference, knobs_at = CASES[name]
-        rungs = ladder.settings(points, reference, knobs_at or None)
-        say = ladder.announce(quiet=False)
-        say(CASES[name][0])
-        ladder.climb(
-            scene_of(name), Path("runs/accuracy") / name, rungs, table_of(name), lambda: Progress(quiet=True), say
-        )
+        study = STUDIES[name]
+        print(study.heading)
+        points = ladder.ladder_points(study.points, study.reference, study.knobs_at or None)
+        ladder_runs.compute_missing(study.load(), ROOT / "runs" / "accuracy" / name, points, table_of(name), print)
 
 
-def about(name: str) -> dict[str, Any]:
-    """What is said of a case in the packaged table: its last impact."""
-    made = scene_of(name)
-    last = made.particles[-1]
-    return {"impacts": len(made.particles), "speed": last.velocity, "temperature": last.temperature}
-
-
-def package() -> list[dict[str, Any]]:
+def package(cases: Sequence[fit.StudyCase]) -> list[dict[str, object]]:
     """Write coupler/plan/bands.csv; its rows."""
-    whole = {n: table_of(n).rows for n in CASES if fit.reference(table_of(n).rows) is not None}
-    rows = fit.packaged({CASES[name][0]: (about(name), found) for name, found in whole.items()})
-    with PACKAGED.open("w", newline="", encoding="utf-8") as file:
-        file.write("# remake: python workflows/accuracy.py --docs; shares of the reference, h = N^(-1/3)\n")
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    rows = fit.packaged(cases)
+    rounded = [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]
+    about = "remake: python workflows/accuracy.py --docs; shares of the reference, h = N^(-1/3)"
+    write_rows(PACKAGED, list(rows[0]), rounded, about)
     bands._rows.cache_clear()
     return rows
 
 
-def percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
-
-
-def written(packaged: list[dict[str, Any]]) -> list[str]:
-    """The part of the document that the tables make."""
+def cases_part(cases: dict[str, fit.StudyCase]) -> list[str]:
+    """A section for each case: figure, reference, differences of each setting in percent, failures."""
     lines: list[str] = []
-    for name, (heading, _, _, _, _) in CASES.items():
-        rows, T_0 = table_of(name).rows, about(name)["temperature"]
-        best = fit.reference(rows)
-        if best is None:
-            continue
-        finest = max(int(r["points_used"]) for r in ladder.finished(rows) if r["axis"] == "points")
-        lines += [f"### {heading}", "", f"![{heading}](accuracy_{name}.png)", ""]
-        where = " in the last of its particles" if about(name)["impacts"] > 1 else ""
-        lines.append(
-            f"The reference has {int(best['points_used'])} points{where}, {int(best['points_used']) / finest:.1f} times those of"
-            f" the finest setting it judges, and took {float(best['cpu_s']):.0f} s ([table](tables/accuracy_{name}.csv))."
-        )
-        lines += ["", *_differences(rows, T_0), ""]
-        failed = [f"{r['setting']} ({r['points']} points): {r['failed']}" for r in rows if r["failed"]]
+    for name, case in cases.items():
+        best = fit.reference(case.rows)
+        assert best is not None
+        finest = max(int(r["points_used"]) for r in ladder.finished(case.rows) if r["axis"] == "points")
+        last = " in the last of its particles" if case.impacts > 1 else ""
+        lines += [
+            f"### {case.name}", "", f"![{case.name}](accuracy_{name}.png)", "",
+            f"The reference has {int(best['points_used'])} points{last}, {int(best['points_used']) / finest:.1f} times those of"
+            f" the finest setting compared with it, and took {float(best['cpu_s']):.0f} s"
+            f" ([table](tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
+        ]  # fmt: skip
+        found = {
+            m: {(r["axis"], r["setting"]): e for r, e in fit.errors(case.rows, m, case.temperature)} for m in BANDED
+        }
+        shown = []
+        for row in ladder.finished(case.rows):
+            if row["axis"] != "reference":
+                text = row["setting"] + ("" if row["axis"] == "points" else f", {row['points']} points")
+                text = marked(text + (f" ({preset_of(row)})" if preset_of(row) else ""), row)
+                cells = [f"{found[m][row['axis'], row['setting']]:+.1f}" for m in BANDED]
+                shown.append([text, f"{float(row['cpu_s']):.3g}", *cells])
+        lines += [*markdown(["setting", "s", *(MEASURES[m].short for m in BANDED)], shown), ""]
+        failed = [f"{r['setting']} ({r['points']} points): {r['failed']}" for r in case.rows if r["failed"]]
         lines += [f"Failed: {'; '.join(failed)}" if failed else "No setting failed.", ""]
-    lines += ["## Orders and bands", "", *_orders(packaged), ""]
-    lines += ["## The presets", "", *_presets(), ""]
     return lines
 
 
-def _differences(rows: list[dict[str, str]], T_0: float) -> list[str]:
-    """Difference of each setting from the reference, in percent."""
-    names = BANDED
-    found = {m: {(r["axis"], r["setting"]): e for r, e in fit.errors(rows, m, T_0)} for m in names}
-    head = "| setting | s | " + " | ".join(MEASURES[m].short for m in names) + " |"
-    lines = [head, "|---" * (len(names) + 2) + "|"]
-    for row in ladder.finished(rows):
-        if row["axis"] == "reference":
-            continue
-        mark = f" ({preset_of(row)})" if preset_of(row) else ""
-        at = "" if row["axis"] == "points" else f", {row['points']} points"
-        cells = [f"{found[m][row['axis'], row['setting']]:+.1f}" for m in names]
-        lines.append(f"| {row['setting']}{at}{mark} | {float(row['cpu_s']):.3g} | {' | '.join(cells)} |")
-    return lines
+def orders_part(packaged: Sequence[dict[str, object]], cases: Sequence[fit.StudyCase]) -> list[str]:
+    """Fitted order of each measure and its limit in each case."""
+    singles = [case for case in cases if case.impacts == 1]
+    lines = []
+    for measure in dict.fromkeys(str(row["measure"]) for row in packaged):
+        rows = [row for row in packaged if row["measure"] == measure]
+        found: OrderFit = fit_order([fit.resolutions(c.rows, measure, c.temperature) for c in singles], fit.ORDERS)
+        limits = [f"{row['limit']:.3f}" for row in rows]
+        lines.append(
+            [
+                MEASURES[measure].short,
+                f"{found.order:.2g}",
+                " to ".join(found.interval()),
+                f"{rows[0]['order']:.2g}",
+                *limits,
+            ]
+        )
+    return markdown(
+        ["measure", "fitted order", "95 %", "order taken", *(f"limit, {case.name}" for case in cases)], lines
+    )
 
 
-def _orders(packaged: list[dict[str, Any]]) -> list[str]:
-    cases = [CASES[name][0] for name in CASES if any(row["case"] == CASES[name][0] for row in packaged)]
-    head = f"| measure | fitted order | 95 % | order taken | {' | '.join(f'limit, {case}' for case in cases)} |"
-    lines = [head, "|---" * (4 + len(cases)) + "|"]
-    for measure in dict.fromkeys(row["measure"] for row in packaged):
-        mine = [row for row in packaged if row["measure"] == measure]
-        low, high = f"{mine[0]['low']:.2g}", f"{mine[0]['high']:.2g}"
-        low = f"below {low}" if mine[0]["low"] <= fit.ORDERS[0] else low
-        high = f"above {high}" if mine[0]["high"] >= fit.ORDERS[-1] else high
-        limits = " | ".join(f"{row['limit']:.3f}" for row in mine)
-        orders = f"{mine[0]['fitted']:.2g} | {low} to {high} | {mine[0]['order']:.2g}"
-        lines.append(f"| {MEASURES[measure].short} | {orders} | {limits} |")
-    return lines
-
-
-def _presets() -> list[str]:
+def presets_part() -> list[str]:
     """Band and time of each preset, per measure."""
-    names = BANDED
-    head = "| preset, speed | s | " + " | ".join(MEASURES[m].short for m in names) + " |"
-    lines = [head, "|---" * (len(names) + 2) + "|"]
-    for preset, points in estimates.PRESETS.items():
+    lines = []
+    for preset, points in cost.PRESETS.items():
         for speed, case in ((500.0, "ni500"), (1000.0, "ni1000")):
-            took = next((r["cpu_s"] for r in table_of(case).rows if r["points"] == str(points) and preset_of(r)), "")
-            got = [bands.band(m, bands.Kind(points, speed)) for m in names]
-            cells = [percent(b.share) if b else "-" for b in got]
-            lines.append(
-                f"| {preset}, {speed:g} m/s | {float(took):.3g} | " if took else f"| {preset}, {speed:g} m/s | - | "
-            )
-            lines[-1] += " | ".join(cells) + " |"
-    return lines
+            times = [r["cpu_s"] for r in table_of(case).rows if r["points"] == str(points) and preset_of(r)]
+            widths = [bands.band(m, bands.Kind(points, speed)) for m in BANDED]
+            cells = [f"{100 * w.share:.{2 if w.share < 0.995 else 3}g} %" if w else "-" for w in widths]
+            lines.append([f"{preset}, {speed:g} m/s", f"{float(times[0]):.3g}" if times else "-", *cells])
+    return markdown(["preset, speed", "s", *(MEASURES[m].short for m in BANDED)], lines)
 
 
-def write_docs(packaged: list[dict[str, Any]]) -> None:
-    """Put the tables between their two marks in the document, and draw."""
-    for name, (heading, *_) in CASES.items():
-        rows = table_of(name).rows
-        if fit.reference(rows) is not None:
-            save(diagram(rows, heading, about(name)["temperature"]), Path(f"docs/accuracy_{name}.png"))
-    text = DOCS.read_text(encoding="utf-8")
-    for (begin, end), lines in {(BEGIN, END): written(packaged), PACE_MARKS: foretold()}.items():
-        before, _, rest = text.partition(begin)
-        _, found, after = rest.partition(end)
-        if not found:
-            raise SystemExit(f"{DOCS} has no place for the tables: it needs the lines {begin!r} and {end!r}")
-        text = "\n".join([before + begin, "", *lines, end]) + after
-    DOCS.write_text(text, encoding="utf-8")
-
-
-def foretold() -> list[str]:
-    """The scenes of workflows/pace.py, if they are there."""
-    if not PACE.exists():
-        return []
-    rows, lines = ladder.rows_of(PACE), []
+def pace_part() -> list[str]:
+    """The estimates of time (workflows/pace.py) against the times taken."""
+    rows = table_rows("pace")
+    lines = []
     for number in dict.fromkeys(row["round"] for row in rows):
-        mine = [row for row in rows if row["round"] == number]
-        good = sum(abs(float(row["off_percent"])) <= 30 for row in mine)
-        lines.append(f"- Round {number}: {good} of {len(mine)} scenes within 30 %.")
-    lines += ["", "| round, scene | steps said | steps | s said | s taken | off |", "|---|---|---|---|---|---|"]
-    for row in rows:
-        cells = [
-            f"{row['round']}, {row['scene']}",
-            *(row[name] for name in ("steps_said", "steps", "said_s", "took_s")),
-        ]
-        lines.append(f"| {' | '.join(cells)} | {float(row['off_percent']):+.0f} % |")
-    return [*lines, ""]
+        off = [abs(float(row["off_percent"])) for row in rows if row["round"] == number]
+        lines.append(f"- Round {number}: {sum(x <= 30 for x in off)} of {len(off)} scenes within 30 %.")
+    cells = [
+        [marked(f"{r['round']}, {r['scene']}", r), r["steps_said"], r["steps"], r["said_s"], r["took_s"],
+         f"{float(r['off_percent']):+.0f} %"] for r in rows
+    ]  # fmt: skip
+    return [*lines, "", *markdown(["round, scene", "steps said", "steps", "s said", "s taken", "off"], cells)]
 
 
 def main() -> None:
-    """Climb the ladders and write what rests on them."""
+    """Compute the ladders and write what rests on them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--docs", action="store_true", help="run nothing")
-    parser.add_argument("--only", nargs="*", choices=CASES, default=list(CASES), help="cases to compute")
+    parser.add_argument("--only", nargs="*", choices=STUDIES, default=list(STUDIES), help="cases to compute")
     a = parser.parse_args()
     if not a.docs:
-        climb(a.only)
-    write_docs(package())
-    print(
-        "\n".join(
-            f"{CASES[n][0]}: flattening, {order_of(table_of(n).rows, 'flattening_ratio_total', 300.0)}" for n in CASES
-        )
-    )
+        compute(a.only)
+    cases = {name: case_of(name) for name in STUDIES}
+    cases = {name: case for name, case in cases.items() if fit.reference(case.rows) is not None}
+    packaged = package(list(cases.values()))
+    tables = [*cases_part(cases), "## Orders and bands", "", *orders_part(packaged, list(cases.values())), "",
+              "## The presets", "", *presets_part()]  # fmt: skip
+    for name, case in cases.items():
+        save(diagram(case.rows, case.name, case.temperature), figure_path("accuracy", f"accuracy_{name}.png"))
+        print(f"{case.name}: flattening, {order_of(case.rows, 'flattening_ratio_total', case.temperature)}")
+    write_parts(PAGES["accuracy"], {"tables": tables, "pace": pace_part()})
 
 
 if __name__ == "__main__":

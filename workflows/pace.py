@@ -1,56 +1,47 @@
-"""How well `coldspray check` foretells time: ten scenes that nothing was fitted on, twice, and the fits themselves.
+"""How well `coldspray check` predicts time: twenty scenes that nothing was fitted on, and the fits themselves.
 
     python workflows/pace.py            # the scenes, each run in one thread: docs/tables/pace.csv
     python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/plan/cost.py to docs/tables and prints them
 
-The machine is timed anew before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
-start of the program and the loading of compiled kernels. Rows that are there are kept.
+The machine is timed again before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
+start of the program and the loading of compiled kernels. Rows in the table are not computed again.
 """
 
 import argparse
-import csv
 import math
-import sys
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import stability
+from pages import TABLES, study_table, table_rows
+from scipy.optimize import least_squares
 
 from coupler import run
-from coupler.physics.materials import material
-from coupler.plan import cost as estimates
+from coupler.physics.materials import Material, material
+from coupler.plan import cost
 from coupler.plan.planning import plan
 from coupler.scene.model import Scene
-from coupler.studies import ladder, pace
+from coupler.studies import ladder_runs, pace, timing
+from coupler.studies.table import read_rows
 
-TABLES = Path("docs/tables")
-OUT = TABLES / "pace.csv"
 TIMED = 4
 COLUMNS = (
-    "round",
-    "scene",
-    "points",
-    "steps_said",
-    "steps",
-    "said_s",
-    "took_s",
-    "off_percent",
-    "pace_steps",
-    "pace_points",
-)
+    "round", "scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "pace_steps", "pace_points",
+)  # fmt: skip
+Table = dict[str, object]
 
 
-def scene(particles: list[dict[str, Any]], on: str, preset: str = "draft", **more: Any) -> dict[str, Any]:
+def scene(particles: list[Table], on: str, preset: str = "draft", **more: object) -> Table:
     """A scene as nested dicts; diameters um, velocities m/s, temperatures K, angles deg."""
     units = {"diameter": "um", "velocity": "m/s", "temperature": "K", "angle": "deg", "tilt": "deg"}
     tables = [{k: f"{v} {units[k]}" if k in units else v for k, v in p.items()} for p in particles]
-    wide = max(float(p["diameter"]) for p in particles)
+    wide = max(float(str(p["diameter"])) for p in particles)
     base = {"material": on, "diameter": f"{8 * wide} um", "height": f"{4 * wide} um"}
     return {"particle": tables, "substrate": base, "preset": preset, **more}
 
 
-def p(material: str, diameter: float, velocity: float, **more: Any) -> dict[str, Any]:
+def p(material: str, diameter: float, velocity: float, **more: object) -> Table:
     return {"material": material, "diameter": diameter, "velocity": velocity, **more}
 
 
@@ -81,23 +72,18 @@ SECOND = {
 SCENES = {**FIRST, **SECOND}
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
-
-
-def judge(name: str, here: pace.Pace) -> dict[str, Any]:
+def judge(name: str, here: pace.Pace) -> Table:
     """Estimate, run, compare."""
-    made = Scene.from_dict({**SCENES[name], "name": "pace"})
-    what = plan(made)
-    with tempfile.TemporaryDirectory() as place:
-        before = ladder.spent()
-        summary = run(made, Path(place) / "run", threads=1).summary
-        took = ladder.spent() - before
-    said = here.seconds(what)
+    checked = Scene.from_dict({**SCENES[name], "name": "pace"})
+    planned = plan(checked)
+    with tempfile.TemporaryDirectory() as folder:
+        before = ladder_runs.spent()
+        result = run(checked, Path(folder) / "run", threads=1)
+        took = ladder_runs.spent() - before
+    said = here.seconds(planned)
     return {
-        "round": 1 if name in FIRST else 2, "scene": name, "points": made.points,
-        "steps_said": what.steps_estimate, "steps": summary["steps"],
+        "round": 1 if name in FIRST else 2, "scene": name, "points": checked.points,
+        "steps_said": planned.steps_estimate, "steps": result.steps,
         "said_s": round(said, 2), "took_s": round(took, 2),
         "off_percent": round(100 * (said / took - 1), 1),
         "pace_steps": round(here.steps, 3), "pace_points": round(here.points, 3),
@@ -105,46 +91,43 @@ def judge(name: str, here: pace.Pace) -> dict[str, Any]:
 
 
 def terms(
-    first: Any, base: Any, T: float, T_base: float, v: float, D: float, points: float, angle: float
+    first: Material, base: Material, T: float, T_base: float, v: float, D: float, points: float, angle: float
 ) -> list[float]:
-    d = estimates.damage_numbers((first, base), (T, T_base), v, D)
+    d = cost.damage_numbers((first, base), (T, T_base), v, D)
     return [1.0, math.log(d[0]), math.log(d[1]), math.log(points / 1000.0), math.sin(angle) ** 2]
 
 
 def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Terms (n, 5), ln(time to rest v / height) (n,), ln(c dt / spacing) (n,) of the single impacts in docs/tables."""
-    sys.path.insert(0, str(Path(__file__).parent))
-    import stability
-
     found = []
     battery = stability.battery()
-    for row in read(TABLES / "stability.csv"):
+    for row in table_rows("stability"):
         if row["scene"] not in battery or row["rescues"] != "0" or row["verdict"] != "passes":
             continue
-        made = Scene.from_dict(battery[row["scene"]], "battery")
-        one = made.particle
-        odd = "friction" in row["scene"] or "elements" in row["scene"] or one.shape != "sphere"
-        if odd or len(made.particles) > 1 or made.end.time:
+        checked = Scene.from_dict(battery[row["scene"]], "battery")
+        p = checked.particle
+        odd = "friction" in row["scene"] or "elements" in row["scene"] or p.shape != "sphere"
+        if odd or len(checked.particles) > 1 or checked.end.time:
             continue
-        first, base = material(one.material), material(made.substrate.material)
-        end, points = float(row["end ns"]) * 1e-9, one.volume / made.spacing**3
+        first, base = material(p.material), material(checked.substrate.material)
+        end, points = float(row["end ns"]) * 1e-9, p.volume / checked.spacing**3
         row_terms = terms(
-            first, base, one.temperature, made.substrate.temperature, one.velocity, one.diameter, points, one.angle
+            first, base, p.temperature, checked.substrate.temperature, p.velocity, p.diameter, points, p.angle
         )
-        cfl = end / int(row["steps"]) * first.wave_speed / made.spacing
-        found.append((row_terms, math.log(end * one.velocity / one.diameter), math.log(cfl)))
+        cfl = end / int(row["steps"]) * first.wave_speed / checked.spacing
+        found.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
     singles = [
         (r["material"], float(r["diameter_um"]), float(r["speed_m_s"]), float(r["temperature_K"]), r["points"], r["steps"], r["dt_ps"])
-        for name in ("validation", "validation_trends") for r in read(TABLES / f"{name}.csv")
+        for name in ("validation", "validation_trends") for r in table_rows(name)
         if r["impact"] == "1" and r["steps"] and "shape" not in r["run"]
     ]  # fmt: skip
     knobs = {"kernel_radius": 0.75, "Q1": 0.06, "hourglass": 1.0, "courant": 0.4, "contact_stiffness": 1.0}
-    for r in read(TABLES / "convergence_ni500.csv"):
+    for r in table_rows("convergence_ni500"):
         if not r["failed"] and r["lattice"] == "fcc" and all(float(r[k]) == v for k, v in knobs.items()):
             singles.append(("Ni", 25.0, 500.0, 300.0, r["points"], r["steps"], r["dt_mean_ps"]))
     for name, D, v, T, points, steps, dt in singles:
         first, time = material(name), int(steps) * float(dt) * 1e-12
-        spacing = estimates.spacing(estimates.sphere_volume(D * 1e-6), int(points))
+        spacing = cost.spacing(cost.sphere_volume(D * 1e-6), int(points))
         row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, float(points), 0.0)
         found.append(
             (row_terms, math.log(time * v / (D * 1e-6)), math.log(float(dt) * 1e-12 * first.wave_speed / spacing))
@@ -155,14 +138,12 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def fit() -> None:
     """Print the constants for coupler/plan/cost.py."""
-    from scipy.optimize import least_squares
-
     F, rest, cfl = impacts()
     k = np.linalg.lstsq(F, rest, rcond=None)[0]
     print(f"{len(F)} impacts\nREST_FIT = {tuple(float(round(x, 3)) for x in k)}  # rms {np.std(rest - F @ k):.1%}")
 
     def model(k: np.ndarray) -> np.ndarray:
-        return -np.log(1.0 / estimates.CFL_AT_REST + np.exp(np.clip(F @ k, -20.0, 20.0)))
+        return -np.log(1.0 / cost.CFL_AT_REST + np.exp(np.clip(F @ k, -20.0, 20.0)))
 
     start = np.array([0.0, 0.5, 0.0, 0.0, 0.0])
     best = least_squares(
@@ -175,7 +156,7 @@ def fit() -> None:
         r
         for path in sorted(TABLES.glob("accuracy_*.csv"))
         if "triple" not in path.name
-        for r in read(path)
+        for r in read_rows(path)
         if not r["failed"]
     ]
     N, E, n, loop, whole = (
@@ -183,8 +164,8 @@ def fit() -> None:
     )
     A = np.stack([N, E, np.ones_like(N)], axis=1)
     weight = n / loop  # relative errors
-    cost = np.linalg.lstsq(A * weight[:, None], np.ones_like(N), rcond=None)[0]
-    print("SECONDS_PER_POINT, _ELEMENT, _STEP =", cost, f"rms {np.std(A @ cost * weight):.1%}")
+    seconds = np.linalg.lstsq(A * weight[:, None], np.ones_like(N), rcond=None)[0]
+    print("SECONDS_PER_POINT, _ELEMENT, _STEP =", seconds, f"rms {np.std(A @ seconds * weight):.1%}")
     rest_of = np.linalg.lstsq(np.stack([np.ones_like(E), E], axis=1), whole - loop, rcond=None)[0]
     print("a run but its loop, s: constant, per element =", rest_of)
 
@@ -196,20 +177,14 @@ def main() -> None:
     if parser.parse_args().fit:
         fit()
         return
-    rows: list[dict[str, Any]] = list(read(OUT)) if OUT.exists() else []
+    table = study_table("pace", COLUMNS, ("scene",), "python workflows/pace.py")
     here = None
-    for number, name in enumerate(name for name in SCENES if not any(row["scene"] == name for row in rows)):
+    for number, name in enumerate(name for name in SCENES if (name,) not in table):
         if here is None or number % TIMED == 0:
-            here = pace.Pace(*pace.measure(), "")
-        rows.append(judge(name, here))
-        print(rows[-1], flush=True)
-        with OUT.open("w", newline="") as file:
-            file.write("# remake: python workflows/pace.py (rows that are here are kept)\n")
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            here = pace.Pace(*timing.measure(), "")
+        print(table.add(judge(name, here)), flush=True)
     for number in ("1", "2"):
-        off = [abs(float(row["off_percent"])) for row in rows if str(row["round"]) == number]
+        off = [abs(float(row["off_percent"])) for row in table.rows if row["round"] == number]
         print(f"round {number}: {sum(x <= 30 for x in off)} of {len(off)} within 30 %")
 
 

@@ -1,0 +1,80 @@
+"""Shared by the scripts of this folder: the places of tables and pages, and the parts of pages that are written from tables."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from coupler import __version__
+from coupler.studies.table import Row, StudyTable, other_version, read_rows, write_rows
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
+PAGES = {
+    "accuracy": DOCS / "accuracy.md",
+    "bonding": DOCS / "bonding.md",
+    "effects": DOCS / "effects.md",
+    "scene": DOCS / "scene.md",
+    "solvers": DOCS / "solvers.md",
+    "splats": DOCS / "splats.md",
+    "stability": DOCS / "stability.md",
+    "validation": DOCS / "validation.md",
+}
+
+
+def figure_path(page: str, name: str) -> Path:
+    """Where a figure of a page lies: beside the page."""
+    return PAGES[page].parent / name
+
+
+def study_table(name: str, columns: Sequence[str], key: Sequence[str], remake: str) -> StudyTable:
+    """The table docs/tables/NAME.csv of a study that can be resumed. remake: the command."""
+    return StudyTable(
+        TABLES / f"{name}.csv", columns, key, f"remake: {remake} (rows in this table are not computed again)"
+    )
+
+
+def table_rows(name: str) -> list[Row]:
+    """The rows of docs/tables/NAME.csv, none if it does not exist."""
+    path = TABLES / f"{name}.csv"
+    return read_rows(path) if path.exists() else []
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, object]], about: str) -> None:
+    """Write a table whose rows are all of this version. about: lines above the header, the first says how to remake it."""
+    write_rows(path, [*rows[0], "version"], [{**row, "version": __version__} for row in rows], about)
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Lines of a Markdown table."""
+    return [f"| {' | '.join(map(str, line))} |" for line in (head, ["---"] * len(head), *rows)]
+
+
+def marked(text: object, row: Mapping[str, str]) -> str:
+    """A text about a row, with its version where that is not this program's."""
+    return f"{text} (version {other_version(row)})" if other_version(row) else str(text)
+
+
+def versions(rows: Iterable[Mapping[str, str]]) -> str:
+    """A sentence about the versions that computed some rows."""
+    count = Counter(row.get("version", "unknown") for row in rows)
+    if len(count) == 1:
+        return f"Computed with version {next(iter(count))}."
+    return f"Computed with versions {', '.join(f'{name} ({n} rows)' for name, n in sorted(count.items()))}."
+
+
+def write_parts(page: Path, parts: Mapping[str, Sequence[str]]) -> None:
+    """Put lines between the comments `<!-- NAME: ... -->` and `<!-- end of NAME -->` of a page, for each name.
+
+    Raises SystemExit if the page lacks one of them.
+    """
+    text = page.read_text(encoding="utf-8")
+    for name, lines in parts.items():
+        place = re.compile(rf"(<!-- {re.escape(name)}: [^\n]*-->\n).*?(<!-- end of {re.escape(name)} -->)", re.DOTALL)
+        body = "\n".join(["", *lines, ""])
+        text, count = place.subn(lambda match, body=body: f"{match[1]}{body}\n{match[2]}", text)  # type: ignore[misc]
+        if count != 1:
+            raise SystemExit(
+                f"{page} has no place for {name}: it needs <!-- {name}: ... --> and <!-- end of {name} -->"
+            )
+    page.write_text(text, encoding="utf-8")
