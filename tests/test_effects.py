@@ -128,11 +128,11 @@ def test_elements_ahead_of_the_waves_are_computed_only_when_asked_for() -> None:
 def test_what_many_impacts_share_is_said_once() -> None:
     texts = [
         "note", "impact 1: rates went to 1.5e+08 1/s", "impact 2: rates went to 2.1e+09 1/s", "impact 2: over the rim",
-        "impact 3: rates went to 9e+07 1/s", "note", "rescued at 3.0 ns: a", "rescued at 4.0 ns: a",
+        "impact 3: rates went to 9e+07 1/s", "note", "retried at 3.0 ns: a", "retried at 4.0 ns: a",
     ]  # fmt: skip
     assert merged(texts) == [
         "note", "impact 2: rates went to 2.1e+09 1/s (and less in 2 other impacts)", "impact 2: over the rim",
-        "rescued at 3.0 ns: a", "rescued at 4.0 ns: a",
+        "retried at 3.0 ns: a", "retried at 4.0 ns: a",
     ]  # fmt: skip
 
 
@@ -306,10 +306,11 @@ WIDE = {"substrate__diameter": "800 um", "substrate__height": "400 um"}
 
 def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without effects nothing of them is built, and none of their code is called in a step; with all of them it is."""
-    from coupler.deposition.run import build
     from coupler.fe import explicit
+    from coupler.impact.domains import build_domains
+    from coupler.impact.exchange import Impact
     from coupler.impact.heat import HeatPaths
-    from coupler.impact.loop import Impact
+    from coupler.impact.loop import advance_window
     from coupler.sph.heat import PointConduction
 
     called: list[str] = []
@@ -329,15 +330,16 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     awake = {}
     for effects_of in ("none", "all"):
         called.clear()
-        s = build(plan(scene_with(effects=effects_of, particle__velocity="1500 m/s", **COARSE, **WIDE)))
-        impact = Impact(s.particle, s.bodies, s.surface, s.contact, paths=s.paths)
+        domains = build_domains(plan(scene_with(effects=effects_of, particle__velocity="1500 m/s", **COARSE, **WIDE)))
+        impact = Impact(domains)
         for _ in range(3):
-            impact.advance()
+            advance_window(impact)
         assert set(called) == (set() if effects_of == "none" else {"share", "crossing", "advance", "warm"})
         on = effects_of == "all"
-        assert (s.target.conduction is not None, bool(len(s.target.dashpot_nodes)), s.contact.friction > 0) == (on,) * 3
-        assert (s.contact.friction_heat > 0.0) == on
-        awake[effects_of] = s.target.active_elements / len(s.target.mesh.conn)
+        assert (domains.target.conduction is not None) == (domains.contact.friction > 0) == on
+        assert bool(len(domains.target.dashpot_nodes)) == on
+        assert (domains.contact.friction_heat > 0.0) == on
+        awake[effects_of] = domains.target.active_elements / len(domains.target.mesh.conn)
         impact.particle.close()
         impact.close()
     assert awake["all"] == 1.0

@@ -123,9 +123,9 @@ def test_effects_that_are_off_are_off(tmp_path: Path) -> None:
 
 
 def test_a_ledger_that_does_not_close_is_not_a_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from coupler.impact import running
+    from coupler.impact import ledger
 
-    monkeypatch.setattr(running, "DRIFT_BOUND", 1e-9)
+    monkeypatch.setattr(ledger, "DRIFT_BOUND", 1e-9)
     with pytest.raises(SolverError, match="ledger does not close"):
         run(Scene.from_text(NI + '[end]\ntime = "5 ns"\n', "open"), tmp_path / "open")
     assert not (tmp_path / "open" / "summary.json").exists()

@@ -20,7 +20,7 @@ from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
 from coupler.impact.bodies import Bodies, level_under
-from coupler.impact.loop import Watch
+from coupler.impact.ending import EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -189,14 +189,16 @@ def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
 
 def test_a_particle_that_creeps_has_come_to_rest() -> None:
     """Pressed into a heap that gives way it may sink slowly for long; on a plain target it stops or turns."""
-    creeping, plain = Watch(1e-6, "rest", 1e-9, slow=3.0), Watch(1e-6, "rest", 1e-9)
+    creeping, plain = EndCriterion(1e-6, "rest", 1e-9, slow=3.0), EndCriterion(1e-6, "rest", 1e-9)
     for time, sinking, force in ((1e-9, 500.0, 1.0), (2e-9, 2.0, 0.1), (4e-9, 1.5, 1e-3)):
-        creeping.look(time, sinking, force)
-        plain.look(time, sinking, force)
+        creeping.observe(time, sinking, force)
+        plain.observe(time, sinking, force)
     assert creeping.turned == 2e-9
     assert plain.turned is None
-    assert creeping.look(5e-9, 1.0, 1e-3)
-    assert not plain.look(5e-9, 1.0, 1e-3)
+    for ending in (creeping, plain):
+        ending.observe(5e-9, 1.0, 1e-3)
+    assert creeping.reached(5e-9)
+    assert not plain.reached(5e-9)
 
 
 @pytest.fixture(scope="module")

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from coupler import Scene, run
-from coupler.deposition import joining
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.remeshing import Gate, crater_diameter, remeshed
-from coupler.deposition.run import bodies_from, build_bodies
 from coupler.errors import SplatError
 from coupler.fe.patch import patch_of, pinched
 from coupler.geometry.tetrahedra import fill_apart
 from coupler.impact.bodies import Bodies
+from coupler.impact.domains import Domains, build_target, restored_target
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.splat import quality
@@ -50,12 +49,12 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Bodies after a first impact at 1000 m/s, before they are joined."""
     found: dict[str, Any] = {}
 
-    def look(what: Any, i: int, setting: Any, bodies: Bodies, *_: Any) -> None:
-        found.update(what=what, whole=bodies.whole())
+    def look(what: Any, i: int, domains: Domains, *_: Any) -> None:
+        found.update(what=what, whole=domains.bodies.whole())
         raise Seen
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(joining, "join", look)
+        patch.setattr("coupler.deposition.run.join", look)
         with pytest.raises(Seen):
             run(Scene.from_text(SCENE, "remeshing"), Path(tmp_path_factory.mktemp("run")) / "out", threads=1)
     return found
@@ -67,7 +66,7 @@ def gate_of(what: Any) -> Gate:
 
 @pytest.fixture(scope="module")
 def cured(hit: dict[str, Any]) -> tuple[Bodies, Bodies, dict[str, Any]]:
-    old = bodies_from(hit["what"], hit["whole"])
+    old = restored_target(hit["what"], hit["whole"])
     new, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     return old, new, report
 
@@ -140,12 +139,12 @@ def test_the_books_and_the_rest(cured: tuple[Bodies, Bodies, dict[str, Any]]) ->
 
 def test_where_nothing_is_distorted_nothing_is_done(hit: dict[str, Any]) -> None:
     what = plan(Scene.from_text(SCENE, "remeshing"))
-    fresh = build_bodies(what)
+    fresh = build_target(what)
     same, report = remeshed(fresh, gate_of(what), ORIGIN)
     assert same is fresh
     assert not report["remeshed"]
     # nor where the gate lets pass what the impact has left
-    old = bodies_from(hit["what"], hit["whole"])
+    old = restored_target(hit["what"], hit["whole"])
     same, report = remeshed(old, Gate(step=1e-15, quality=0.0), ORIGIN)
     assert same is old
     assert not report["remeshed"]
@@ -156,7 +155,7 @@ def test_a_mesher_that_fails_leaves_the_target(hit: dict[str, Any], monkeypatch:
         raise SplatError("gmsh was ended by SIGSEGV")
 
     monkeypatch.setattr("coupler.deposition.remeshing.fill_apart", no)
-    old = bodies_from(hit["what"], hit["whole"])
+    old = restored_target(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old
     assert not report["remeshed"]
@@ -171,7 +170,7 @@ def test_nothing_is_tried_where_the_worst_elements_must_stay(
         "coupler.deposition.remeshing._loose", lambda bodies: np.zeros(len(bodies.target.mesh.conn), bool)
     )
     monkeypatch.setattr("coupler.deposition.remeshing._one", lambda *_: pytest.fail("tried"))
-    old = bodies_from(hit["what"], hit["whole"])
+    old = restored_target(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old
     assert "touch what is bonded" in report["kept"]
@@ -179,7 +178,7 @@ def test_nothing_is_tried_where_the_worst_elements_must_stay(
 
 def test_a_patch_that_would_touch_what_is_held_is_none(hit: dict[str, Any]) -> None:
     mesh = hit["whole"]["mesh"]
-    old = bodies_from(hit["what"], hit["whole"]).target.mesh
+    old = restored_target(hit["what"], hit["whole"]).target.mesh
     allowed = np.zeros(len(mesh["conn"]), bool)
     assert patch_of(old, ~allowed, allowed, 0) is None
 

@@ -1,7 +1,7 @@
 """Runs in trouble: they go back, try again and say so; and the hard and random scenes that watch over it."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +11,14 @@ import pytest
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
-from coupler.impact import retry as rescue
-from coupler.impact.retry import MEASURES, Measure, Rescuer, numerics_of
+from coupler.impact import retry
+from coupler.impact.retry import REMEDIES, Remedy, Retries
 from tests.test_parallel import NI, finish, numbers, start
 from tests.test_resume import Enough
 from tests.test_sequence import DOUBLE
 from workflows import fuzz, stability
 
-NOT_OF_A_RESCUE = ("rescues", "warnings")
+NOT_OF_A_RETRY = ("retries", "warnings")
 
 
 class Lines:
@@ -61,12 +61,12 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 def same_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rescues that change nothing, so that nothing but going back is seen."""
-    monkeypatch.setattr(rescue, "MEASURES", tuple(replace(m, dt_factor=1.0, numerics={}) for m in MEASURES))
+    """Retries that change nothing, so that nothing but going back is seen."""
+    monkeypatch.setattr(retry, "REMEDIES", tuple(replace(m, dt_factor=1.0, numerics={}) for m in REMEDIES))
 
 
 def equal(one: Result, other: Result) -> None:
-    """The same to the last bit, but for what is said of rescues."""
+    """The same to the last bit, but for what is said of retries."""
     a, b = numbers(one.summary), numbers(other.summary)
     assert {name: value for name, value in a.items() if value != b[name]} == {}
     assert (one.directory / "history.csv").read_text() == (other.directory / "history.csv").read_text()
@@ -82,23 +82,23 @@ def equal(one: Result, other: Result) -> None:
 def test_going_back_is_exact(whole: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     same_step(monkeypatch)
     result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=Trouble(30e-9, 2, how))
-    made = result.summary["rescues"]
+    made = result.summary["retries"]
     assert len(made) == 2
     assert 0 <= made[1]["back_to_s"] <= made[0]["back_to_s"] < 30e-9 < made[0]["time_s"]
     assert made[0]["back_to_s"] > 0
     equal(result, whole)
 
 
-def test_a_rescue_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> None:
+def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> None:
     log, trouble = Lines(), Trouble(30e-9)
     result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=trouble, progress=log)
-    (made,) = result.summary["rescues"]
+    (made,) = result.summary["retries"]
     assert made["reason"] == "made to fail"
-    assert made["measure"] == MEASURES[0].words
+    assert made["remedy"] == REMEDIES[0].words
     assert made["dt_factor"] == 0.5
-    said = [line for line in log.lines if "rescued" in line]
+    said = [line for line in log.lines if "retried" in line]
     assert said == [
-        f"rescued at {made['time_s'] * 1e9:.2f} ns: made to fail; {MEASURES[0].words} ({made['back_to_s'] * 1e9:.2f} ns)"
+        f"retried at {made['time_s'] * 1e9:.2f} ns: made to fail; {REMEDIES[0].words} ({made['back_to_s'] * 1e9:.2f} ns)"
     ]
     assert said[0] in result.summary["warnings"]
     broken = next(i for i in range(1, len(trouble.steps)) if trouble.steps[i] < 0.7 * trouble.steps[i - 1])
@@ -109,7 +109,7 @@ def test_a_rescue_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> 
         assert result.summary[name] == pytest.approx(whole.summary[name], rel=0.01), name
     assert abs(result.energy_drift) < 0.01
     assert np.all(np.diff(result.history("time")) > 0)
-    assert whole.summary["rescues"] == []
+    assert whole.summary["retries"] == []
 
 
 def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_path: Path) -> None:
@@ -122,18 +122,18 @@ def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_pat
 
     with pytest.raises(SolverError, match="made to fail"):
         run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=probe, progress=log)
-    assert sum("rescued" in line for line in log.lines) == len(MEASURES) == 3
+    assert sum("retried" in line for line in log.lines) == len(REMEDIES) == 3
     assert (seen[0].Q1, seen[0].hourglass) == (0.06, 1.0)
     assert (seen[-1].Q1, seen[-1].hourglass) == (0.2, 3.0)
     assert not (tmp_path / "out" / "summary.json").exists()
     assert len(Result(tmp_path / "out").times("target")) > 0
 
 
-def test_a_time_step_too_long_is_rescued(whole: Result, tmp_path: Path) -> None:
+def test_a_time_step_too_long_is_retried(whole: Result, tmp_path: Path) -> None:
     """Nothing made up: with a step so much longer than the particle can take, the run fails of itself (docs/solvers.md)."""
     result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", numerics={"courant": 0.9, "stretch": 4.0})
-    made = result.summary["rescues"]
-    assert 1 <= len(made) <= len(MEASURES)
+    made = result.summary["retries"]
+    assert 1 <= len(made) <= len(REMEDIES)
     assert result.summary["numerics"]["stretch"] == 4.0
     assert abs(result.energy_drift) < 0.01
     for name in ("flattening_ratio", "splat_diameter_m", "T_mean_K"):
@@ -146,13 +146,13 @@ def test_books_that_open_on_the_way_are_trouble(tmp_path: Path) -> None:
             impact.target.sums[0] += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
 
     result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", probe=probe)
-    (made,) = result.summary["rescues"]
+    (made,) = result.summary["retries"]
     assert "ledger does not close" in made["reason"]
     assert made["back_to_s"] < 27e-9  # not to a state that had much of it already
     assert abs(result.energy_drift) < 0.01
 
 
-def test_a_checkpoint_keeps_the_rescues(tmp_path: Path) -> None:
+def test_a_checkpoint_keeps_the_retries(tmp_path: Path) -> None:
     class Both(Trouble):
         def __call__(self, impact: Any) -> None:
             super().__call__(impact)
@@ -164,24 +164,24 @@ def test_a_checkpoint_keeps_the_rescues(tmp_path: Path) -> None:
     with pytest.raises(Enough):
         run(scene, tmp_path / "out", probe=Both(8e-9, 3), checkpoint_every=0.05)
     result = resume(tmp_path / "out")
-    assert result.summary["rescues"] == through.summary["rescues"]
+    assert result.summary["retries"] == through.summary["retries"]
     assert result.summary["numerics"]["Q1"] == 0.2
     equal(result, through)
 
 
 @pytest.mark.slow
-def test_the_second_impact_of_a_sequence_is_rescued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_impact_of_a_sequence_is_retried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     same_step(monkeypatch)
     scene = Scene.from_text(DOUBLE, "double")
     plain = run(scene, tmp_path / "plain")
     result = run(scene, tmp_path / "out", probe=Trouble(25e-9, 1, "nan", impact=2))
-    assert [made["impact"] for made in result.summary["rescues"]] == [2]
-    assert result.summary["rescues"][0]["time_s"] > result.summary["impacts"][0]["sim_time_s"]
+    assert [made["impact"] for made in result.summary["retries"]] == [2]
+    assert result.summary["retries"][0]["time_s"] > result.summary["impacts"][0]["sim_time_s"]
     equal(result, plain)
 
 
 @pytest.mark.slow
-def test_ranks_are_rescued_too(whole: Result, tmp_path: Path) -> None:
+def test_ranks_are_retried_too(whole: Result, tmp_path: Path) -> None:
     code = f"""
 from coupler import Scene, run
 from coupler.errors import SolverError
@@ -194,31 +194,31 @@ run(Scene.from_text({NI!r}, "tiny"), {str(tmp_path / "two")!r}, probe=probe)
 """
     status, _, err = finish(start(2, code=code))
     assert status == 0, err
-    assert err.count("rescued at") == 1
+    assert err.count("retried at") == 1
     result = Result(tmp_path / "two")
     assert result.summary["ranks"] == 2
-    assert len(result.summary["rescues"]) == 1
+    assert len(result.summary["retries"]) == 1
     assert result.flattening_ratio == pytest.approx(whole.flattening_ratio, rel=0.01)
 
 
 def test_the_first_and_the_last_two_states_are_kept() -> None:
-    rescuer = Rescuer({"Q1": 0.5})
+    retries = Retries({"Q1": 0.5})
     for i in range(5):
-        rescuer.keep(float(i), {"i": i})
-    first, state = rescuer.way_out(SolverError("one: try two"), 1, 5.0)
+        retries.keep(float(i), {"i": i})
+    first, state = retries.next_remedy(SolverError("one: try two"), 1, 5.0)
     assert (first.back_to_s, state["i"], first.reason, first.numerics) == (4.0, 4, "one", {"Q1": 0.5})
-    second, _ = rescuer.way_out(SolverError("two"), 1, 5.0)
+    second, _ = retries.next_remedy(SolverError("two"), 1, 5.0)
     assert second.back_to_s == 3.0
-    third, state = rescuer.way_out(SolverError("three"), 1, 5.0)
+    third, state = retries.next_remedy(SolverError("three"), 1, 5.0)
     assert (third.back_to_s, state["i"]) == (0.0, 0)
     assert third.numerics == {"Q1": 0.5, "hourglass": 3.0}  # raised, never lowered
     with pytest.raises(SolverError, match="four"):
-        rescuer.way_out(SolverError("four"), 1, 5.0)
-    assert numerics_of({"rescues": [asdict(made) for made in rescuer.made]}, {}) == third.numerics
-    assert numerics_of(None, {"Q1": 0.1}) == {"Q1": 0.1}
+        retries.next_remedy(SolverError("four"), 1, 5.0)
+    assert retries.numerics == third.numerics
+    assert Retries({"Q1": 0.1}).numerics == {"Q1": 0.1}
     with pytest.raises(SolverError, match="early"):
-        Rescuer({}).way_out(SolverError("early"), 1, 0.0)
-    assert Measure(0, 1.0, "", {"Q1": 0.2}).raised({"Q1": 0.1}) == {"Q1": 0.2}
+        Retries({}).next_remedy(SolverError("early"), 1, 0.0)
+    assert Remedy(0, 1.0, "", {"Q1": 0.2}).raised({"Q1": 0.1}) == {"Q1": 0.2}
 
 
 # ---- the battery and the random scenes --------------------------------------------------------------------------------
@@ -237,7 +237,7 @@ def test_the_judge_sees_each_fault() -> None:
         "energy_drift": 0.001, "momentum_error": 1e-12, "numerical_dissipation": 0.09, "penetration_max_m": 1e-7, "spacing_m": 1e-6,
         "points": 400, "eps_p_max": 2.0, "target_eps_p_max": 1.0, "T_max_K": 900.0, "target_T_max_K": 900.0, "material": "Ni",
     }  # fmt: skip
-    about = {"steps": 10, "sim_time_s": 5e-8, "flattening_ratio": 0.5, "rescues": [], "warnings": []}
+    about = {"steps": 10, "sim_time_s": 5e-8, "flattening_ratio": 0.5, "retries": [], "warnings": []}
     melting = {"Ni": 1726.0, "substrate": 1673.0}
 
     def wrong(seen: stability.Watching | None = None, warnings: tuple[str, ...] = (), **bad: float) -> list[str]:

@@ -18,7 +18,9 @@ import numpy as np
 
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
-from coupler.impact.loop import Impact
+from coupler.impact.domains import build_domains
+from coupler.impact.exchange import Impact
+from coupler.impact.loop import advance_window
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
@@ -98,7 +100,6 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     Plain LAMMPS, without our callback and law, runs the same deck on an unhurt body in turn with the impact, a stretch of
     each at a time: what slows down one slows down the other.
     """
-    from coupler.deposition.run import build
     from coupler.sph.engine import ENGINES
 
     scene = Scene.from_text(
@@ -106,15 +107,15 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         f'[resolution]\nspacing="{(np.pi / 6 * 25.0**3 / count) ** (1 / 3):.6f} um"\n',
         "bench",
     )
-    setting = build(plan(scene))
-    p = setting.particle
-    impact = Impact(p, setting.bodies, setting.surface, setting.contact)
-    plain = ENGINES["machdyn"](p.piece.X, p.piece.volume_of_point, p.piece.law, (0.0, 0.0, -500.0), 300.0)
+    domains = build_domains(plan(scene))
+    p = domains.particle
+    impact = Impact(domains)
+    plain = ENGINES["machdyn"](p.local.X, p.local.volume_of_point, p.local.law, (0.0, 0.0, -500.0), 300.0)
     plain.v += np.random.default_rng(1).standard_normal(plain.v.shape)  # no arithmetic with zeros
     plain.lmp.command("unfix coupler")
     plain.lmp.command("run 0 post no")
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
-        impact.advance()
+        advance_window(impact)
 
     spent = dict.fromkeys(
         ("target", "LAMMPS", "callback", "our law", "contact", "surface to points and back", "search"), 0.0
@@ -133,16 +134,16 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         (impact.target, "advance", "target"),
         (impact.target, "finish", "target"),
         (impact.target, "stable_dt", "target"),
-        (p.piece, "_update_stress", "our law"),
-        (p.piece.lmp, "command", "LAMMPS"),
-        (setting.contact, "forces", "contact"),
-        (setting.contact, "search", "search"),
-        (setting.surface, "contacts", "surface to points and back"),
-        (setting.surface, "spread", "surface to points and back"),
-        (setting.surface, "support", "surface to points and back"),
+        (p.local, "_update_stress", "our law"),
+        (p.local.lmp, "command", "LAMMPS"),
+        (domains.contact, "forces", "contact"),
+        (domains.contact, "search", "search"),
+        (domains.surface, "contacts", "surface to points and back"),
+        (domains.surface, "spread", "surface to points and back"),
+        (domains.surface, "support", "surface to points and back"),
     ):
         setattr(owner, name, timed(getattr(owner, name), part))
-    p.piece.lmp.set_fix_external_callback("coupler", timed(p.piece._callback, "callback"), None)
+    p.local.lmp.set_fix_external_callback("coupler", timed(p.local._callback, "callback"), None)
     plain.lmp.command(f"timestep {p.dt:.17g}")
 
     def stretch() -> dict[str, float]:
@@ -151,7 +152,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
             spent[part] = 0.0
         before, start = p.steps, clock()
         while p.steps < before + STEPS:
-            impact.advance()
+            advance_window(impact)
         whole, steps = clock() - start, p.steps - before
         spent["LAMMPS"] -= spent.pop("callback")
         found = {part: seconds / steps for part, seconds in spent.items()}
@@ -177,7 +178,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     rows.append(("the coupler's share of the SPH step", share, "of all but the target"))
     elements = len(impact.target.mesh.conn)
     rows.append(("target, in the impact", median(lambda f: f["target"]) / elements * 1e6, "us per element and step"))
-    p.piece.close()
+    p.local.close()
     plain.close()
 
 

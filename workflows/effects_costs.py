@@ -26,7 +26,7 @@ from effects_study import COSTS, CROSSINGS, KERNELS, SCENES, least_of
 
 from coupler.fe import blocks, kernels
 from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, Target
-from coupler.impact.loop import CHUNK
+from coupler.impact.exchange import WINDOW
 from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.plan.effects import NAMES
@@ -52,7 +52,7 @@ def impacts(rounds: int) -> list[dict[str, Any]]:
     asked: dict[str, Any] = {"everything on": "all", "auto": "auto", "none": "none"}
     asked |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in ("adhesion", "cooling")}
     least = least_of(rounds, SCENES[SCENE], asked, CROSSINGS)
-    step = {name: sum(costs) / (CHUNK * len(costs)) for name, costs in least.items()}
+    step = {name: sum(costs) / (WINDOW * len(costs)) for name, costs in least.items()}
     whole = step["everything on"]
     return [
         {"effects": name, "ms_per_step": f"{1e3 * seconds:.4g}", "saves": f"{1.0 - seconds / whole:.4f}"}

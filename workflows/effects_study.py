@@ -19,9 +19,10 @@ from typing import Any
 import numpy as np
 
 from coupler import Scene, run
-from coupler.deposition.run import build
 from coupler.errors import ColdsprayError
-from coupler.impact.loop import Impact
+from coupler.impact.domains import build_domains
+from coupler.impact.exchange import Impact
+from coupler.impact.loop import advance_window
 from coupler.plan.effects import LEFT_OUT, NAMES, THRESHOLDS, largest_threshold, worst_change
 from coupler.plan.planning import plan
 
@@ -123,15 +124,14 @@ def in_turn(text: str, asked: dict[str, Any], crossings: float) -> dict[str, lis
     made, end = {}, 0.0
     for name, effects in asked.items():
         what = plan(Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study"))
-        s = build(what)
-        made[name] = Impact(s.particle, s.bodies, s.surface, s.contact, paths=s.paths)
+        made[name] = Impact(build_domains(what))
         end = crossings * what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
     costs: dict[str, list[float]] = {name: [] for name in made}
     going = dict(made)
     while going:
         for name, impact in list(going.items()):
             start = time.process_time()
-            impact.advance()
+            advance_window(impact)
             costs[name].append(time.process_time() - start)
             if impact.time >= end:
                 del going[name]

@@ -42,7 +42,7 @@ class Slow(Exception):
 
 @dataclass
 class Watching:
-    """What is seen from chunk to chunk; called with the `coupling.Impact`. lowest: the smallest stretch; fallen: by how much a plastic
+    """What is seen from chunk to chunk; called with the `Impact`. lowest: the smallest stretch; fallen: by how much a plastic
     strain fell at most."""
 
     lowest: float = 1.0
@@ -179,14 +179,14 @@ def judged(summary: dict[str, Any], seen: Watching, melting: dict[str, float]) -
         before.append(melting[i["material"]])
     if hottest > 1.0 and not any("beyond melting" in text for text in summary["warnings"]):
         wrong.append(f"{hottest:.3f} of the melting point, not flagged")
-    rescued = [f"rescued: {made['reason']}" for made in summary["rescues"]]
+    rescued = [f"rescued: {made['reason']}" for made in summary["retries"]]
     row = {
         "why": "; ".join([*wrong, *dict.fromkeys(rescued)]),
         "points": impacts[0]["points"], "steps": summary["steps"], "end ns": f"{summary['sim_time_s'] * 1e9:.1f}",
         "flattening": f"{summary['flattening_ratio']:.3f}", "drift": f"{worst['drift']:+.2%}",
         "momentum": f"{worst['momentum']:.0e}", "eaten": f"{worst['eaten']:.1%}", "penetration": f"{worst['penetration']:.2f}",
         "stretch": f"{seen.lowest:.2f}", "eps_p max": f"{max(max(i['eps_p_max'], i['target_eps_p_max']) for i in impacts):.1f}",
-        "T max over T_m": f"{hottest:.2f}", "rescues": len(summary["rescues"]),
+        "T max over T_m": f"{hottest:.2f}", "rescues": len(summary["retries"]),
     }  # fmt: skip
     return row, wrong
 
@@ -253,25 +253,26 @@ def flying(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """
     from coupler import Scene
     from coupler.deposition.joining import cloud_of
-    from coupler.deposition.run import build
     from coupler.fe.assemble import BodyState, domain_of
     from coupler.fe.explicit import Target
-    from coupler.impact.loop import Impact
+    from coupler.impact.domains import build_domains
+    from coupler.impact.exchange import Impact
+    from coupler.impact.loop import advance_window
     from coupler.plan.planning import plan
     from coupler.splat.convert import convert
 
     what = plan(Scene.from_dict(scene(particle()), "hard"))
-    setting = build(what)
-    impact = Impact(setting.particle, setting.bodies, setting.surface, setting.contact)
+    domains = build_domains(what)
+    impact = Impact(domains)
     while impact.time < 45e-9:
-        impact.advance()
-    body = convert(cloud_of(setting), what.splat_element_size, what.splat_method).bodies[0]
-    setting.particle.close()
+        advance_window(impact)
+    body = convert(cloud_of(domains), what.splat_element_size, what.splat_method).bodies[0]
+    domains.particle.close()
     m, n = len(body.tets), len(body.points)
     # free of stress: what is left to see is what the motion itself does
     state = BodyState(
         body.points, body.tets, np.zeros((m, 6)), np.asarray(body.eps_p), np.full(m, 300.0), np.ones(m), np.zeros((n, 3)), np.zeros(n),
-        float(setting.particle.mass.sum()), setting.particle.law,
+        float(domains.particle.mass.sum()), domains.particle.law,
     )  # fmt: skip
     domain = domain_of(state, "splat1")
     splat = Target(domain.mesh, domain.laws, domain.state["T"], fixed=(), sleeping=False)

@@ -32,7 +32,7 @@ def main() -> None:
     deepest: list[tuple[float, float]] = []
 
     def probe(impact) -> None:
-        """impact: the `coupler.impact.loop.Impact`, between two chunks of steps."""
+        """impact: the `coupler.impact.exchange.Impact`, between two chunks of steps."""
         lowest = float(impact.surface.positions(impact.particle.x)[:, 2].min())
         deepest.append((impact.time, lowest))
         if len(deepest) % 20 == 0:

@@ -6,15 +6,19 @@ from typing import Any
 
 import numpy as np
 
+from ..contact.hold import Hold
 from ..contact.surfaces import interface
 from ..errors import SolverError
 from ..fe.assemble import BodyState
 from ..fe.cooling import Links, cool, together
 from ..impact.bodies import NEAR, Bodies, level_under
+from ..impact.domains import Domains
 from ..impact.rebound import rebounds, velocity_ratio
 from ..physics.constitutive import sound_speed
 from ..plan.planning import Plan
 from ..sph.carried_surface import shape_measures
+from ..splat.cloud import Cloud
+from ..splat.convert import convert
 from .equilibrium import JOLT_TIME, RELAXED, settle
 from .mass_scaling import prepare
 from .remeshing import Gate, remeshed
@@ -24,25 +28,23 @@ JOLT = 0.005  # of an impact's kinetic energy: more must not be set free after a
 
 
 def join(
-    what: Plan, i: int, setting: Any, bodies: Bodies, log: Callable[[str], None], hold: Any = None
+    plan: Plan, i: int, domains: Domains, log: Callable[[str], None], hold: Hold | None = None
 ) -> tuple[Bodies, dict[str, Any]]:
     """The bodies that impact i + 1 meets, and what it took to make them.
 
-    setting: of the finished impact i (`deposition.Setting`); hold: what held its particle (`contact.hold.Hold`). A particle that is
+    domains: of the finished impact i; hold: the bond of its particle. A particle that is
     not bonded and moves away has rebounded and does not join. Raises SplatError when it cannot be meshed, SolverError when it does
     not come to rest.
     """
-    from ..splat.convert import convert
-
     started = clock.perf_counter()
-    p, following = what.impacts[i], what.impacts[i + 1]
-    team = setting.particle
-    kinetic_0 = 0.5 * float(team.mass.sum()) * float(np.dot(p.velocity, p.velocity))
-    upwards = float(team.momentum()[2] / team.mass.sum())
-    report: dict[str, Any] = {"impact": i + 1, "adhesion": what.adhesion.kind, "velocity_z_m_s": upwards}
-    report["velocity_ratio"] = ratio = velocity_ratio(what, i)
-    left = rebounds(what, i, upwards, hold)
-    origin = point_of_impact(bodies, following.offset, None if left else setting)
+    p, following = plan.impacts[i], plan.impacts[i + 1]
+    particle, bodies = domains.particle, domains.bodies
+    kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
+    upwards = float(particle.momentum()[2] / particle.mass.sum())
+    report: dict[str, Any] = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
+    report["velocity_ratio"] = ratio = velocity_ratio(plan, i)
+    left = rebounds(plan, i, upwards, hold)
+    origin = point_of_impact(bodies, following.offset, None if left else domains)
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
     if report["remeshing"]["remeshed"]:
         old, made = report["remeshing"]["before"], report["remeshing"]["after"]
@@ -53,17 +55,17 @@ def join(
     if left:
         log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         new = bodies.renumbered(origin)
-        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, jolt_time(what))}
-        return _ready(what, i, new, origin, kinetic_0, report), report
-    cloud = cloud_of(setting)
-    splat = convert(cloud, what.splat_element_size, what.splat_method)
+        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, jolt_time(plan))}
+        return _ready(plan, i, new, origin, kinetic_0, report), report
+    cloud = cloud_of(domains)
+    splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     report |= {
         "rebounded": False,
         "bodies": len(splat.bodies),
         "lost_mass_kg": splat.lost_mass,
         "conversion": splat.report,
     }
-    law = team.law
+    law = particle.law
     states = [
         BodyState(
             points=b.points, tets=b.tets, mass=float(cloud.mass[b.cloud_index].sum()), law=law,
@@ -72,13 +74,13 @@ def join(
         for b in splat.bodies
     ]  # fmt: skip
     report["meshing_s"] = clock.perf_counter() - started
-    where = hold_places(setting, hold) if what.adhesion.in_impact else None
-    new = bodies.joined(states, what.adhesion, what.splat_element_size, origin, ratio, where)
+    where = hold_places(domains, hold) if plan.adhesion.in_impact else None
+    new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, where)
     report |= {
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
-    report |= settle(new, kinetic_0, jolt_time(what))
+    report |= settle(new, kinetic_0, jolt_time(plan))
     if report["left_J"] > RELAXED * kinetic_0:
         log(
             f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
@@ -91,61 +93,63 @@ def join(
             f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
             " try a finer preset, or another [splat] method"
         )
-    return _ready(what, i, new, origin, kinetic_0, report), report
+    return _ready(plan, i, new, origin, kinetic_0, report), report
 
 
-def point_of_impact(bodies: Bodies, offset: tuple[float, float], setting: Any = None) -> tuple[float, float, float]:
+def point_of_impact(
+    bodies: Bodies, offset: tuple[float, float], domains: Domains | None = None
+) -> tuple[float, float, float]:
     """Where the axis of a particle at `offset` (m) meets what lies there, (x, y, z) m: from there waves and windows are reckoned.
 
-    setting: of the impact whose particle is about to join, and lies there too.
+    domains: of the impact whose particle is about to join, and lies there too.
     """
     axis, t = np.array([[*offset, 0.0]]), bodies.target
     z = level_under(axis, t.x, t.mesh.facets[bodies.reachable()], 0.0)
-    if setting is not None:
-        surface = setting.surface
-        z = max(z, level_under(axis, surface.positions(setting.particle.x), surface.triangles, 0.0))
+    if domains is not None:
+        surface = domains.surface
+        z = max(z, level_under(axis, surface.positions(domains.particle.x), surface.triangles, 0.0))
     return (*offset, z if np.isfinite(z) else 0.0)
 
 
 def _ready(
-    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
 ) -> Bodies:
     """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `economy`."""
-    bodies = _paused(what, i, bodies, origin, kinetic_0, report)
-    report["economy"] = prepare(what, i + 1, bodies)
+    bodies = _paused(plan, i, bodies, origin, kinetic_0, report)
+    report["economy"] = prepare(plan, i + 1, bodies)
     return bodies
 
 
-def jolt_time(what: Plan) -> float:
+def jolt_time(plan: Plan) -> float:
     """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
-    return JOLT_TIME * min(max(impact.diameter for impact in what.impacts) / 25e-6, 1.0)
+    return JOLT_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
-def hold_places(setting: Any, hold: Any) -> np.ndarray:
+def hold_places(domains: Domains, hold: Hold | None) -> np.ndarray:
     """Where the particle is still held, (k,3) m: its new body is bonded there and nowhere else."""
-    return setting.surface.contacts(setting.particle.x)[hold.rows[hold.whole]] if hold is not None else np.zeros((0, 3))
+    return domains.surface.contacts(domains.particle.x)[hold.rows[hold.whole]] if hold is not None else np.zeros((0, 3))
 
 
 def _paused(
-    what: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
 ) -> Bodies:
     """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
 
     The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
     in perfect contact. Stresses of the heat that has left are let go of at the end.
     """
-    if what.impacts[i].dwell == 0.0 or not what.effects.on("cooling"):
+    if plan.impacts[i].dwell == 0.0 or not plan.effects.on("cooling"):
         return bodies
     started = clock.perf_counter()
     t = bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     cooling = cool(
-        t, what.impacts[i].dwell, np.unique(facets), what.target.temperature, _links(bodies, what.splat_element_size)
+        t, plan.impacts[i].dwell, np.unique(facets), plan.target.temperature, _links(bodies, plan.splat_element_size)
     )
-    settled = settle(bodies, kinetic_0, jolt_time(what))
+    settled = settle(bodies, kinetic_0, jolt_time(plan))
     report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
     report["cooling"]["wall_s"] = clock.perf_counter() - started
-    return bodies if what.effects.on("ahead_of_waves") else bodies.renumbered(origin)
+    return bodies if plan.effects.on("ahead_of_waves") else bodies.renumbered(origin)
 
 
 def _links(bodies: Bodies, size: float) -> Links:
@@ -155,16 +159,16 @@ def _links(bodies: Bodies, size: float) -> Links:
     return together([Links(f.nodes, surfaces.facets[f.facet], f.weights, f.area) for f in found])
 
 
-def cloud_of(setting: Any) -> Any:
+def cloud_of(domains: Domains) -> Cloud:
     """The points of a finished impact with all they carry (`splat.cloud.Cloud`)."""
-    from ..splat.cloud import Cloud
-
-    team, surface = setting.particle, setting.surface
-    law = team.law[0]
+    particle, surface = domains.particle, domains.surface
+    law = particle.law[0]
     return Cloud(
-        x=np.array(team.x), volume=team.whole("volume"), spacing=team.spacing, rho=float(law["rho"]), velocity=np.array(team.v),
-        stress=team.stress(), eps_p=np.array(team.eps_p), T=np.array(team.T), J=np.array(team.J), energy=np.array(team.energy),
-        surface=(surface.positions(team.x), surface.triangles),
+        x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
+        velocity=np.array(particle.v),
+        stress=particle.stress(), eps_p=np.array(particle.eps_p), T=np.array(particle.T), J=np.array(particle.J),
+        energy=np.array(particle.energy),
+        surface=(surface.positions(particle.x), surface.triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip
 
@@ -181,7 +185,7 @@ def _held(bodies: Bodies) -> dict[str, float]:
 
 
 def splats_at_end(
-    what: Plan, records: list[dict[str, Any]], joins: list[dict[str, Any]], bodies: Bodies, surface: np.ndarray
+    plan: Plan, records: list[dict[str, Any]], joins: list[dict[str, Any]], bodies: Bodies, surface: np.ndarray
 ) -> None:
     """Add to each impact's record how its splat stands at the end of the run, as `at_end`. surface (k,3): of the last one, m."""
     first = 1
@@ -197,4 +201,4 @@ def splats_at_end(
             nodes = np.unique(np.concatenate([mesh.facets[mesh.sets[name]].ravel() for name in sets]))
             vertices, first = bodies.target.x[nodes], first + count
         level = np.array([0.0, 0.0, record["surface_level_m"]])
-        record["at_end"] = shape_measures(vertices - level, what.impacts[i].diameter)
+        record["at_end"] = shape_measures(vertices - level, plan.impacts[i].diameter)

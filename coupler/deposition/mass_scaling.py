@@ -17,20 +17,20 @@ from ..plan.planning import Plan
 ENOUGH = 0.25  # spacings over wave speed: elements whose safe step is that long never limit the particle
 
 
-def prepare(what: Plan, i: int, bodies: Bodies) -> dict[str, Any]:
+def prepare(plan: Plan, i: int, bodies: Bodies) -> dict[str, Any]:
     """Make bodies at rest, numbered outwards from where impact i comes, ready for it; what was done, for the report."""
-    report = scale_masses(bodies, *_allowed(what, i)) if i and what.mass_scaling else {}
-    radius = what.impacts[i].window
+    report = scale_masses(bodies, *_allowed(plan, i)) if i and plan.mass_scaling else {}
+    radius = plan.impacts[i].window
     if math.isfinite(radius):
         report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius)}
     return report
 
 
-def _allowed(what: Plan, i: int) -> tuple[float, float]:
+def _allowed(plan: Plan, i: int) -> tuple[float, float]:
     """Mass (kg) that may be added before impact i, and the safe step (s) that is enough for its particle."""
-    p = what.impacts[i]
+    p = plan.impacts[i]
     mass = p.material.rho * math.pi / 6.0 * p.diameter**3
-    return what.mass_scaling * mass, ENOUGH * p.spacing / p.material.wave_speed
+    return plan.mass_scaling * mass, ENOUGH * p.spacing / p.material.wave_speed
 
 
 def scale_masses(bodies: Bodies, most: float, enough: float) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""From a scene to a result: who runs where, the domains a plan calls for, the impacts one after another."""
+"""From a scene to a result: run, resume, and the impacts one after another."""
 
 import hashlib
 import os
@@ -12,16 +12,26 @@ from typing import Any
 
 import numpy as np
 
+from .. import __version__
 from ..errors import ColdsprayError
+from ..files import checkpoint
 from ..files.result import Result
+from ..files.store import Store
+from ..impact.bodies import Bodies
+from ..impact.domains import build_particle, build_target, restored_target
+from ..impact.exchange import Impact
+from ..impact.rebound import deposition_efficiency
+from ..impact.run import RunOptions, run_impact
+from ..impact.validity import merged
 from ..plan.planning import Plan, plan
+from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..scene.model import Scene
+from .joining import join, splats_at_end
 
-SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
 CHECKPOINT_EVERY = 60.0  # s of wall time
 
-Probe = Callable[[Any], None]
+Probe = Callable[[Impact], None]
 
 
 def run(
@@ -29,7 +39,7 @@ def run(
     out: str | Path | None = None,
     *,
     force: bool = False,
-    progress: Any = None,
+    progress: Progress | None = None,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
     placement: str | None = None,
@@ -42,7 +52,7 @@ def run(
     far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in
     turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the
     scheme, values in place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps
-    with the `coupling.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
+    with the `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
     there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
@@ -50,14 +60,14 @@ def run(
     """
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
-    how = _How(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
-    return _compute(scene, folder, how, anew=True, force=force)
+    requested = _Requested(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
+    return _compute(scene, folder, requested, anew=True, force=force)
 
 
 def resume(
     out: str | Path,
     *,
-    progress: Any = None,
+    progress: Progress | None = None,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
     placement: str | None = None,
@@ -74,15 +84,15 @@ def resume(
     if result.finished:
         return result
     scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
-    how = _How(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
-    return _compute(scene, folder, how, anew=False, force=False)
+    requested = _Requested(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
+    return _compute(scene, folder, requested, anew=False, force=False)
 
 
 @dataclass(frozen=True)
-class _How:
-    """How to run: nothing of it changes the numbers but `numerics`."""
+class _Requested:
+    """What the caller of `run` or `resume` has asked for; only `numerics` changes the numbers."""
 
-    progress: Any
+    progress: Progress | None
     threads: int | None
     numerics: dict[str, float]
     placement: str | None
@@ -90,15 +100,28 @@ class _How:
     checkpoint_every: float
 
 
-def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> Result:
-    what = plan(scene)
-    ranks = parallel.arrange(parallel.world(), how.placement)
-    log = folder / "log.lammps"
-    if not ranks.at_home:
-        parallel.follow(ranks, lambda i, place: build_particle(what, i, place, ranks, how.numerics, log))
+def _compute(scene: Scene, folder: Path, requested: _Requested, anew: bool, force: bool) -> Result:
+    decided = plan(scene)
+    ranks = parallel.arrange(parallel.world(), requested.placement)
+    progress = requested.progress
+    options = RunOptions(
+        log=progress.log if progress is not None else _to_stderr,
+        log_file=folder / "log.lammps",
+        ranks=ranks,
+        progress=progress,
+        threads=(requested.threads or cores()) if ranks.size == 1 else 1,
+        numerics=requested.numerics,
+        probe=requested.probe,
+        checkpoint_every=requested.checkpoint_every,
+    )
+    if not ranks.is_root:
+        parallel.follow(
+            ranks, lambda i, place: build_particle(decided, i, place, ranks, requested.numerics, options.log_file)
+        )
         return Result(folder)
     try:
-        _Lead(what, folder, how, ranks).go(anew, force)
+        with Store.create(folder, scene.to_toml(), force) if anew else Store.reopen(folder) as store:
+            Deposition(decided, store, options).run(anew)
         result = Result(folder)
         from ..report import section_picture
 
@@ -115,128 +138,100 @@ def _compute(scene: Scene, folder: Path, how: _How, anew: bool, force: bool) -> 
     return result
 
 
-class _Lead:
-    """The rank that has the target: impacts one after another, each a function from target to target with one splat more."""
+class Deposition:
+    """Impacts one after another, on the rank of the target: each takes a target and leaves one with a splat more."""
 
-    def __init__(self, what: Plan, folder: Path, how: _How, ranks: parallel.Ranks):
-        from .. import __version__
-
-        self.what, self.folder, self.how, self.ranks = what, folder, how, ranks
-        self.text = what.scene.to_toml()
-        self.about = {"version": __version__, "scene": hashlib.sha256(self.text.encode()).hexdigest()}
-        self.about["numerics"] = repr(sorted(how.numerics.items()))
-        self.log = how.progress.log if how.progress is not None else _to_stderr
-        self.started, self.before = clock.perf_counter(), 0.0
-        self.threads = (how.threads or cores()) if ranks.size == 1 else 1
-        self.records: list[dict[str, Any]] = []  # summaries of the finished impacts
-        self.joins: list[dict[str, Any]] = []  # what it took to make bodies of their splats
-        self.skin = np.zeros((0, 3))  # surface of the last splat, m
+    def __init__(self, plan: Plan, store: Store, options: RunOptions):
+        self.plan, self.store, self.options = plan, store, options
+        scene = plan.scene.to_toml()
+        self._belongs_to = {
+            "version": __version__, "scene": hashlib.sha256(scene.encode()).hexdigest(),
+            "numerics": repr(sorted(options.numerics.items())),
+        }  # fmt: skip
+        self._started, self._before = clock.perf_counter(), 0.0
+        self.records: list[dict[str, Any]] = []  # of the finished impacts, for summary.json
+        self.joins: list[dict[str, Any]] = []  # reports of the joining of their splats
 
     @property
     def wall(self) -> float:
         """Wall time so far, s, that before a resumption included."""
-        return self.before + clock.perf_counter() - self.started
+        return self._before + clock.perf_counter() - self._started
 
-    def go(self, anew: bool, force: bool) -> None:
-        from ..files import checkpoint
-        from ..files.store import Store
+    def run(self, anew: bool) -> None:
+        """Compute all impacts, or those that a checkpoint has not seen finished, and write summary.json."""
+        state = None if anew else self._last_checkpoint()
+        within = None  # state of the impact that was interrupted
+        if state is not None:
+            self.records, self.joins, self._before = state["records"], state["joins"], state["wall"]
+            within = state["impact"]
+        kept = state if within is None else within
+        bodies = restored_target(self.plan, kept["bodies"]) if kept is not None else build_target(self.plan)
+        skin = np.zeros((0, 3))
+        for i in range(len(self.records), len(self.plan.impacts)):
+            bodies, skin = self._impact(i, bodies, within)
+            within = None
+        self.store.finish(self._summary(bodies, skin))
+        checkpoint.clear(self.store.directory)
 
-        with Store.create(self.folder, self.text, force) if anew else Store.reopen(self.folder) as store:
-            state = None if anew else self._found(store)
-            if state is not None:
-                bodies = bodies_from(self.what, state["bodies"])
-                self.records, self.joins, self.before = state["records"], state["joins"], state["wall"]
-            else:
-                bodies = build_bodies(self.what)
-            first = len(self.records)
-            for i in range(first, len(self.what.impacts)):
-                inside = state["running"] if state is not None and i == first else None
-                bodies = self._impact(i, bodies, store, inside)
-            store.finish(self._summary(bodies))
-            checkpoint.clear(self.folder)
+    def _impact(self, i: int, bodies: Bodies, within: dict[str, Any] | None) -> tuple[Bodies, np.ndarray]:
+        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact, and the particle's surface (k,3) m.
 
-    def _found(self, store: Any) -> dict[str, Any] | None:
-        """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
-        from ..files import checkpoint
-
-        kept = checkpoint.latest(self.folder, self.about, self.log)
-        if kept is None:
-            self.log(f"{self.folder} has no checkpoint: the run starts from its beginning")
-        store.go_on(kept[0]["store"] if kept else None, self.log)
-        return kept[0] if kept else None
-
-    def _save(self, bodies: Any, store: Any, running: dict[str, Any] | None) -> None:
-        from ..files import checkpoint
-
-        whole = {
-            "running": running, "bodies": bodies.whole(), "store": store.state(), "records": self.records,
-            "joins": self.joins, "wall": self.wall,
-        }  # fmt: skip
-        checkpoint.write(self.folder, whole, self.about)
-
-    def _impact(self, i: int, bodies: Any, store: Any, inside: dict[str, Any] | None) -> Any:
-        """Impact i on the bodies; the bodies that the next one meets."""
-        from ..impact.rebound import outcome
-        from ..impact.retry import numerics_of
-        from ..impact.running import Running
-        from .joining import join
-
-        how, before = self.how, sum(record["sim_time_s"] for record in self.records)
-        level = None if inside is None else inside["level"]
-        numerics = numerics_of(None if inside is None else inside["impact"], how.numerics)
-        setting = build(self.what, i, bodies, self.folder / "log.lammps", numerics, self.ranks, level)
-        started = self.wall if inside is None else inside["started"]
-
-        def rebuild(failed: Setting, state: dict[str, Any], numerics: dict[str, float]) -> Setting:
-            nonlocal setting
-            failed.particle.close()
-            again = bodies_from(self.what, failed.bodies.whole_with(state))
-            setting = build(self.what, i, again, self.folder / "log.lammps", numerics, self.ranks, failed.level)
-            return setting
-
+        within: state of the impact to go on from.
+        """
+        before = sum(record["sim_time_s"] for record in self.records)
+        progress = self.options.progress
+        outcome = None
         try:
-            running = Running(
-                self.what, i, setting, store, how.progress, self.threads, rebuild, self.log, before, how.numerics
-            )
-            if inside is not None:
-                running.restore(inside["impact"])
-                self.log(f"going on from {(before + running.impact.time) * 1e9:.1f} ns")
-            known = {"started": started, "level": setting.level}
-            running.go(
-                lambda now: self._save(setting.bodies, store, {"impact": now, **known}), how.checkpoint_every, how.probe
-            )
-            bodies, hold = setting.bodies, running.impact.hold
-            self.records.append(running.summary(self.wall - started) | outcome(self.what, i, setting.particle, hold))
-            self.skin = setting.surface.positions(setting.particle.x)
-            if i + 1 == len(self.what.impacts):
-                return bodies
-            bodies, report = join(self.what, i, setting, bodies, self.log, hold)
+            outcome = run_impact(self.plan, i, bodies, self.store, before, self.options, self._save_impact, within)
+            domains = outcome.domains
+            self.records.append(outcome.record)
+            skin = domains.surface.positions(domains.particle.x)
+            if i + 1 == len(self.plan.impacts):
+                return domains.bodies, skin
+            bodies, report = join(self.plan, i, domains, self.options.log, outcome.hold)
             self.joins.append(report)
         finally:
-            setting.particle.close()
-            if how.progress is not None:
-                how.progress.stop()
-        self._save(bodies, store, None)
-        return bodies
+            if outcome is not None:
+                outcome.domains.particle.close()
+            if progress is not None:
+                progress.stop()
+        self._save(None, bodies)
+        return bodies, skin
 
-    def _summary(self, bodies: Any) -> dict[str, Any]:
-        """The last impact's measures, what all of them took, and each of them in the list `impacts`."""
-        from ..impact.rebound import deposition_efficiency
-        from ..impact.validity import merged
-        from .joining import splats_at_end
+    def _last_checkpoint(self) -> dict[str, Any] | None:
+        """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
+        log, folder = self.options.log, self.store.directory
+        kept = checkpoint.latest(folder, self._belongs_to, log)
+        if kept is None:
+            log(f"{folder} has no checkpoint: the run starts from its beginning")
+        self.store.go_on(kept[0]["store"] if kept else None, log)
+        return kept[0] if kept else None
 
-        splats_at_end(self.what, self.records, self.joins, bodies, self.skin)
-        last = self.records[-1]
+    def _save_impact(self, state: dict[str, Any]) -> None:
+        self._save(state, None)
+
+    def _save(self, impact: dict[str, Any] | None, bodies: Bodies | None) -> None:
+        """Write a checkpoint: within an impact, or of the bodies between two."""
+        state = {
+            "impact": impact, "bodies": bodies.whole() if bodies is not None else None, "store": self.store.state(),
+            "records": self.records, "joins": self.joins, "wall": self.wall,
+        }  # fmt: skip
+        checkpoint.write(self.store.directory, state, self._belongs_to)
+
+    def _summary(self, bodies: Bodies, skin: np.ndarray) -> dict[str, Any]:
+        """The last impact's measures, sums over all of them, and each of them in the list `impacts`."""
+        splats_at_end(self.plan, self.records, self.joins, bodies, skin)
+        records = self.records
         whole = {
             "wall_s": self.wall,
-            "wall_loop_s": sum(record["wall_loop_s"] for record in self.records),
-            "sim_time_s": sum(record["sim_time_s"] for record in self.records),
-            "steps": sum(record["steps"] for record in self.records),
-            "rescues": [rescue for record in self.records for rescue in record["rescues"]],
-            "warnings": merged([text for record in self.records for text in record["warnings"]]),
-            "deposition_efficiency": deposition_efficiency(self.records),
+            "wall_loop_s": sum(record["wall_loop_s"] for record in records),
+            "sim_time_s": sum(record["sim_time_s"] for record in records),
+            "steps": sum(record["steps"] for record in records),
+            "retries": [retry for record in records for retry in record["retries"]],
+            "warnings": merged([text for record in records for text in record["warnings"]]),
+            "deposition_efficiency": deposition_efficiency(records),
         }
-        return {**last, **whole, "impacts": self.records, "joins": self.joins}
+        return {**records[-1], **whole, "impacts": records, "joins": self.joins}
 
 
 def _to_stderr(text: str) -> None:
@@ -246,159 +241,3 @@ def _to_stderr(text: str) -> None:
 def cores() -> int:
     """Processors this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-@dataclass
-class Setting:
-    """The domains of one impact, ready to run. particle: a `team.Team`; bodies: `bodies.Bodies`; level: height (m) of the
-    surface where the particle first touches it; paths: where heat goes between chunks of steps (`heat_paths.HeatPaths`)."""
-
-    particle: Any
-    bodies: Any
-    contact: Any
-    surface: Any
-    body: Any
-    place: np.ndarray
-    level: float
-    paths: Any = None
-
-    @property
-    def target(self) -> Any:
-        return self.bodies.target
-
-
-def build_bodies(what: Plan) -> Any:
-    """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
-    from ..fe import mesh as meshes
-    from ..fe.explicit import Target
-    from ..impact.bodies import Bodies
-    from ..physics.constitutive import law_record
-    from .mass_scaling import prepare
-
-    t, on = what.target, {row.name: row.on for row in what.effects.rows}
-    points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre)
-    law = law_record(t.material, on, what.impacts[0].rate_filter)
-    fixed, absorbing = held_faces(what)
-    mesh = meshes.prepare(points, tets, (*what.impacts[0].offset, 0.0))
-    target = Target(
-        mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
-        sleeping=not on["ahead_of_waves"],
-    )  # fmt: skip
-    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, friction_of(what))
-    prepare(what, 0, bodies)
-    return bodies
-
-
-def bodies_from(what: Plan, state: Mapping[str, Any]) -> Any:
-    """The bodies of a checkpoint (`Bodies.whole`)."""
-    from ..impact.bodies import Bodies
-
-    on = {row.name: row.on for row in what.effects.rows}
-    return Bodies.from_whole(state, *held_faces(what), friction_of(what), on["conduction"])
-
-
-def friction_of(what: Plan) -> float:
-    """Coulomb's coefficient, 0 where the effect is off."""
-    return what.friction if what.effects.on("friction") else 0.0
-
-
-def held_faces(what: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the substrate's faces that are fixed, and of those that absorb."""
-    kinds = {"sides": what.target.sides, "bottom": what.target.bottom}
-    fixed = tuple(name for name, kind in kinds.items() if kind == "fixed")
-    absorbs = what.effects.on("absorbing_boundaries")
-    return fixed, tuple(name for name, kind in kinds.items() if kind == "absorbing" and absorbs)
-
-
-def build(
-    what: Plan,
-    i: int = 0,
-    bodies: Any = None,
-    log: Path | None = None,
-    numerics: Mapping[str, float] | None = None,
-    ranks: parallel.Ranks | None = None,
-    level: float | None = None,
-) -> Setting:
-    """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
-
-    ranks: who runs where (default: this process alone). level: height (m) of the surface where the particle first touches it;
-    None: as the bodies lie now.
-    """
-    from ..contact.penalty import JUMP, STIFFNESS, PointContact
-    from ..impact.bodies import level_under
-    from ..ranks.distributed import Team
-    from ..sph.carried_surface import CarriedSurface
-
-    ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_bodies(what)
-    p, t = what.impacts[i], what.target
-    body = body_of(what, i)
-    mesh, x = bodies.target.mesh, bodies.target.x
-    facets = bodies.reachable()
-    offset = np.array([*p.offset, 0.0])
-    if level is None:
-        level = (
-            level_under(body.vertices + offset, x, mesh.facets[facets], 0.0) - body.half_height
-            if bodies.count > 1
-            else 0.0
-        )
-    place = offset + np.array([0.0, 0.0, body.half_height + level + p.gap])
-    parallel.begin_impact(ranks, i, place)
-    piece = build_particle(what, i, place, ranks, numerics, log) if ranks.has_points else None
-    particle = Team(ranks, piece, len(body.points), body.spacing)
-    surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
-    contact = PointContact(
-        surface.touching.shape[0],
-        mesh.facets[facets],
-        body.spacing,
-        body.area / len(body.vertices),
-        min(p.material.K, float(bodies.target.laws["K"].min())),
-        friction_of(what),
-        share=_heat_share(p.material, p.temperature, t.material, t.temperature),
-        factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
-        facet_ids=facets,
-        jump=JUMP,
-    )
-    return Setting(particle, bodies, contact, surface, body, place, level, _paths(what, particle, body))
-
-
-def _paths(what: Plan, particle: Any, body: Any) -> Any:
-    """The ways that the plan's effects leave open for heat."""
-    from ..impact.heat import HeatPaths
-    from ..sph.heat import PointConduction
-
-    on, points = what.effects.on, None
-    if on("particle_conduction"):
-        points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    return HeatPaths(on("friction_heat"), points, np.inf if on("interface_conduction") else 0.0)
-
-
-def body_of(what: Plan, i: int) -> Any:
-    """Points and surface of the particle of impact i, about its centre (`sph.shapes.Body`)."""
-    from ..sph import shapes
-
-    p = what.impacts[i]
-    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE)
-
-
-def build_particle(
-    what: Plan, i: int, place: np.ndarray, ranks: parallel.Ranks, numerics: Mapping[str, float] | None, log: Path | None
-) -> Any:
-    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
-    from ..physics.constitutive import law_record
-    from ..sph.engine import ENGINES
-    from ..sph.particle import Numerics
-
-    p, body = what.impacts[i], body_of(what, i)
-    law = law_record(p.material, {row.name: row.on for row in what.effects.rows}, p.rate_filter)
-    knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
-    return ENGINES["machdyn"](
-        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
-        comm=ranks.sph_comm, log=log, shares=ranks.shares,
-    )  # fmt: skip
-
-
-def _heat_share(a: Any, Ta: float, b: Any, Tb: float) -> float:
-    """Share of friction heat that goes to body a: by effusivity sqrt(k rho cp), as for two half-spaces in contact."""
-    ea = float(np.sqrt(a.k_at(Ta) * a.rho * a.cp_at(Ta)))
-    eb = float(np.sqrt(b.k_at(Tb) * b.rho * b.cp_at(Tb)))
-    return ea / (ea + eb)

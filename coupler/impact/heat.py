@@ -1,24 +1,43 @@
-"""Where heat goes in an impact beside staying where it arose: among the particle's points, and across the contact."""
+"""Heat in an impact: conduction among the particle's points and across the contact, heat of friction."""
 
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
+from ..contact.penalty import PointContact
+from ..fe.explicit import Target
+from ..sph.carried_surface import CarriedSurface
 from ..sph.heat import PointConduction
 
 
+class Particle(Protocol):
+    """The particle as heat sees it. x (n,3) m; T (n,) K; law: LAW record (1,); spacing m."""
+
+    x: np.ndarray
+    law: np.ndarray
+    spacing: float
+
+    @property
+    def T(self) -> np.ndarray: ...
+
+    def warm(self, heat: np.ndarray) -> None:
+        """Put heat (n,) J into the points."""
+
+
 class HeatPaths:
-    """The ways that are open. friction: whether its heat warms what rubbed. points: conduction in the particle, or None.
-    conductance: W/m2K of the contact between particle and target; infinite for perfect contact, 0 for none."""
+    """The heat paths that are open. friction: its heat warms what has rubbed; points: conduction in the particle, or None;
+    interface: heat crosses the contact, which is perfect."""
 
-    def __init__(self, friction: bool = True, points: PointConduction | None = None, conductance: float = 0.0):
-        self.friction, self.points, self.conductance = friction, points, conductance
+    def __init__(self, friction: bool = True, points: PointConduction | None = None, interface: bool = False):
+        self.friction, self.points, self.interface = friction, points, interface
 
-    def share(self, time: float, particle: Any, target: Any, surface: Any, contact: Any) -> None:
-        """Let heat flow for `time` s: particle (`team.Team`), target (`fe.explicit.Target`), surface, contact (`contact.penalty`)."""
+    def flow(
+        self, time: float, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
+    ) -> None:
+        """Let heat flow for `time` s among the points of the particle and across the contact."""
         if self.points is not None:
             particle.warm(self.points.share(time, particle.x, particle.T))
-        if self.conductance > 0.0:
+        if self.interface:
             rows, elements, heat = self.crossing(time, particle, target, surface, contact)
             if len(rows):
                 into = np.zeros(surface.touching.shape[0])
@@ -26,13 +45,27 @@ class HeatPaths:
                 particle.warm(surface.spread_heat(into))
                 target.warm(elements, heat)
 
+    def release_friction(
+        self, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
+    ) -> None:
+        """Turn the heat of friction since the last call into temperature, of points and of the elements behind facets."""
+        if not self.friction:
+            return
+        if contact.heat_point.any():
+            particle.warm(surface.spread_heat(contact.heat_point))
+            contact.heat_point[:] = 0.0
+        facets = np.flatnonzero(contact.heat_facet)
+        if len(facets):
+            target.warm(target.mesh.facet_element[contact.facet_ids[facets]], contact.heat_facet[facets])
+            contact.heat_facet[facets] = 0.0
+
     def crossing(
-        self, time: float, particle: Any, target: Any, surface: Any, contact: Any
+        self, time: float, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.
 
         Two lumps in contact, a layer one spacing thick and the element's part: they level out exponentially, so that no
-        time is too long. The resistance is the contact's and that of what lies between it and where temperatures are known.
+        time is too long. The resistance is that of what lies between the contact and where temperatures are known.
         """
         rows, facets = contact.touching(len(surface.weights.indptr) - 1)
         if len(rows) == 0:
@@ -44,7 +77,7 @@ class HeatPaths:
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         deep_b = 0.75 * target.volume[elements] / _facet_areas(target, facets)  # of a tetrahedron's centre
         a, b = particle.law[0], target.laws[target.law_of[elements]]
-        resistance = deep_a / _at(a, "k", T_a) + deep_b / _at(b, "k", T_b) + 1.0 / self.conductance
+        resistance = deep_a / _at(a, "k", T_a) + deep_b / _at(b, "k", T_b)
         C_a = a["rho"] * _at(a, "cp", T_a) * area * particle.spacing
         sharing = np.bincount(elements, minlength=len(target.T))[elements]
         C_b = b["rho"] * _at(b, "cp", T_b) * target.mesh.V0[elements] / sharing
@@ -65,6 +98,6 @@ def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.bincount(triangles.ravel(), np.repeat(third, 3), len(vertices))
 
 
-def _facet_areas(target: Any, facets: np.ndarray) -> np.ndarray:
+def _facet_areas(target: Target, facets: np.ndarray) -> np.ndarray:
     a, b, c = (target.x[target.mesh.facets[facets, i]] for i in range(3))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -1,10 +1,10 @@
 """What is measured of an impact, always by the same words: shape, strain, temperature, stress, energy."""
 
-from typing import Any
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from ..fe.explicit import Target
+from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface, shape_measures
 
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
@@ -46,11 +46,11 @@ def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
     return force / area, area
 
 
-def plastic_zone(target: Any) -> tuple[float, float]:
+def plastic_zone(target: Target) -> tuple[float, float]:
     """Radius and depth (m) of the zone of the substrate that has yielded, by a plastic strain of YIELDED or more.
 
     The radius is that of the circle whose area the yielded part of the surface fills, seen from above; the depth, below z = 0, that
-    of the lowest centroid of a yielded element 0 where nothing has yielded. target: `fe.explicit.Target`.
+    of the lowest centroid of a yielded element 0 where nothing has yielded.
     """
     mesh, yielded = target.mesh, target.eps_p >= YIELDED
     top = mesh.sets["top"]
@@ -63,7 +63,12 @@ def plastic_zone(target: Any) -> tuple[float, float]:
 
 
 def measure(
-    particle: Any, target: Any, surface: CarriedSurface, surface_nodes: np.ndarray, diameter: float, level: float = 0.0
+    particle: DistributedParticle,
+    target: Target,
+    surface: CarriedSurface,
+    surface_nodes: np.ndarray,
+    diameter: float,
+    level: float = 0.0,
 ) -> dict[str, float]:
     """Measures of this instant, SI. Heights from the surface as the particle found it, z = level; the crater's depth
     from z = 0; means over mass, percentiles over points.

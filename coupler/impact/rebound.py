@@ -5,52 +5,54 @@ from typing import Any
 
 import numpy as np
 
+from ..contact.hold import Hold
 from ..errors import ColdsprayError
 from ..physics import adhesion
 from ..plan.planning import Plan
+from ..ranks.distributed import DistributedParticle
 
 REBOUND = 1.0  # m/s upwards: a splat that nothing holds leaves with more
 
 
-def velocity_ratio(what: Plan, i: int) -> float:
+def velocity_ratio(plan: Plan, i: int) -> float:
     """Velocity of impact i over the critical one of its material and temperature (`adhesion.critical_velocity`); nan where the
     material has none and nothing asks for it. Raises ColdsprayError where the criterion does."""
-    p = what.impacts[i]
+    p = plan.impacts[i]
     try:
         return float(np.linalg.norm(p.velocity)) / adhesion.critical_velocity(p.material, p.temperature)
     except ColdsprayError:
-        if what.adhesion.criterion == "velocity" and what.adhesion.kind != "none":
+        if plan.adhesion.criterion == "velocity" and plan.adhesion.kind != "none":
             raise
         return float("nan")
 
 
-def rebounds(what: Plan, i: int, upwards: float, hold: Any) -> bool:
+def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
     """Whether the particle of impact i leaves the target: nothing holds it and its centre moves off when the impact is over.
 
-    upwards: m/s; hold: the `contact.hold.Hold` of the impact, None if nothing bonded.
+    upwards: m/s; hold: None if nothing bonded.
     """
-    law = what.adhesion
+    law = plan.adhesion
     if law.in_impact:
         bonded = hold is not None and bool(hold.whole.any())
     else:
-        bonded = bool(law.bonded(1, velocity_ratio=velocity_ratio(what, i)).any())
+        bonded = bool(law.bonded(1, velocity_ratio=velocity_ratio(plan, i)).any())
     return not bonded and upwards > REBOUND
 
 
-def outcome(what: Plan, i: int, particle: Any, hold: Any) -> dict[str, Any]:
-    """What is to be said of the finished impact i beside its measures. particle: `team.Team`.
+def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None) -> dict[str, Any]:
+    """What is to be said of the finished impact i beside its measures.
 
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
     bonded_area_m2, bonded_area_end_m2: where it bonded at its greatest deformation, and what of that held.
     """
     mass = float(particle.mass.sum())
     upwards = float(particle.momentum()[2]) / mass
-    left = rebounds(what, i, upwards, hold)
+    left = rebounds(plan, i, upwards, hold)
     first, last = hold.area if hold is not None else (0.0, 0.0)
-    found: dict[str, Any] = {"rebounded": left, "restitution": upwards / -what.impacts[i].velocity[2] if left else 0.0}
-    if what.adhesion.in_impact:
+    found: dict[str, Any] = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
+    if plan.adhesion.in_impact:
         found |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
-    return found | {"velocity_ratio": velocity_ratio(what, i), "particle_mass_kg": mass}
+    return found | {"velocity_ratio": velocity_ratio(plan, i), "particle_mass_kg": mass}
 
 
 def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float:

@@ -7,11 +7,13 @@ a linear equation of state is off by a twentieth.
 """
 
 import re
-from typing import Any
 
 import numpy as np
 
+from ..fe.explicit import Target
+from ..physics.materials import Material
 from ..plan.planning import FITTED_RATE, NEAR_MELTING
+from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
 LINEAR_ERROR = 0.05
@@ -25,8 +27,8 @@ class Extremes:
     def __init__(self) -> None:
         self.found: dict[str, dict[str, float]] = {body: dict.fromkeys(_NAMES, 0.0) for body in ("particle", "target")}
 
-    def note(self, particle: Any, target: Any) -> None:
-        """Look at a `team.Team` and the awake part of a `fe.explicit.Target`."""
+    def note(self, particle: DistributedParticle, target: Target) -> None:
+        """Look at the particle and the active part of the target."""
         n, m = target.active_nodes, target.active_elements
         self._keep("particle", particle.rate, particle.T, particle.J)
         self._keep("target", target.rate[:m], target.T[:m], target.J[:n])
@@ -48,7 +50,7 @@ class Extremes:
     def restore(self, state: dict[str, dict[str, float]]) -> None:
         self.found = {body: dict(kept) for body, kept in state.items()}
 
-    def warnings(self, impact: int, materials: dict[str, Any], mie_gruneisen: bool) -> list[str]:
+    def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
         """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
         texts = []
         for body, kept in self.found.items():
@@ -102,13 +104,13 @@ def _first_number(text: str) -> float:
     return float(number[0].rstrip(".")) if number else 0.0
 
 
-def greatest_compression(metal: Any, mie_gruneisen: bool) -> float:
-    """1 - J up to which the equation of state of a `materials.Material` may be trusted."""
+def greatest_compression(metal: Material, mie_gruneisen: bool) -> float:
+    """1 - J up to which the equation of state of a metal may be trusted."""
     if mie_gruneisen:
         return float(FITTED_VELOCITY / (metal.c0 + metal.s * FITTED_VELOCITY))  # u / U across the shock
     return float(LINEAR_ERROR / (2.0 * metal.s)) if metal.s > 0.0 else 1.0
 
 
-def pressure(metal: Any, compression: float) -> float:
+def pressure(metal: Material, compression: float) -> float:
     """Pressure (Pa) on the Hugoniot at 1 - J = compression."""
     return float(metal.K * compression / (1.0 - metal.s * compression) ** 2)

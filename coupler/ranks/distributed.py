@@ -6,29 +6,29 @@ from typing import Any
 
 import numpy as np
 
-from .ranks import STEP, Elsewhere, Ranks, attempt, caught
+from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
 
 
-class Team:
-    """The particle as the home sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
+class DistributedParticle:
+    """The particle as the root sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
     the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
     """
 
-    def __init__(self, ranks: Ranks, piece: Any, points: int, spacing: float):
-        """piece: this rank's part of the particle, or None; points: how many there are in all; spacing m."""
-        self.ranks, self.piece, self.n, self.spacing = ranks, piece, points, spacing
+    def __init__(self, ranks: Ranks, local: Any, points: int, spacing: float):
+        """local: this rank's part of the particle, or None; points: how many there are in all; spacing m."""
+        self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
         self._fields: dict[str, np.ndarray] = {}
         self.failure: BaseException | None = None
         if self._alone:
-            self.x, self.v, self.f_ext = piece.x, piece.v, piece.f_ext
+            self.x, self.v, self.f_ext = local.x, local.v, local.f_ext
             self._owner = [np.arange(self.n)]
         else:
-            if piece is not None:
-                piece.others_count_on_us = True
+            if local is not None:
+                local.is_shared = True
             self.f_ext = np.zeros((self.n, 3))
             self._owner = self.ask("get", "ids")
             self.x, self.v = self.whole("x"), self.whole("v")
@@ -40,15 +40,16 @@ class Team:
     # ---- between chunks ------------------------------------------------------------------------------------------
 
     def ask(self, method: str, *arguments: Any, each: Sequence[Any] | None = None) -> list[Any]:
-        """Have every rank with points call a method of its piece; what they returned, in order. each: a further argument for each.
+        """Have every rank with points call a method of its part of the particle; the results, in order. each: a further argument
+        for each rank.
 
         Raises the first error that one of them raised.
         """
         if self._alone:
-            return [getattr(self.piece, method)(*arguments, *((each[0],) if each else ()))]
+            return [getattr(self.local, method)(*arguments, *((each[0],) if each else ()))]
         r = self.ranks
-        r.comm.bcast((method, arguments, each), root=r.home)
-        answers = r.comm.gather(attempt(self, method, arguments, each), root=r.home)
+        r.comm.bcast((method, arguments, each), root=r.root)
+        answers = r.comm.gather(attempt(self, method, arguments, each), root=r.root)
         answers = [answers[rank] for rank in r.sph]
         for answer in answers:
             if isinstance(answer, BaseException):
@@ -56,7 +57,7 @@ class Team:
         return answers
 
     def whole(self, name: str) -> np.ndarray:
-        """A field of all points (n, ...), by its name in a piece."""
+        """A field of all points (n, ...), by its name in `sph.particle.Particle`."""
         return self._joined(self.ask("get", name))
 
     def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
@@ -80,7 +81,7 @@ class Team:
         if name not in ("eps_p", "rate", "T", "J", "energy", "stress_now"):
             raise AttributeError(name)
         if self._alone and name != "stress_now":
-            return getattr(self.piece, name)
+            return getattr(self.local, name)
         if name not in self._fields:
             self._fields[name] = self.whole("stress" if name == "stress_now" else name)
         return self._fields[name]
@@ -131,7 +132,7 @@ class Team:
         return {"points": points, "add": add, "same": parts[0]["same"], "totals": self.totals}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Put a `state` into fresh pieces, on any number of ranks."""
+        """Put a `state` into fresh local parts, on any number of ranks."""
         self.ask("restore", state, each=[i == 0 for i in range(len(self._owner))])
         same = state["same"]
         self.time, self.steps, self.dt = float(same["time"]), int(same["steps"]), float(same["dt"])
@@ -157,7 +158,7 @@ class Team:
                 begin()
                 meet()
 
-            self.piece.run(steps, dt, on_step)
+            self.local.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
         self.time += steps * dt
@@ -184,7 +185,7 @@ class Team:
             own = None
             requests = []
             for i, rank in enumerate(r.sph):
-                if rank == r.home:
+                if rank == r.root:
                     own = i
                 else:
                     requests.append((i, r.comm.Irecv(inbox[i], source=rank, tag=STEP)))
@@ -193,7 +194,7 @@ class Team:
                 self._try(begin)
             begun = False
             started = clock.perf_counter()
-            failed = self.failure is not None or (self.piece is not None and self.piece.failure is not None)
+            failed = self.failure is not None or (self.local is not None and self.local.failure is not None)
             for i, request in requests:
                 request.Wait()
                 failed |= bool(inbox[i][0])
@@ -202,33 +203,33 @@ class Team:
                 self.v[where[i]] = inbox[i][1 + k :].reshape(-1, 3)
             self.waited += clock.perf_counter() - started
             if own is not None:
-                self.x[where[own]], self.v[where[own]] = self.piece.x[rows[own]], self.piece.v[rows[own]]
+                self.x[where[own]], self.v[where[own]] = self.local.x[rows[own]], self.local.v[rows[own]]
             self.f_ext[:] = 0.0
             if not failed:
                 failed = self._try(meet)
             for i, rank in enumerate(r.sph):
-                if rank == r.home:
-                    self.piece.f_ext[rows[i]] = self.f_ext[where[i]]
+                if rank == r.root:
+                    self.local.f_ext[rows[i]] = self.f_ext[where[i]]
                     continue
                 outbox[i][0] = float(failed)
                 outbox[i][1:] = self.f_ext[where[i]].ravel()
                 r.comm.Send(outbox[i], dest=rank, tag=STEP)
-            if self.piece is not None and done < steps:  # while forces travel to the others
+            if self.local is not None and done < steps:  # while forces travel to the others
                 begun = True
                 self._try(begin)
 
-        r.comm.bcast(("run_steps", (steps, dt), rows), root=r.home)
+        r.comm.bcast(("run_steps", (steps, dt), rows), root=r.root)
         answer: Any = None
-        if self.piece is None:
+        if self.local is None:
             for _ in range(steps):
                 on_step()
         else:
-            answer = caught(lambda: self.piece.run(steps, dt, on_step))
-        answers = r.comm.gather(answer, root=r.home)
+            answer = caught(lambda: self.local.run(steps, dt, on_step))
+        answers = r.comm.gather(answer, root=r.root)
         if self.failure is not None:
             raise self.failure
         for rank in r.sph:
-            if isinstance(answers[rank], BaseException) and not isinstance(answers[rank], Elsewhere):
+            if isinstance(answers[rank], BaseException) and not isinstance(answers[rank], RemoteFailure):
                 raise answers[rank]
 
     def _try(self, work: Callable[[], None]) -> bool:
@@ -242,17 +243,17 @@ class Team:
         if self._alone:
             return []
         r = self.ranks
-        r.comm.bcast(("waited", (), None), root=r.home)
-        return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.home)]
+        r.comm.bcast(("waited", (), None), root=r.root)
+        return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.root)]
 
     def everywhere(self, work: Callable[[], Any]) -> list[Any]:
         """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
         if self._alone:
             return [work()]
-        self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.home)
-        return self.ranks.comm.gather(work(), root=self.ranks.home)
+        self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)
+        return self.ranks.comm.gather(work(), root=self.ranks.root)
 
     def close(self) -> None:
         """Let this rank's LAMMPS go."""
-        if self.piece is not None:
-            self.piece.close()
+        if self.local is not None:
+            self.local.close()

@@ -1,10 +1,10 @@
 """Who runs where: one process, or ranks under mpiexec. The only import of mpi4py beside what LAMMPS needs.
 
-One rank, the *home*, holds the target, the contact, the books and the files; the particle lives on one or more ranks
-(`split`: all but the home; `spread`: all, in equal parts). The home leads: between chunks of steps it asks
-all ranks that have points for what it needs (`Team.ask`); within a chunk LAMMPS runs on each of them and in every step they
-hand positions and velocities of the points that may touch to the home and get forces back. In one process the home has the
-whole particle, and the same code exchanges nothing.
+One rank, the *root*, holds the target, the contact, the ledger and the files; the particle lives on one or more ranks (`split`: all
+but the root; `spread`: all, in equal parts). The root leads: between windows of steps it asks all ranks that have points for what
+it needs (`DistributedParticle.ask`); within a window LAMMPS runs on each of them, and in every step they send positions and
+velocities of the points that may touch to the root and receive forces. In one process the root has the whole particle, and
+the same code exchanges nothing.
 """
 
 import os
@@ -27,12 +27,12 @@ _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which rank does what. home: the rank of the target, the last; sph: the ranks that share the particle, `shares` of its points
+    """Which rank does what. root: the rank of the target, the last; sph: the ranks that share the particle, `shares` of its points
     each; comm: of all ranks, sph_comm: of those in `sph`, both None in one process."""
 
     rank: int = 0
     size: int = 1
-    home: int = 0
+    root: int = 0
     sph: tuple[int, ...] = (0,)
     shares: tuple[float, ...] = (1.0,)
     placement: str = "one process"
@@ -40,8 +40,8 @@ class Ranks:
     sph_comm: Any = field(default=None, repr=False)
 
     @property
-    def at_home(self) -> bool:
-        return self.rank == self.home
+    def is_root(self) -> bool:
+        return self.rank == self.root
 
     @property
     def has_points(self) -> bool:
@@ -76,52 +76,52 @@ def arrange(comm: Any, placement: str | None) -> Ranks:
     return Ranks(comm.rank, size, size - 1, sph, shares, placement, comm, sph_comm if comm.rank in sph else None)
 
 
-class Elsewhere(SolverError):
+class RemoteFailure(SolverError):
     """A step was given up because another rank failed."""
 
 
 def begin_impact(ranks: Ranks, i: int, place: np.ndarray) -> None:
-    """At home: have the others build their parts of the particle of impact i, its centre at place (3,) m, too."""
+    """On the root rank: have the others build their parts of the particle of impact i, its centre at place (3,) m, too."""
     if ranks.size > 1:
-        ranks.comm.bcast(("impact", (i, place), None), root=ranks.home)
+        ranks.comm.bcast(("impact", (i, place), None), root=ranks.root)
 
 
 def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
-    """At home: let the other ranks go, with the error (if any) that ended the run."""
+    """On the root rank: let the other ranks go, with the error (if any) that ended the run."""
     if ranks.size > 1:
-        ranks.comm.bcast(("end", (error,), None), root=ranks.home)
+        ranks.comm.bcast(("end", (error,), None), root=ranks.root)
 
 
 def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
-    """What a rank without the target does: build its part of each particle and do as the home asks until it is dismissed.
+    """What a rank without the target does: build its part of each particle and do as the root asks until it is dismissed.
 
     build(i, place): this rank's part of the particle of impact i.
 
     Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the home ends the run in peace, and says so
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root ends the run in peace, and says so
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     worker = _Worker(ranks, None)
-    comm, home = ranks.comm, ranks.home
+    comm, root = ranks.comm, ranks.root
     while True:
-        order, arguments, each = comm.bcast(None, root=home)
+        order, arguments, each = comm.bcast(None, root=root)
         if order == "end":
-            if worker.piece is not None:
-                worker.piece.close()
+            if worker.local is not None:
+                worker.local.close()
             if arguments[0] is not None:
                 raise arguments[0]
             return
         try:
             if order == "impact":
-                if worker.piece is not None:
-                    worker.piece.close()
+                if worker.local is not None:
+                    worker.local.close()
                 worker = _Worker(ranks, build(*arguments))
             elif order == "waited":
-                comm.gather(worker.waited, root=home)
+                comm.gather(worker.waited, root=root)
             elif order == "everywhere":
-                comm.gather(arguments[0](), root=home)
+                comm.gather(arguments[0](), root=root)
             else:
-                comm.gather(attempt(worker, order, arguments, each), root=home)
+                comm.gather(attempt(worker, order, arguments, each), root=root)
         except BaseException as error:
             if not isinstance(error, ColdsprayError):
                 traceback.print_exc()
@@ -129,15 +129,15 @@ def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
 
 
 class _Worker:
-    """A rank's piece and its side of the exchange."""
+    """A rank's part of the particle and its side of the exchange."""
 
-    def __init__(self, ranks: Ranks, piece: Any):
-        self.ranks, self.piece, self.waited = ranks, piece, 0.0
-        if piece is not None:
-            piece.others_count_on_us = True
+    def __init__(self, ranks: Ranks, local: Any):
+        self.ranks, self.local, self.waited = ranks, local, 0.0
+        if local is not None:
+            local.is_shared = True
 
     def run_steps(self, steps: int, dt: float, rows: np.ndarray) -> None:
-        p, comm, home = self.piece, self.ranks.comm, self.ranks.home
+        p, comm, root = self.local, self.ranks.comm, self.ranks.root
         k = 3 * len(rows)
         outbox, inbox = np.zeros(1 + 2 * k), np.zeros(1 + k)
 
@@ -149,31 +149,34 @@ class _Worker:
             outbox[0] = float(p.failure is not None)
             outbox[1 : 1 + k] = p.x[rows].ravel()
             outbox[1 + k :] = p.v[rows].ravel()
-            comm.Send(outbox, dest=home, tag=STEP)
+            comm.Send(outbox, dest=root, tag=STEP)
             started = clock.perf_counter()
-            comm.Recv(inbox, source=home, tag=STEP)
+            comm.Recv(inbox, source=root, tag=STEP)
             self.waited += clock.perf_counter() - started
             p.f_ext[rows] = inbox[1:].reshape(-1, 3)
             if inbox[0] and p.failure is None:
-                raise Elsewhere("given up")
+                raise RemoteFailure("given up")
 
         try:
             p.run(steps, dt, on_step)
         finally:
             outbox[0] = 1.0
-            for _ in range(steps - done):  # LAMMPS stopped early: the home still counts to the end of the chunk
-                comm.Send(outbox, dest=home, tag=STEP)
-                comm.Recv(inbox, source=home, tag=STEP)
+            for _ in range(steps - done):  # LAMMPS stopped early: the root still counts to the end of the chunk
+                comm.Send(outbox, dest=root, tag=STEP)
+                comm.Recv(inbox, source=root, tag=STEP)
 
 
 def attempt(side: Any, method: str, arguments: tuple[Any, ...], each: Sequence[Any] | None) -> Any:
-    """Call a method of a rank's piece, or its side of a chunk; an error is an answer too. None on a rank without points."""
-    ranks, piece = side.ranks, side.piece
-    if piece is None:
+    """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error.
+
+    None on a rank without points.
+    """
+    ranks, local = side.ranks, side.local
+    if local is None:
         return None
     if each is not None:
         arguments = (*arguments, each[ranks.sph.index(ranks.rank)])
-    return caught(lambda: getattr(side if method == "run_steps" else piece, method)(*arguments))
+    return caught(lambda: getattr(side if method == "run_steps" else local, method)(*arguments))
 
 
 def caught(work: Callable[[], Any]) -> Any:

@@ -95,7 +95,7 @@ class Particle(ABC):
         self.comm = comm
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
-        self.others_count_on_us = False
+        self.is_shared = False
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         with _silence():
             self._start(velocity, float(temperature), comm, log, room, shares)
@@ -209,7 +209,7 @@ class Particle(ABC):
         except BaseException as problem:
             self.failure = problem
         try:
-            if self.failure is not None and not self.others_count_on_us:
+            if self.failure is not None and not self.is_shared:
                 self.lmp.force_timeout()
                 return
             self.f_ext[:] = 0.0

@@ -111,7 +111,7 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
         s = result.summary
         row |= {name: s[name] for name in COLUMNS if name in s}
         row |= {"points": point.points, "points_used": s["points"], "failed": ""}
-        if s["rescues"]:  # the run went on with other numerics than the setting's
+        if s["retries"]:  # the run went on with other numerics than the setting's
             row |= dict.fromkeys(MEASURES, "") | {"failed": str(s["warnings"][-1]).split(";")[0][:200]}
     finally:
         progress.stop()

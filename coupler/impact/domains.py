@@ -1,0 +1,162 @@
+"""The domains of one impact, built from the plan: target, particle, and what acts between them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..contact.penalty import JUMP, STIFFNESS, PointContact
+from ..fe import mesh as meshes
+from ..fe.explicit import Target
+from ..physics.constitutive import law_record
+from ..physics.materials import Material
+from ..plan.planning import Plan
+from ..ranks import ranks as parallel
+from ..ranks.distributed import DistributedParticle
+from ..sph import shapes
+from ..sph.carried_surface import CarriedSurface
+from ..sph.engine import ENGINES
+from ..sph.heat import PointConduction
+from ..sph.particle import Numerics, Particle
+from .bodies import Bodies, level_under
+from .heat import HeatPaths
+
+SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
+
+
+@dataclass
+class Domains:
+    """The two domains of an impact, ready to run, with the contact between them.
+
+    particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's, carried by its
+    points; body: the undeformed particle about its centre; place (3,) m: of that centre at the start; level: height (m) of the
+    surface where the particle first touches it; paths: where heat flows between windows of steps.
+    """
+
+    particle: DistributedParticle
+    bodies: Bodies
+    contact: PointContact
+    surface: CarriedSurface
+    body: shapes.Body
+    place: np.ndarray
+    level: float
+    paths: HeatPaths = field(default_factory=HeatPaths)
+
+    @property
+    def target(self) -> Target:
+        return self.bodies.target
+
+
+def build_target(plan: Plan) -> Bodies:
+    """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
+    t, on = plan.target, {row.name: row.on for row in plan.effects.rows}
+    points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre)
+    law = law_record(t.material, on, plan.impacts[0].rate_filter)
+    fixed, absorbing = held_faces(plan)
+    mesh = meshes.prepare(points, tets, (*plan.impacts[0].offset, 0.0))
+    target = Target(
+        mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
+        sleeping=not on["ahead_of_waves"],
+    )  # fmt: skip
+    target.window(plan.impacts[0].window)
+    return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
+
+
+def restored_target(plan: Plan, state: Mapping[str, Any]) -> Bodies:
+    """The bodies of a checkpoint (`Bodies.whole`)."""
+    return Bodies.from_whole(state, *held_faces(plan), plan.friction, plan.effects.on("conduction"))
+
+
+def held_faces(plan: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names of the substrate's faces that are fixed, and of those that absorb."""
+    kinds = {"sides": plan.target.sides, "bottom": plan.target.bottom}
+    fixed = tuple(name for name, kind in kinds.items() if kind == "fixed")
+    absorbs = plan.effects.on("absorbing_boundaries")
+    return fixed, tuple(name for name, kind in kinds.items() if kind == "absorbing" and absorbs)
+
+
+def build_domains(
+    plan: Plan,
+    i: int = 0,
+    bodies: Bodies | None = None,
+    log_file: Path | None = None,
+    numerics: Mapping[str, float] | None = None,
+    ranks: parallel.Ranks | None = None,
+    level: float | None = None,
+) -> Domains:
+    """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
+
+    log_file: LAMMPS's log. numerics: values in place of the defaults of `sph.particle.Numerics`, and "contact_stiffness". ranks:
+    default this process alone. level: height (m) of the surface where the particle first touches it; None: as the bodies lie.
+    """
+    ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
+    impact_plan, t = plan.impacts[i], plan.target
+    body = body_of(plan, i)
+    mesh, x = bodies.target.mesh, bodies.target.x
+    facets = bodies.reachable()
+    offset = np.array([*impact_plan.offset, 0.0])
+    if level is None:
+        level = (
+            level_under(body.vertices + offset, x, mesh.facets[facets], 0.0) - body.half_height
+            if bodies.count > 1
+            else 0.0
+        )
+    place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
+    parallel.begin_impact(ranks, i, place)
+    local = build_particle(plan, i, place, ranks, numerics, log_file) if ranks.has_points else None
+    particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
+    surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
+    contact = PointContact(
+        surface.touching.shape[0],
+        mesh.facets[facets],
+        body.spacing,
+        body.area / len(body.vertices),
+        min(impact_plan.material.K, float(bodies.target.laws["K"].min())),
+        plan.friction,
+        share=_heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature),
+        factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
+        facet_ids=facets,
+        jump=JUMP,
+    )
+    return Domains(particle, bodies, contact, surface, body, place, level, _heat_paths(plan, particle, body))
+
+
+def _heat_paths(plan: Plan, particle: DistributedParticle, body: shapes.Body) -> HeatPaths:
+    """The heat paths that the plan's effects leave open."""
+    on, points = plan.effects.on, None
+    if on("particle_conduction"):
+        points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
+    return HeatPaths(on("friction_heat"), points, on("interface_conduction"))
+
+
+def body_of(plan: Plan, i: int) -> shapes.Body:
+    """Points and surface of the particle of impact i, about its centre."""
+    p = plan.impacts[i]
+    return shapes.shape(p.shape, p.diameter, p.points, p.tilt, SURFACE_EDGE)
+
+
+def build_particle(
+    plan: Plan,
+    i: int,
+    place: np.ndarray,
+    ranks: parallel.Ranks,
+    numerics: Mapping[str, float] | None,
+    log_file: Path | None,
+) -> Particle:
+    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
+    p, body = plan.impacts[i], body_of(plan, i)
+    law = law_record(p.material, {row.name: row.on for row in plan.effects.rows}, p.rate_filter)
+    knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
+    return ENGINES["machdyn"](
+        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
+        comm=ranks.sph_comm, log=log_file, shares=ranks.shares,
+    )  # fmt: skip
+
+
+def _heat_share(a: Material, Ta: float, b: Material, Tb: float) -> float:
+    """Share of friction heat that goes to body a: by effusivity sqrt(k rho cp), as for two half-spaces in contact."""
+    ea = float(np.sqrt(a.k_at(Ta) * a.rho * a.cp_at(Ta)))
+    eb = float(np.sqrt(b.k_at(Tb) * b.rho * b.cp_at(Tb)))
+    return ea / (ea + eb)

@@ -1,0 +1,58 @@
+"""When an impact is over: at rest, at its greatest deformation, or at a given time."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
+QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
+QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
+
+
+@dataclass(frozen=True)
+class EndState:
+    """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
+    contact force above QUIET_FORCE of the peak."""
+
+    peak: float = 0.0
+    turned: float | None = None
+    loud: float = 0.0
+
+
+class EndCriterion:
+    """Decides when an impact has reached its greatest deformation and when it is over.
+
+    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`. Over: at "rest", the contact force
+    has then stayed below QUIET_FORCE of its peak for `quiet` seconds (the particle has left, or rests); at "greatest", at once; at
+    "time", and in any case, at end_time.
+    """
+
+    def __init__(self, end_time: float, at: str, quiet: float, slow: float = 0.0):
+        """end_time, quiet: s; slow: m/s; at: "rest", "greatest" (deformation) or "time"."""
+        self.end_time, self.at, self.quiet, self.slow = end_time, at, quiet, slow
+        self._state = EndState()
+
+    def observe(self, time: float, sinking: float, force: float) -> None:
+        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N."""
+        s = self._state
+        s = replace(s, peak=max(s.peak, force))
+        if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
+            s = replace(s, turned=time)
+        self._state = replace(s, loud=time) if abs(force) > QUIET_FORCE * s.peak else s
+
+    @property
+    def turned(self) -> float | None:
+        """Time of the greatest deformation, s; None before it."""
+        return self._state.turned
+
+    def reached(self, time: float) -> bool:
+        """Whether the impact is over at `time` s, the time last observed."""
+        s = self._state
+        settled = s.turned is not None and s.peak > 0 and time - s.loud > self.quiet
+        over = {"rest": settled, "greatest": s.turned is not None, "time": False}[self.at]
+        return over or time >= self.end_time * (1 - 1e-12)
+
+    def state(self) -> dict[str, Any]:
+        return asdict(self._state)
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self._state = EndState(**state)

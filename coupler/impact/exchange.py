@@ -1,0 +1,172 @@
+"""One particle and one target in contact: the time step, the contact search, the forces of each step, heat, bonding.
+
+LAMMPS owns the loop over steps and calls back between its internal forces and its kick. There the target makes the same step with
+the same dt (`advance_target`), contact is computed once from the positions of both at n+1 (`exchange_forces`), and each domain
+leaves with its forces.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from ..contact.hold import REACH, STIFFNESS, Hold
+from ..physics.adhesion import Adhesion
+from .domains import Domains
+from .heat import vertex_areas
+from .ledger import Ledger
+
+WINDOW = (
+    10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
+)
+
+
+class Impact:
+    """One particle meeting one target, of one body or several.
+
+    They touch where the particle's carried surface meets the target's facets. time s; force (3,) N on the particle; deepest:
+    largest penetration so far, m; limits: how many steps each of particle, target and contact has limited; hold: what has bonded of
+    the particle, or None; dt_factor: on the stable time step, below 1 after a retry.
+    """
+
+    def __init__(self, domains: Domains, threads: int = 1):
+        """threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the numbers are the same."""
+        self.domains, self.paths = domains, domains.paths
+        self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
+        self.surface, self.contact = domains.surface, domains.contact
+        self._softness = self.surface.softness(self.particle.mass)
+        # positions, velocities and forces of all that may touch
+        self._x, self._v, self._forces = (np.zeros((self.surface.touching.shape[0], 3)) for _ in range(3))
+        self.surface_nodes = np.unique(self.contact.facets)
+        self.ledger = Ledger(domains)
+        self._pool = ThreadPoolExecutor(1) if threads > 1 else None
+        self._ahead: Future[None] | None = None
+        self._left = 0  # steps of this window still to come
+        self.time = 0.0
+        self.force = np.zeros(3)
+        self.deepest = 0.0
+        self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
+        self.hold: Hold | None = None
+        self.dt_factor = 1.0
+
+    def close(self) -> None:
+        """Stop the second thread."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
+
+    @property
+    def sinking(self) -> float:
+        """Downward speed of the particle's centre of mass, m/s."""
+        return -float(self.particle.momentum()[2] / self.particle.mass.sum())
+
+    def _fastest(self) -> float:
+        """Largest speed of a point and of a surface node together, m/s."""
+        v = self.target.v[self.surface_nodes]
+        return self.particle.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
+
+    def stable_time_step(self) -> float:
+        """The time step (s) that both domains and the contact can take; `limits` counts which of them sets it."""
+        bounds = {
+            "particle": self.particle.stable_dt(),
+            "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
+        }
+        if self.hold is not None:
+            bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
+        least = min(bounds.values())
+        bounds["target"] = self.bodies.stable_dt(least, WINDOW * least)
+        who = min(bounds, key=lambda name: bounds[name])
+        self.limits[who] += WINDOW
+        return self.dt_factor * bounds[who]
+
+    def search_bodies(self) -> None:
+        """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
+        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.stable_dt())
+
+    def search_contacts(self, time: float) -> None:
+        """Find the pairs of particle and target that can touch within `time` s."""
+        travel = 1.5 * self._fastest() * time
+        self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel)
+        if self.hold is not None:
+            self.contact.rows = np.union1d(self.contact.rows, self.hold.rows)
+        self._forces[:] = 0.0
+
+    def advance(self, steps: int, dt: float) -> None:
+        """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
+        self._left, self._ahead = steps, None
+        needed = self.surface.support(self.contact.rows)
+        self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
+        self.time += steps * dt
+        self.force = self._forces.sum(axis=0)
+        self.deepest = max(self.deepest, float(self.contact.depth.max()))
+
+    def advance_target(self) -> None:
+        """The target's own step, which needs nothing of the particle: in this thread, or the result of the second one."""
+        if self._ahead is None:
+            self._advance_bodies(self.particle.dt)
+        else:
+            self._ahead.result()
+
+    def _advance_bodies(self, dt: float) -> None:
+        self.target.advance(dt)
+        self.bodies.forces(dt)
+
+    def exchange_forces(self) -> None:
+        """Contact at n+1, once for both domains, and the forces to each."""
+        p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
+        rows = self.contact.rows
+        self._forces[rows] = 0.0
+        s.contacts(p.x, rows, self._x)
+        s.contacts(p.v, rows, self._v)
+        self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
+        if self.hold is not None:
+            self.hold.forces(self._x, t.x, self._forces, t.f_ext)
+        s.spread(self._forces, rows, p.f_ext)
+        t.finish()
+        self._left -= 1
+        # until LAMMPS calls again it works in C, without Python's lock: the target's next step runs meanwhile
+        self._ahead = self._pool.submit(self._advance_bodies, dt) if self._pool and self._left else None
+
+    def conduct_heat(self, time: float) -> None:
+        """Let heat flow for `time` s and turn the heat of friction into temperature, of points and of elements behind facets."""
+        self.paths.flow(time, self.particle, self.target, self.surface, self.contact)
+        self.paths.release_friction(self.particle, self.target, self.surface, self.contact)
+
+    def bond(self, adhesion: Adhesion, velocity_ratio: float) -> None:
+        """Hold the particle where its surface touches at this instant and the criterion is met.
+
+        Of both sides the larger strain counts. velocity_ratio: of the impact to the critical velocity. Raises SolverError where
+        strength and energy make no bond.
+        """
+        p, t, s = self.particle, self.target, self.surface
+        rows, facets = self.contact.touching(s.weights.shape[0], REACH * p.spacing)
+        if len(rows) == 0:
+            return
+        strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
+        stiffness = STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
+        area = vertex_areas(s.positions(p.x), s.triangles)[rows]
+        pressure = self.contact.stiffness * self.contact.depth[rows] / area
+        chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
+        if chosen.any():
+            rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
+            self.hold = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **adhesion.law())
+
+    def update_ledger(self) -> dict[str, float]:
+        """Energies of this instant (`Ledger.update`)."""
+        return self.ledger.update(self.domains, self.hold)
+
+    def state(self) -> dict[str, Any]:
+        """What goes on in the next window as if nothing had happened, but for the bodies: numbers and arrays, nested."""
+        return {
+            "particle": self.particle.state(), "contact": self.contact.state(), "ledger": self.ledger.state(),
+            "time": self.time, "force": self.force, "deepest": self.deepest,
+            "limits": self.limits, "dt_factor": self.dt_factor,
+            "hold": self.hold.state() if self.hold is not None else None,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Put a `state` into an impact of the same plan that was just built."""
+        for name in ("particle", "contact", "ledger"):
+            getattr(self, name).restore(state[name])
+        for name in ("time", "force", "deepest", "limits", "dt_factor"):
+            setattr(self, name, state[name])
+        self.hold = Hold.from_state(state["hold"]) if state["hold"] is not None else None

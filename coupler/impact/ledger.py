@@ -1,0 +1,125 @@
+"""The energy ledger of an impact, and the checks that it closes."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..contact.hold import Hold
+from ..errors import SolverError
+from .domains import Domains
+
+DRIFT_BOUND = 0.02  # of the initial kinetic energy: a run that ends beyond it has failed
+DRIFT_ALARM = 2.0 * DRIFT_BOUND  # during the run, where part of the drift may come back
+MOMENTUM_BOUND = 1e-6  # of the initial momentum
+DISSIPATION_BOUND = -0.01  # numerical dissipation below it: the scheme generates energy and is unstable
+SOUND = 0.25  # of the bounds: a state beyond that is not kept for a retry
+
+_STORED = (
+    "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
+    "numerical_target", "contact", "friction", "boundary", "bodies", "bond",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LedgerState:
+    """kinetic_0: initial kinetic energy, J; momentum_0 (3,): initial momentum, N s; scale: its norm for the particle alone; before: the
+    terms at the start, J; rows: the terms at the last update."""
+
+    kinetic_0: float
+    momentum_0: np.ndarray
+    scale: float
+    before: dict[str, float] = field(default_factory=dict)
+    rows: dict[str, float] = field(default_factory=dict)
+
+
+class Ledger:
+    """Energies of both domains in J, of one impact: the energy of the target before the impact is subtracted.
+
+    The sum of all terms is constant; `drift` is its change over the particle's initial kinetic energy. internal_particle is the
+    work done against the particle's internal forces; the part of it that is neither elastic nor plastic is the numerical
+    dissipation of the SPH scheme (viscosity, hourglass control, kernel error): numerical_particle. numerical_target is the work of
+    the bulk viscosity. The target's elastic and plastic energies are functions of its state, so that the drift measures its stress
+    update and the contact as well.
+    """
+
+    def __init__(self, domains: Domains):
+        particle, target = domains.particle, domains.target
+        self.kinetic_0 = particle.kinetic()
+        self.momentum_0 = particle.momentum() + target.momentum() - target.external_impulse()
+        self.scale = float(np.linalg.norm(particle.momentum()))
+        self.rows: dict[str, float] = {}
+        self.before = _terms(domains, None)
+
+    def update(self, domains: Domains, hold: Hold | None = None) -> dict[str, float]:
+        """Energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum) of this instant.
+
+        hold: the bond of the particle to the target, None without one.
+        """
+        r, target = _terms(domains, hold), domains.target
+        total = sum(value - self.before[name] for name, value in r.items() if name in _STORED)
+        for name in r:
+            if "kinetic" not in name:
+                r[name] -= self.before[name]
+        r["drift"] = total / self.kinetic_0
+        balance = domains.particle.momentum() + target.momentum() - target.external_impulse() - self.momentum_0
+        r["momentum_error"] = float(np.linalg.norm(balance) / self.scale)
+        self.rows = r
+        return r
+
+    @property
+    def numerical_dissipation(self) -> float:
+        """Share of the initial kinetic energy that the schemes of both domains have dissipated."""
+        return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether drift and dissipation at the last update are far from their bounds."""
+        generated = self.rows["numerical_particle"] / self.kinetic_0
+        return abs(self.rows["drift"]) < SOUND * DRIFT_BOUND and generated > SOUND * DISSIPATION_BOUND
+
+    def check(self, drift_bound: float | None = None) -> None:
+        """Raise SolverError when energy or momentum do not balance at the last update. drift_bound: DRIFT_BOUND by default."""
+        bound = DRIFT_BOUND if drift_bound is None else drift_bound
+        drift, error = self.rows["drift"], self.rows["momentum_error"]
+        if not abs(drift) <= bound:
+            raise SolverError(
+                f"the energy ledger does not close: {drift:+.2%} of the initial kinetic energy, allowed {bound:.2%}. "
+                "What was computed is in the folder but is not a result: try a finer preset or a smaller time step"
+            )
+        if not error <= MOMENTUM_BOUND:
+            raise SolverError(
+                f"momentum is not conserved: {error:.1e} of the initial momentum, allowed {MOMENTUM_BOUND:.0e}"
+            )
+
+    def check_closure(self) -> None:
+        """Raise SolverError when the ledger of a finished impact does not close."""
+        self.check()
+        dissipated = self.rows["numerical_particle"] / self.kinetic_0
+        if dissipated < DISSIPATION_BOUND:
+            raise SolverError(
+                f"the SPH scheme generated {-dissipated:.2%} of the initial kinetic energy: it is unstable; try a finer preset"
+            )
+
+    def state(self) -> dict[str, Any]:
+        return asdict(LedgerState(self.kinetic_0, self.momentum_0, self.scale, self.before, self.rows))
+
+    def restore(self, values: dict[str, Any]) -> None:
+        state = LedgerState(**values)
+        self.kinetic_0, self.momentum_0, self.scale = state.kinetic_0, state.momentum_0, state.scale
+        self.before, self.rows = state.before, state.rows
+
+
+def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
+    """Each term of the ledger as it stands, J."""
+    particle, target, contact = domains.particle, domains.target, domains.contact
+    r = {"kinetic_particle": particle.kinetic(), "kinetic_target": target.kinetic()}
+    r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]
+    r["elastic_particle"], r["elastic_target"] = particle.elastic(), target.elastic()
+    r["plastic_particle"], r["plastic_target"] = particle.plastic_work, float(target.sums[0])
+    r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
+    r["numerical_target"] = float(target.sums[1])
+    r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat
+    r["boundary"], r["bodies"] = target.absorbed, domains.bodies.energy
+    r["bond"] = hold.energy if hold is not None else 0.0
+    return r

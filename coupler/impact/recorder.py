@@ -1,0 +1,151 @@
+"""What is written of an impact while it runs: rows of the history, fields in time, and the ranges that it has left."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import SolverError
+from ..files.store import Store
+from ..plan.planning import Plan
+from ..progress import Progress
+from .exchange import Impact
+from .ledger import DRIFT_ALARM
+from .measure import crater_depth, measure, von_mises_of
+from .validity import Extremes
+
+ROWS = 400  # rows of the history in D / v
+VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
+
+
+@dataclass(frozen=True)
+class RecorderState:
+    """next_row, next_output: times in s; greatest: measures at the greatest deformation, None before it; extremes: by body;
+    over_rim, in_layer: see `Recorder`."""
+
+    next_row: float
+    next_output: float
+    greatest: dict[str, float] | None
+    extremes: dict[str, dict[str, float]]
+    over_rim: bool
+    in_layer: bool
+
+
+class Recorder:
+    """Writes one impact into the files of its run.
+
+    before: simulated time (s) of the impacts before it. greatest: measures at the greatest deformation, None before it. over_rim:
+    the particle has reached beyond the substrate's edge and below its surface. in_layer: it has touched the layer where the
+    target's window damps velocities.
+    """
+
+    def __init__(self, plan: Plan, i: int, store: Store, progress: Progress | None, before: float):
+        self.plan, self.i, self.impact_plan = plan, i, plan.impacts[i]
+        self.store, self.progress, self.before = store, progress, before
+        self.extremes = Extremes()
+        self.over_rim = self.in_layer = False
+        self.greatest: dict[str, float] | None = None
+        self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
+        self._next_row = self._next_output = 0.0
+
+    def start(self, impact: Impact) -> None:
+        """Write the fields of the first instant."""
+        if self.progress is not None:
+            self.progress.start(self.impact_plan.expected)
+        if impact.time == 0.0:
+            self.write_fields(impact)
+
+    def record(self, impact: Impact, dt: float, is_last: bool) -> None:
+        """Write what is due after a window of steps of dt s, and everything after the last one.
+
+        Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
+        """
+        if is_last or impact.time >= self._next_row:
+            self.write_row(impact, dt)
+        if is_last or impact.time >= self._next_output:
+            self.write_fields(impact)
+
+    def record_greatest(self, impact: Impact) -> None:
+        """Measure and write the greatest deformation."""
+        self.greatest = self.measures(impact)
+        self.write_fields(impact)
+
+    def write_row(self, impact: Impact, dt: float) -> None:
+        """One row of history.csv, and a look at the ranges of the models."""
+        particle, target = impact.particle, impact.target
+        ledger = impact.update_ledger()
+        skin = impact.surface.positions(particle.x)
+        row = {
+            "time": self.before + impact.time,
+            "impact": float(self.i + 1),
+            "dt": dt,
+            "step": float(particle.steps),
+            **ledger,
+        }
+        row["height"] = float(skin[:, 2].max())
+        row["thickness"] = float(np.ptp(skin[:, 2]))
+        row["crater_depth"] = crater_depth(target.x[self._crater_nodes(impact)])
+        row["velocity_z"] = -impact.sinking
+        row["contact_force"] = float(impact.force[2])
+        row["T_max"] = float(particle.T.max())
+        row["eps_p_mean"] = float(particle.eps_p.mean())
+        row["stretch_min"] = particle.stretch_min
+        self.store.record(row)
+        self._notice(impact, skin)
+        self._next_row = impact.time + self._row_every
+        if not np.isfinite(ledger["drift"]):
+            raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
+        impact.ledger.check(DRIFT_ALARM)
+        if self.progress is not None:
+            self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
+
+    def _notice(self, impact: Impact, skin: np.ndarray) -> None:
+        """Note where the impact leaves the range of its models. skin (k,3) m: the particle's surface."""
+        target, substrate = impact.target, self.plan.target
+        self.extremes.note(impact.particle, target)
+        beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
+        self.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
+        facets = impact.contact.touching(len(skin))[1]
+        self.in_layer |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
+
+    def write_fields(self, impact: Impact) -> None:
+        """One time step of particle.vtkhdf, surface.vtkhdf and target.vtkhdf."""
+        # a moment later than the last step of the impact before: viewers want each time once
+        time = self.before + max(impact.time, 1e-15 if self.i else 0.0)
+        p, s, t = impact.particle, impact.surface, impact.target
+        stress = p.stress()
+        fields = {
+            "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": p.eps_p,
+            "eps_p_rate": p.rate, "T": p.T,
+        }  # fmt: skip
+        self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
+        skin = {name: s.values(field) for name, field in fields.items()}
+        self.store.write("surface", time, s.positions(p.x), s.triangles, skin)
+        stress = t.stress()
+        cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": t.eps_p, "T": t.T}
+        cells["body"] = impact.bodies.body  # 0 the substrate, then the splats in the order they joined
+        self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cells)
+        self._next_output = impact.time + self.impact_plan.output_every
+
+    def measures(self, impact: Impact) -> dict[str, float]:
+        """Measures of this instant, SI."""
+        nodes, level = self._crater_nodes(impact), impact.domains.level
+        m = measure(impact.particle, impact.target, impact.surface, nodes, self.impact_plan.diameter, level)
+        return {"time_s": impact.time, **m}
+
+    def _crater_nodes(self, impact: Impact) -> np.ndarray:
+        mesh = impact.target.mesh
+        return np.unique(mesh.facets[mesh.sets["top"]])
+
+    def state(self) -> dict[str, Any]:
+        return asdict(
+            RecorderState(
+                self._next_row, self._next_output, self.greatest, self.extremes.state(), self.over_rim, self.in_layer
+            )
+        )
+
+    def restore(self, state: dict[str, Any]) -> None:
+        s = RecorderState(**state)
+        self._next_row, self._next_output, self.greatest = s.next_row, s.next_output, s.greatest
+        self.extremes.restore(s.extremes)
+        self.over_rim, self.in_layer = s.over_rim, s.in_layer

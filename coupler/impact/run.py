@@ -1,0 +1,178 @@
+"""One impact as a function: target in, outcome out, with its retries and its checkpoints."""
+
+import time as clock
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..contact.hold import Hold
+from ..errors import SolverError
+from ..files.store import Store
+from ..plan.planning import ImpactPlan, Plan
+from ..progress import Progress
+from ..ranks.ranks import Ranks
+from .bodies import Bodies
+from .domains import Domains, build_domains, restored_target
+from .ending import QUIET_TIME, STILL, EndCriterion
+from .exchange import Impact
+from .loop import advance_to_end
+from .recorder import Recorder
+from .retry import Retries
+from .stop import Stopped, StopSignals
+from .summary import summarise
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run; only `numerics` changes the numbers.
+
+    threads: 2 computes the target beside the particle; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
+    called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log: takes lines of text; log_file:
+    LAMMPS's.
+    """
+
+    log: Callable[[str], None]
+    log_file: Path
+    ranks: Ranks = field(default_factory=Ranks)
+    progress: Progress | None = None
+    threads: int = 1
+    numerics: Mapping[str, float] = field(default_factory=dict)
+    probe: Callable[[Impact], None] | None = None
+    checkpoint_every: float = 60.0
+
+
+@dataclass(frozen=True)
+class ImpactOutcome:
+    """A finished impact: its domains, LAMMPS still running; the bond of its particle, or None; its record for summary.json."""
+
+    domains: Domains
+    hold: Hold | None
+    record: dict[str, Any]
+
+
+def run_impact(
+    plan: Plan,
+    i: int,
+    bodies: Bodies,
+    store: Store,
+    before: float,
+    options: RunOptions,
+    save: Callable[[dict[str, Any]], None],
+    resume_from: dict[str, Any] | None = None,
+) -> ImpactOutcome:
+    """Impact i of a plan on the target `bodies`, to its end.
+
+    before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state, whose bodies are
+    `bodies`. After a failure the impact goes back to a kept state and tries the next remedy (`impact.retry`); all domains are built
+    anew for it. Raises SolverError when no remedy is left, StoreError, or Stopped after a signal.
+    """
+    retries, watch = Retries(options.numerics), _WallClock()
+    state, level = resume_from, None
+    if state is not None:
+        level = state["level"]
+        retries.restore(state["retries"])
+        watch = _WallClock(state["wall"], state["looped"])
+        options.log(f"going on from {(before + state['impact']['time']) * 1e9:.1f} ns")
+    with StopSignals() as signals:
+        while True:
+            domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
+            impact = Impact(domains, options.threads)
+            try:
+                ending, recorder = (
+                    _end_criterion(plan.impacts[i], i),
+                    Recorder(plan, i, store, options.progress, before),
+                )
+                if state is not None:
+                    impact.restore(state["impact"])
+                    ending.restore(state["ending"])
+                    recorder.restore(state["recorder"])
+                    impact.dt_factor = retries.made[-1].dt_factor if retries.made else 1.0
+                keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
+                recorder.start(impact)
+                watch.start_loop()
+                advance_to_end(impact, ending, recorder, keeper.keep, options.probe)
+                impact.close()
+                record = summarise(impact, recorder, retries, watch.wall, watch.looped)
+                return ImpactOutcome(domains, impact.hold, record)
+            except SolverError as error:
+                _give_up(impact)
+                retry, kept = retries.next_remedy(error, i + 1, before + impact.time)
+                options.log(str(retry))
+                state = kept["state"]
+                bodies, level = restored_target(plan, state["bodies"]), state["level"]
+                store.go_back(kept["store"], options.log)
+            except BaseException:
+                _give_up(impact)
+                raise
+
+
+def _give_up(impact: Impact) -> None:
+    """Stop what still runs of an impact."""
+    impact.close()
+    impact.particle.close()
+
+
+def _end_criterion(plan: ImpactPlan, i: int) -> EndCriterion:
+    """What the plan says of the end of impact i. On earlier splats a particle may creep: there a slow one counts as at rest."""
+    speed = float(np.linalg.norm(plan.velocity))
+    return EndCriterion(plan.end_time, plan.end_at, QUIET_TIME * plan.diameter / speed, STILL * speed if i else 0.0)
+
+
+class _WallClock:
+    """Wall time of an impact, s: all of it, and in the time loop; both go on over retries and resumptions."""
+
+    def __init__(self, wall: float = 0.0, looped: float = 0.0):
+        self._began, self._looped, self._loop_began = clock.perf_counter() - wall, looped, 0.0
+
+    def start_loop(self) -> None:
+        """The loop begins, for the first time or after a retry."""
+        self._loop_began = self._loop_began or clock.perf_counter() - self._looped
+
+    @property
+    def wall(self) -> float:
+        return clock.perf_counter() - self._began
+
+    @property
+    def looped(self) -> float:
+        return clock.perf_counter() - self._loop_began
+
+
+@dataclass
+class _Keeper:
+    """Keeps the state of an impact: in memory for a retry, in a checkpoint for a resumption."""
+
+    impact: Impact
+    ending: EndCriterion
+    recorder: Recorder
+    retries: Retries
+    watch: _WallClock
+    signals: StopSignals
+    checkpoint_every: float
+    save: Callable[[dict[str, Any]], None]
+    saved: float = field(default_factory=clock.perf_counter)
+
+    def keep(self) -> None:
+        """Keep what is due. Raises Stopped, with a checkpoint written, when a signal has asked for it."""
+        if self.retries.due():
+            self.impact.update_ledger()
+            if self.impact.ledger.is_sound:
+                store = self.recorder.store.state()
+                time = self.recorder.before + self.impact.time
+                self.retries.keep(time, {"state": self.state(), "store": store})
+        now = clock.perf_counter()
+        if self.signals.number or now - self.saved >= self.checkpoint_every:
+            self.save(self.state())
+            self.saved = clock.perf_counter()
+        if self.signals.number:
+            raise Stopped(self.signals.number)
+
+    def state(self) -> dict[str, Any]:
+        """Everything from which the impact goes on as if nothing had happened."""
+        return {
+            "bodies": self.impact.bodies.whole(), "impact": self.impact.state(), "ending": self.ending.state(),
+            "recorder": self.recorder.state(), "retries": self.retries.state(), "level": self.impact.domains.level,
+            "wall": self.watch.wall, "looped": self.watch.looped,
+        }  # fmt: skip
