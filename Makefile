@@ -2,12 +2,12 @@
 # make test   format, lint, types and tests
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
 # make studies effects  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
-# make accuracy  what accuracy costs in time, into docs/accuracy.md and coupler/plan/bands.csv (an hour; rows that are there are kept)
-# make effects  what each effect changes and costs, and everything on against auto, into docs/effects.md (half an hour; rows that are there are kept)
-# make stability  hard scenes into docs/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
+# make accuracy  what accuracy costs in time, into docs/evidence/accuracy.md and coupler/plan/bands.csv (an hour; rows that are there are kept)
+# make effects  what each effect changes and costs, and everything on against auto, into docs/evidence/effects.md (half an hour; rows that are there are kept)
+# make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
 # make fuzz   random scenes: each a result or a clear refusal; N=300 SEED=1 say how many and which
-# make validate  the paper's cases and trends into docs/validation.md (half an hour; runs that are in its tables are kept)
-# make maps   the nickel map of docs/maps.md, into runs/map_ni and docs (half an hour; points that are there are kept)
+# make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs that are in its tables are kept)
+# make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points that are there are kept)
 # make docs   docs/ as a site, into docs/_build
 # make setup  system libraries and .venv; run and test do it themselves when it is needed
 SHELL := /bin/bash
@@ -106,7 +106,7 @@ validate: setup
 maps: setup
 	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
 	cp runs/map_ni/map.csv docs/tables/map_ni.csv
-	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/map_ni_$$name.png; done
+	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/evidence/map_ni_$$name.png; done
 
 docs: setup
 	$(VENV)/bin/python workflows/scene_page.py

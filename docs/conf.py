@@ -1,28 +1,35 @@
-"""How the pages of this folder become a site: `make docs` writes it into docs/_build, which git ignores.
+"""Configuration of the site: `make docs` writes it into docs/_build.
 
-Formulas are drawn by matplotlib into the page itself, so that the site reads without a network.
+Formulas are drawn by matplotlib into the page, so that the site needs no network.
 """
 
 import base64
 import io
+import re
 from importlib.metadata import version as installed
 
 project = "coldspray"
 version = release = installed("coldspray")
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
 exclude_patterns = ["_build"]
-suppress_warnings = ["myst.header"]  # a table under a heading two levels down is no fault
+suppress_warnings = ["myst.header"]  # tables written by workflows/ may stand two heading levels down
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 myst_dmath_double_inline = True
 
-html_theme = "alabaster"
-html_theme_options = {"description": "Cold spray impacts: smoothed particles on finite elements", "page_width": "1100px",
-                      "sidebar_width": "230px"}  # fmt: skip
+html_theme = "furo"
+html_title = f"coldspray {version}"
+html_static_path = ["_static"]
+html_css_files = ["tables.css"]
 html_show_sourcelink = False
 html_show_copyright = False
 html_math_renderer = "mathtext"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 100
 
 
 def drawn(formula: str, size: float) -> str:
@@ -37,7 +44,7 @@ def drawn(formula: str, size: float) -> str:
         depth = math_to_image(f"${text}$", picture, prop=FontProperties(size=size), format="svg")
     data = base64.b64encode(picture.getvalue()).decode()
     alt = text.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;").replace(">", "&gt;")
-    return f'<img src="data:image/svg+xml;base64,{data}" alt="{alt}" style="vertical-align:{-depth:.1f}pt">'
+    return f'<img class="formula" src="data:image/svg+xml;base64,{data}" alt="{alt}" style="vertical-align:{-depth:.1f}pt">'
 
 
 def inline(self, node) -> None:
@@ -53,10 +60,16 @@ def block(self, node) -> None:
     from docutils.nodes import SkipNode
 
     lines = "<br>".join(drawn(line, 15) for line in node.astext().split("\\\\") if line.strip())
-    self.body.append(f'<div style="margin:0.8em 2em;line-height:2.4">{lines}</div>\n')
+    self.body.append(f'<div class="formula">{lines}</div>\n')
     raise SkipNode
 
 
+def plain(app, kind, name, obj, options, lines) -> None:
+    """Docstrings are plain text: keep the characters that reStructuredText would take for markup."""
+    lines[:] = [re.sub(r"([*|])", r"\\\1", re.sub(r"`([^`]+)`", r"``\1``", line)) for line in lines]
+
+
 def setup(app) -> None:
-    """Tell Sphinx of the way to draw formulas."""
+    """Register the renderer of formulas and the filter of docstrings."""
     app.add_html_math_renderer("mathtext", (inline, None), (block, None))
+    app.connect("autodoc-process-docstring", plain)

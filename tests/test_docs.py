@@ -27,11 +27,13 @@ def loaded(path: Path) -> Any:
 def test_the_page_of_the_scene_is_that_of_the_models() -> None:
     scene_page = loaded(ROOT / "workflows" / "scene_page.py")
     assert not scene_page.missing_words(), "workflows/scene_page.py has no words for these keys"
-    assert (DOCS / "scene.md").read_text() == scene_page.page(), "docs/scene.md is old: python workflows/scene_page.py"
+    assert (DOCS / "guide" / "scene.md").read_text() == scene_page.page(), (
+        "docs/guide/scene.md is old: python workflows/scene_page.py"
+    )
 
 
 def test_the_page_knows_units_limits_and_defaults() -> None:
-    page = (DOCS / "scene.md").read_text()
+    page = (DOCS / "guide" / "scene.md").read_text()
     for row in (
         "| `diameter` | 1 um to 200 um | needed |",
         "| `preset` | `draft` `standard` `fine` | `standard` |",
@@ -44,14 +46,14 @@ def test_the_page_knows_units_limits_and_defaults() -> None:
 
 def test_formulas_can_be_drawn() -> None:
     drawn = loaded(DOCS / "conf.py").drawn
-    text = (DOCS / "theory.md").read_text()
+    text = (DOCS / "theory" / "equations.md").read_text()
     blocks = re.findall(r"\$\$(.+?)\$\$", text, re.DOTALL)
     lines = set(re.findall(r"\$([^$\n]+)\$", re.sub(r"\$\$.+?\$\$", "", text, flags=re.DOTALL)))
     assert len(blocks) > 10
     assert len(lines) > 20
     for formula in (*blocks, *lines):
         MathTextParser("path").parse(f"${' '.join(formula.split())}$")  # what `drawn` begins with
-    assert drawn(blocks[0], 12).startswith("<img src=")
+    assert drawn(blocks[0], 12).startswith('<img class="formula" src=')
     with pytest.raises(ValueError, match="Unknown symbol"):
         drawn(r"\nosuchthing", 12)
 

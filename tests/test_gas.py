@@ -266,7 +266,7 @@ def test_velocities_are_those_of_alkhimovs_fit():
 
 @pytest.mark.parametrize(("exit_", "diverging"), [(3.3e-3, 0.05), (3.3e-3, 0.3), (7.1e-3, 0.05), (7.1e-3, 0.3)])
 def test_no_nozzle_spreads_sizes_more_than_a_constant_drag_coefficient_would(exit_, diverging):
-    """v of 18 over v of 25 um: (25 / 18)^0.5 at most. The reference paper's 610 / 500 = 1.22 lies beyond (docs/gas.md)."""
+    """v of 18 over v of 25 um: (25 / 18)^0.5 at most. The reference paper's 610 / 500 = 1.22 lies beyond (docs/guide/gas.md)."""
     f = flow(nozzle=dataclasses.replace(D42, exit=exit_, diverging=diverging), p0=8e5, T0=627.15)
     ratio = fly(f, material("Ni"), 18e-6).velocity / fly(f, material("Ni"), 25e-6).velocity
     assert 1.05 < ratio < math.sqrt(25 / 18)

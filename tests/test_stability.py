@@ -130,7 +130,7 @@ def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_pat
 
 
 def test_a_time_step_too_long_is_retried(whole: Result, tmp_path: Path) -> None:
-    """Nothing made up: with a step so much longer than the particle can take, the run fails of itself (docs/solvers.md)."""
+    """Nothing made up: with a step so much longer than the particle can take, the run fails (docs/evidence/solvers.md)."""
     result = run(Scene.from_text(NI, "tiny"), tmp_path / "out", numerics={"courant": 0.9, "stretch": 4.0})
     made = result.summary["retries"]
     assert 1 <= len(made) <= len(REMEDIES)

@@ -88,7 +88,7 @@ def cases_part(cases: dict[str, fit.StudyCase]) -> list[str]:
             f"### {case.name}", "", f"![{case.name}](accuracy_{name}.png)", "",
             f"The reference has {int(best['points_used'])} points{last}, {int(best['points_used']) / finest:.1f} times those of"
             f" the finest setting compared with it, and took {float(best['cpu_s']):.0f} s"
-            f" ([table](tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
+            f" ([table](../tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
         ]  # fmt: skip
         found = {
             m: {(r["axis"], r["setting"]): e for r, e in fit.errors(case.rows, m, case.temperature)} for m in BANDED

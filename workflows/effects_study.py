@@ -2,7 +2,7 @@
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --docs     # runs nothing: writes docs/effects.md and coupler/plan/effects_study.csv
+    python workflows/effects_study.py --docs     # runs nothing: writes docs/evidence/effects.md and coupler/plan/effects_study.csv
 
 Rows that are there are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
 of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.
@@ -28,7 +28,7 @@ from coupler.plan.planning import plan
 
 STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
 COSTS, KERNELS = Path("docs/tables/effects_costs.csv"), Path("docs/tables/effects_kernels.csv")
-PACKAGED, DOCS = Path("coupler/plan/effects_study.csv"), Path("docs/effects.md")
+PACKAGED, DOCS = Path("coupler/plan/effects_study.csv"), Path("docs/evidence/effects.md")
 PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "diameter", "T_mean", "T_p99", "cost_share"]
 MEASURES = {
     "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",
@@ -253,7 +253,7 @@ def main() -> None:
 
 
 def write(influence: Table, against: Table) -> None:
-    """Put the tables into docs/effects.md between their marks, and what `coldspray check` shows into the package."""
+    """Put the tables into docs/evidence/effects.md between their marks, and what `coldspray check` shows into the package."""
     now = {name: _numbers(text) for name, text in SCENES.items()}  # as they are defined today
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
     costs = {row["effects"].removeprefix("without "): row["saves"] for row in _rows(COSTS)}

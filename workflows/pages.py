@@ -11,14 +11,14 @@ from coupler.studies.table import Row, StudyTable, other_version, read_rows, wri
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
 PAGES = {
-    "accuracy": DOCS / "accuracy.md",
-    "bonding": DOCS / "bonding.md",
-    "effects": DOCS / "effects.md",
-    "scene": DOCS / "scene.md",
-    "solvers": DOCS / "solvers.md",
-    "splats": DOCS / "splats.md",
-    "stability": DOCS / "stability.md",
-    "validation": DOCS / "validation.md",
+    "accuracy": DOCS / "evidence" / "accuracy.md",
+    "bonding": DOCS / "evidence" / "bonding.md",
+    "effects": DOCS / "evidence" / "effects.md",
+    "scene": DOCS / "guide" / "scene.md",
+    "solvers": DOCS / "evidence" / "solvers.md",
+    "splats": DOCS / "evidence" / "splats.md",
+    "stability": DOCS / "evidence" / "stability.md",
+    "validation": DOCS / "evidence" / "validation.md",
 }
 
 

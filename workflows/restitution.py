@@ -1,8 +1,8 @@
 """Rebound over velocity and the critical velocity, for Ni, Ti, Cu and Al on their own kind: python workflows/restitution.py
 
 Particles of 25 um at 300 K, preset draft, without adhesion: 18 runs, each kept as a line of docs/tables/restitution.csv as it ends, and
-not run again while it is there (--anew does). Then docs/tables/critical_velocity.csv, docs/bonding.png and the tables of
-docs/bonding.md. --draw makes only these.
+not run again while it is there (--anew does). Then docs/tables/critical_velocity.csv, docs/evidence/bonding.png and the tables of
+docs/evidence/bonding.md. --draw makes only these.
 """
 
 import argparse
@@ -21,7 +21,7 @@ from coupler.physics.adhesion import critical_velocity, critical_velocity_linear
 from coupler.physics.materials import Material, material
 from coupler.progress import Progress
 
-TABLES, PAGE = Path("docs/tables"), Path("docs/bonding.md")
+TABLES, PAGE = Path("docs/tables"), Path("docs/evidence/bonding.md")
 METALS = ("Ni", "Ti", "OFHC_Cu", "Al")
 VELOCITIES = (200, 400, 600, 850)
 DIAMETER, TEMPERATURE = 25e-6, 300.0
@@ -190,7 +190,7 @@ def draw(rows: list[dict[str, Any]], found: list[dict[str, Any]]) -> None:
     right.plot([], [], "k*", ms=9, label="critical velocity of Schmidt et al. (2006)")
     right.plot([], [], ":", color="0.3", label="threshold fitted to copper")
     right.legend(fontsize=8)
-    save(figure, Path("docs/bonding.png"))
+    save(figure, Path("docs/evidence/bonding.png"))
 
 
 def rebound_table(rows: list[dict[str, Any]]) -> str:

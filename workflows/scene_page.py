@@ -1,4 +1,4 @@
-"""Writes docs/scene.md, a scene key by key, from the models that read scenes: python workflows/scene_page.py [FILE]
+"""Writes docs/guide/scene.md, a scene key by key, from the models that read scenes: python workflows/scene_page.py [FILE]
 
 Types, units, limits and defaults are those of the models; only the words are kept here. `make docs` runs it first.
 """
@@ -22,12 +22,12 @@ from coupler.scene.model import Scene
 from coupler.scene.tables import Quantity, Section
 from coupler.spray import nozzles
 
-PAGE = Path(__file__).parents[1] / "docs" / "scene.md"
+PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 WORDS = {
     "name": "of the run, and of its folder in `runs/`; the file's name unless said",
     "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
     "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
-    " ([effects](effects.md))",
+    " ([effects](../evidence/effects.md))",
     "particle.material": "a name of the library or of `[materials.NAME]`",
     "particle.shape": "all shapes have the volume of a sphere of `diameter`",
     "particle.diameter": "of the sphere of equal volume",
@@ -66,7 +66,7 @@ WORDS = {
     "adhesion.shear_energy": "in shear; that in tension unless said",
     "splat.mass_scaling": "share of the next particle's mass that the elements with the shortest steps may be made heavier by; 0 for"
     " none ([sequences](sequences.md))",
-    "splat.method": "where the surface of a finished splat comes from ([splats](splats.md))",
+    "splat.method": "where the surface of a finished splat comes from ([splats](../theory/splats.md))",
     "splat.element_size": "edges of a splat's elements; the target's smallest unless said",
     "resolution.spacing": "of the particle's points; by the preset unless said",
     "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings unless said",
@@ -96,7 +96,7 @@ ABOUT = {
     "coating": "Optional, in place of `[[particle]]`: many particles drawn from a seed.",
     "substrate": "The target, a cylinder whose top is the surface.",
     "contact": "Between particle and target, and between bodies.",
-    "adhesion": "What holds splats to what they lie on ([contact and bonds](contact.md)).",
+    "adhesion": "What holds splats to what they lie on ([contact and bonds](../theory/contact.md)).",
     "splat": "How a finished particle becomes finite elements.",
     "resolution": "Overrides of the preset.",
     "end": "When an impact ends.",

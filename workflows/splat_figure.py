@@ -1,4 +1,4 @@
-"""docs/splats.png: what the default and the paper's way make of three clouds of the battery, cut open.
+"""docs/evidence/splats.png: what the default and the paper's way make of three clouds of the battery, cut open.
 
     python workflows/splat_figure.py [--clouds DIR]
 
@@ -47,7 +47,7 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
-    parser.add_argument("--out", type=Path, default=Path("docs/splats.png"))
+    parser.add_argument("--out", type=Path, default=Path("docs/evidence/splats.png"))
     a = parser.parse_args()
     a.clouds.mkdir(parents=True, exist_ok=True)
     figure, axes = plt.subplots(3, len(CLOUDS), figsize=(12.0, 6.4), constrained_layout=True)

@@ -366,7 +366,7 @@ def main() -> None:
     """Play what is not in the table yet."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("docs/tables/stability.csv"))
-    parser.add_argument("--docs", type=Path, default=Path("docs/stability.md"))
+    parser.add_argument("--docs", type=Path, default=Path("docs/evidence/stability.md"))
     parser.add_argument("--only", default="", help="scenes with this text in their names, made anew")
     parser.add_argument("--anew", action="store_true", help="forget the rows of the table")
     a = parser.parse_args()

@@ -6,7 +6,7 @@
 
 A row for each impact of each run goes into docs/tables/validation.csv (cases) and validation_trends.csv; runs that are there are not
 computed again, and one that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py` writes
-docs/validation.md and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
+docs/evidence/validation.md and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The figures of docs/validation.md, and what they are drawn from."""
+"""The figures of docs/evidence/validation.md, and what they are drawn from."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FIGURES = Path("docs")
+FIGURES = Path("docs/evidence")
 # Ours dark and full, the paper's grey or hatched by its marks: told apart without colour too.
 INK, BLUE, ORANGE, GREY = "#1a1a1a", "#1f5fa8", "#c7540a", "#8a8a8a"
 TREND_COLUMNS = (

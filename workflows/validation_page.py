@@ -1,4 +1,4 @@
-"""The tables of docs/validation.md, from docs/tables/validation*.csv and paper_values.toml, between marks in its text."""
+"""The tables of docs/evidence/validation.md, from docs/tables/validation*.csv and paper_values.toml, between marks in its text."""
 
 import csv
 import tomllib
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import validation_figures as figures
 
-TABLES, PAGE = Path("docs/tables"), Path("docs/validation.md")
+TABLES, PAGE = Path("docs/tables"), Path("docs/evidence/validation.md")
 PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())
 BEGIN, END = "<!-- {}: written by workflows/validate.py -->", "<!-- end of {} -->"
 #: The readings of a splat's thickness, and of the instant, that a flattening ratio can be of: column, words.
@@ -301,7 +301,7 @@ BLOCKS: dict[str, Callable[[Sequence[Row]], list[str]]] = {
 
 
 def write_page() -> None:
-    """Put the tables between their marks in docs/validation.md and draw its figures. A mark that is gone is an error."""
+    """Put the tables between their marks in docs/evidence/validation.md and draw its figures. A mark that is gone is an error."""
     rows, text = read(TABLES / "validation.csv"), PAGE.read_text()
     if not seven(rows):
         raise SystemExit("docs/tables/validation.csv has none of the cases A to D yet: make validate")

@@ -139,7 +139,9 @@ def outlook(what: "Plan", pace: "Pace") -> str:
         lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
         widest = max(found.values(), key=lambda got: got.share)
         lines.append(f"             the widest by {widest.why}")
-        lines.append("             of the discretisation alone (docs/accuracy.md); local maxima do not converge")
+        lines.append(
+            "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
+        )
     return "\n".join(lines)
 
 

@@ -57,7 +57,7 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
     nothing is, or nothing helped.
 
     The report says what was measured before and after: step and quality, mass (kg), momentum (N s), energies (J), the
-    crater; see docs/splats.md.
+    crater; see docs/theory/splats.md.
     """
     started = clock.perf_counter()
     before = _measures(bodies)

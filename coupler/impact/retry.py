@@ -29,7 +29,8 @@ class Remedy:
         return {**numerics, **{name: max(least, numerics.get(name, least)) for name, least in self.numerics.items()}}
 
 
-# The last one changes the scheme: at 4000 points Q1 0.2 takes 1.2 % and hourglass 3 takes 0.9 % of the flattening (docs/solvers.md).
+# The last one changes the scheme: at 4000 points Q1 0.2 takes 1.2 % and hourglass 3 takes 0.9 % of the flattening
+# (docs/evidence/solvers.md).
 REMEDIES = (
     Remedy(-1, 0.5, "half the time step, from the last sound state"),
     Remedy(-2, 0.25, "a quarter of the time step, from the sound state before"),

@@ -1,4 +1,4 @@
-"""How far a measure may be off at a resolution, from the ladders of docs/accuracy.md as packaged in bands.csv.
+"""How far a measure may be off at a resolution, from the ladders of docs/evidence/accuracy.md as packaged in bands.csv.
 
 A band is the largest of two things: what the fit v + a h^p of the ladder is still off its limit at h = N^(-1/3), with the scatter
 about that fit; and half of what the knobs of the scheme move the measure by, which shrinks with h alike. It is none of the error
@@ -118,7 +118,7 @@ def points_for(share: float, kind: Kind) -> int:
         name, least = at(MOST)
         raise AccuracyError(
             f"--accuracy {100 * share:g}% cannot be had: with {MOST} points the {record(name).short} is still uncertain by"
-            f" {100 * least:.2g} %; ask for that or more (docs/accuracy.md)"
+            f" {100 * least:.2g} %; ask for that or more (docs/evidence/accuracy.md)"
         )
     low, high = LEAST, MOST
     while high - low > 0.01 * high:

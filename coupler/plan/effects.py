@@ -11,7 +11,7 @@ from .. import units
 from ..physics.materials import Material
 
 # effect -> (the number that decides, its threshold); on when the number is above. What the study's rows allow (`largest_threshold`,
-# docs/effects.md), rounded down to one digit.
+# docs/evidence/effects.md), rounded down to one digit.
 THRESHOLDS: dict[str, tuple[str, float]] = {
     "thermal_softening": ("heating or preheat / (T_m - T)", 0.006),
     "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.0005),
@@ -190,7 +190,7 @@ class Influence:
 
 
 def expected(name: str, values: Mapping[str, float]) -> Influence | None:
-    """What to expect of leaving out an effect; None where nothing was measured (docs/effects.md).
+    """What to expect of leaving out an effect; None where nothing was measured (docs/evidence/effects.md).
 
     values: the number of each effect, as in the rows of `Effects`. Nearest is the case whose own number comes nearest; where
     several do, the one whose other numbers come nearest too.

@@ -67,7 +67,7 @@ def _influence(plan: Plan) -> list[str]:
             flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
             saved = "-" if found.cost is None else f"{max(100.0 * found.cost, 0.0):.0f} %"
             lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
-    basis = "  of the case of docs/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
+    basis = "  of the case of docs/evidence/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
     return [head, *lines, basis] if lines else []
 
 

@@ -1,6 +1,6 @@
 """A particle on its way from the powder feed to the target, dragged and heated by the gas of `coupler.spray.gas`.
 
-It is a sphere of one temperature, alone on the axis; how good that is, is in docs/gas.md.
+It is a sphere of one temperature, alone on the axis; how good that is, is in docs/guide/gas.md.
 """
 
 import math

@@ -1,7 +1,7 @@
 """The gas of cold spray: one-dimensional flow through a de Laval nozzle, into a free jet, up to the target.
 
 The flow in the nozzle is isentropic and chokes in the throat; nothing acts back on it. Positions x in m along the axis, 0 in
-the throat. What this leaves out, and what it comes to, is in docs/gas.md.
+the throat. What this leaves out, and what it comes to, is in docs/guide/gas.md.
 """
 
 import math
