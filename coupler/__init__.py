@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .deposition.run import run
     from .files.result import Result
-    from .scene.model import Scene
+    from .plan.reading import Scene
 
 __version__ = "0.1.0"
 __all__ = ["Result", "Scene", "run"]
 
-_HOME = {"Scene": "scene.model", "run": "deposition.run", "Result": "files.result"}
+_HOME = {"Scene": "plan.reading", "run": "deposition.run", "Result": "files.result"}
 
 
 def __getattr__(name: str) -> Any:

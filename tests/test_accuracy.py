@@ -16,8 +16,8 @@ from coupler.measures import BANDED
 from coupler.plan import bands
 from coupler.plan import cost as estimates
 from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
 from coupler.progress import Progress
-from coupler.scene.model import Scene
 from coupler.studies import accuracy_figures as draw
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, ladder_runs, pace, timing
@@ -58,9 +58,9 @@ def test_the_rungs_vary_one_thing_at_a_time():
     assert all(r.points < rungs[-1].points for r in rungs[:-1])
     scene = scene_with(preset="draft", resolution__spacing="2 um")
     by_name = {r.name: ladder.scene_at(scene, r) for r in rungs}
-    assert by_name["3500 points"].points == 3500
-    assert by_name["3500 points"].element_size == pytest.approx(1.7 * by_name["3500 points"].spacing)
-    assert by_name["2.5 spacings"].element_size == pytest.approx(2.5 * by_name["2.5 spacings"].spacing)
+    assert by_name["3500 points"].derived.points == 3500
+    assert by_name["3500 points"].derived.element_size == pytest.approx(1.7 * by_name["3500 points"].derived.spacing)
+    assert by_name["2.5 spacings"].derived.element_size == pytest.approx(2.5 * by_name["2.5 spacings"].derived.spacing)
     assert by_name["effects none"].effects == "none"
     assert by_name["3500 points"].particles == scene.particles
     assert {r.axis for r in ladder.ladder_points(knobs_at=None)} == {"points", "reference"}
@@ -203,9 +203,9 @@ def test_within_takes_the_finest_there_is_time_for():
     scene = scene_with()
     made, said = command.chosen(scene, "60s", None)
     assert 50.0 < plan(made).wall_estimate <= 60.0
-    assert f"{made.points} points" in said
-    assert made.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.spacing)
-    assert command.chosen(scene, "5 min", None)[0].points > made.points
+    assert f"{made.derived.points} points" in said
+    assert made.derived.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.derived.spacing)
+    assert command.chosen(scene, "5 min", None)[0].derived.points > made.derived.points
     with pytest.raises(bands.AccuracyError, match=r"--within 0\.5s is too short: at 300 points"):
         command.chosen(scene, "0.5s", None)
 
@@ -214,14 +214,14 @@ def test_within_takes_the_finest_there_is_time_for():
 def test_accuracy_chooses_the_coarsest_that_will_do():
     asked = 100 * bands.worst(bands.Kind(3000, 500.0))[1]
     made, said = command.chosen(scene_with(), None, f"{asked:.6f}%")
-    assert made.points == pytest.approx(3000, rel=0.05)
+    assert made.derived.points == pytest.approx(3000, rel=0.05)
     assert "shape within" in said
     with pytest.raises(bands.AccuracyError, match="more than --within 3s"):
         command.chosen(scene_with(), "3s", f"{asked:.6f}%")
     unlike, _ = command.chosen(several({}, {"diameter": "15 um"}), None, "90%")
-    assert unlike.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
+    assert unlike.derived.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
     pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
-    assert pile.points_of(pile.particles[-1]) >= 0.95 * bands.points_for(asked / 100, bands.Kind(1, 500.0, 2))
+    assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * bands.points_for(asked / 100, bands.Kind(1, 500.0, 2))
 
 
 @pytest.mark.parametrize(

@@ -22,11 +22,12 @@ from coupler.physics.materials import material
 from coupler.plan import effects
 from coupler.plan.planning import plan
 from coupler.plan.text import describe
+from coupler.scene.effects import NAMES
 from coupler.sph import law as points_law
 
 
 def test_every_effect_has_a_threshold_and_says_why() -> None:
-    assert set(effects._WHY) == set(effects.THRESHOLDS) == set(effects.NAMES)
+    assert set(effects._WHY) == set(effects.THRESHOLDS) == set(NAMES)
     for row in plan(scene_with()).effects.rows:
         assert math.isfinite(row.value), row.name
         assert row.why
@@ -165,7 +166,7 @@ def test_warnings_name_the_limit_that_was_left() -> None:
 
 
 def test_the_law_without_effects_is_elastic_perfectly_plastic_but_for_hardening() -> None:
-    record = law.law_record(material("Ni"), dict.fromkeys(effects.NAMES, False))[0]
+    record = law.law_record(material("Ni"), dict.fromkeys(NAMES, False))[0]
     assert law.yield_stress(record, 0.5, 1e7, 900.0) == pytest.approx(
         material("Ni").A + material("Ni").B * 0.5 ** material("Ni").n
     )

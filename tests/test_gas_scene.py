@@ -10,8 +10,10 @@ import pytest
 from coupler.commands import main as cli
 from coupler.errors import SceneError
 from coupler.physics.materials import material
-from coupler.plan.planning import describe, plan
-from coupler.scene.model import GasConditions, Scene
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.text import describe
+from coupler.scene.model import GasConditions
 from coupler.spray import nozzles
 from coupler.spray.flight import DRAG_LAWS, fly
 from coupler.spray.gas import GASES, Flow

@@ -17,7 +17,7 @@ from coupler.commands import main as cli
 from coupler.errors import SceneError, StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
 from coupler.studies import sweep
 from coupler.studies.maps import AXES, BAND, COLUMNS, interpolate, table, varying, write_table
 from coupler.studies.sweep import Sweep

@@ -7,7 +7,9 @@ from test_scene import scene_with, several
 
 from coupler.plan import cost as estimates
 from coupler.plan import effects
-from coupler.plan.planning import describe, plan
+from coupler.plan.planning import plan
+from coupler.plan.text import describe
+from coupler.scene.effects import NAMES, check_request
 
 
 def row(made, name):
@@ -25,7 +27,7 @@ def test_nickel_on_steel():
     assert 30e-12 < made.dt_estimate < 60e-12
     assert 700 < made.steps_estimate < 4000
     off = {"adhesion", "ahead_of_waves", "cooling"}
-    assert made.effects.active == [name for name in effects.NAMES if name not in off]
+    assert made.effects.active == [name for name in NAMES if name not in off]
     assert any("strain rates" in warning for warning in made.warnings)
 
 
@@ -61,7 +63,7 @@ def test_an_impact_that_ends_at_a_time():
 
 def test_cost_grows_with_the_splats_that_join():
     one, two, three = (plan(several(*[{}] * n)) for n in (1, 2, 3))
-    splat = one.scene.splat_elements_of(one.scene.particle)
+    splat = one.scene.derived.splat_elements_of(one.scene.particle)
     assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
     later = two.steps_estimate - one.steps_estimate  # on a splat: smaller steps, and another metal under it
     assert later > one.steps_estimate
@@ -136,14 +138,14 @@ def test_absorbing_faces_only_where_waves_come_back():
 @pytest.mark.parametrize(
     ("request_", "active"),
     [
-        ("all", set(effects.NAMES)),
+        ("all", set(NAMES)),
         ("none", set()),
         (["friction"], {"friction"}),
         ([], set()),
-        (["auto", "-friction"], set(effects.NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
-        (["-friction"], set(effects.NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
+        (["auto", "-friction"], set(NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
+        (["-friction"], set(NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
         (["none", "+friction", "mie_gruneisen"], {"friction", "mie_gruneisen"}),
-        (["all", "-mie_gruneisen"], set(effects.NAMES) - {"mie_gruneisen"}),
+        (["all", "-mie_gruneisen"], set(NAMES) - {"mie_gruneisen"}),
     ],
 )
 def test_what_the_user_says_goes(request_, active):
@@ -156,7 +158,7 @@ def test_what_the_user_says_goes(request_, active):
 
 @pytest.mark.parametrize("request_", ["some", ["+-friction"], ["friction", "auto"], ["frictoin"], ["+x", "-x"]])
 def test_requests_that_make_no_sense(request_):
-    assert effects.check_request(request_)
+    assert check_request(request_)
 
 
 def test_warns_near_melting():
@@ -184,7 +186,7 @@ def test_cost_rises_with_the_preset():
 
 def test_described_for_a_terminal():
     text = describe(plan(scene_with()))
-    for part in ("points     about 5000", "elements", "dt", "steps", "memory", "wall time", *effects.NAMES):
+    for part in ("points     about 5000", "elements", "dt", "steps", "memory", "wall time", *NAMES):
         assert part in text
     assert max(map(len, text.splitlines())) <= 125
 

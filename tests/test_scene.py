@@ -5,7 +5,8 @@ import pytest
 
 from coupler.errors import SceneError
 from coupler.plan import cost as estimates
-from coupler.scene.model import SHAPES, Scene
+from coupler.plan.reading import Scene
+from coupler.scene.model import SHAPES
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
 CP = [["300 K", "4e2 J/kgK"], ["900 K", "5e2 J/kgK"]]
@@ -46,12 +47,12 @@ def test_the_example_of_nickel():
     assert scene.name == "single_ni"
     assert (scene.particle.diameter, scene.particle.velocity) == (25e-6, 500.0)
     assert (scene.substrate.diameter, scene.substrate.height) == (200e-6, 100e-6)
-    assert scene.points == 5000
-    assert scene.spacing == pytest.approx(1.1784e-6, rel=1e-4)
-    assert scene.element_size == pytest.approx(1.7 * scene.spacing)
-    assert scene.output_every_of(scene.particle) == pytest.approx(2e-9)
-    assert scene.end_time == pytest.approx(3 * 25e-6 / 500 + scene.gap_of(scene.particle) / 500)
-    assert scene.adhesion_law.kind == "none"
+    assert scene.derived.points == 5000
+    assert scene.derived.spacing == pytest.approx(1.1784e-6, rel=1e-4)
+    assert scene.derived.element_size == pytest.approx(1.7 * scene.derived.spacing)
+    assert scene.derived.output_every_of(scene.particle) == pytest.approx(2e-9)
+    assert scene.derived.end_time == pytest.approx(3 * 25e-6 / 500 + scene.derived.gap_of(scene.particle) / 500)
+    assert scene.derived.adhesion_law.kind == "none"
 
 
 def test_the_example_of_titanium():
@@ -93,7 +94,7 @@ def test_written_out_and_read_again_it_is_equal(changes):
 def test_end():
     assert scene_with().end.at == "rest"
     timed = scene_with(end__time="60 ns")
-    assert (timed.end.at, timed.end_time) == (None, 60e-9)
+    assert (timed.end.at, timed.derived.end_time) == (None, 60e-9)
 
 
 def test_all_problems_at_once():
@@ -192,7 +193,7 @@ def test_one_problem(path, value, says):
 
 def test_memory_is_compared_with_the_machine(monkeypatch):
     one = scene_with()
-    needed = estimates.memory(one.points, one.elements)
+    needed = estimates.memory(one.derived.points, one.derived.elements)
     monkeypatch.setattr(estimates, "machine_memory", lambda: 1.01 * needed)
     assert scene_with() == one
     (problem,) = problems_with(particle=[NI] * 20)
@@ -209,7 +210,7 @@ def test_the_examples_of_several_impacts():
     assert [(p.material, p.diameter, p.velocity) for p in double.particles] == [("Ni", 30e-6, 500), ("Ti", 25e-6, 500)]
     assert [(p.diameter, p.velocity) for p in triple.particles] == [(25e-6, 500), (22e-6, 546), (18e-6, 610)]
     assert triple.particle == triple.particles[0]
-    assert triple.adhesion_law.kind == "tied"
+    assert triple.derived.adhesion_law.kind == "tied"
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -221,19 +222,19 @@ def test_the_six_shapes_have_equal_volume(shape):
 
 def test_one_spacing_for_all_that_of_the_largest():
     scene = several({"diameter": "18 um"}, {"diameter": "25 um"})
-    assert scene.spacing == scene_with().spacing
-    assert [scene.points_of(p) for p in scene.particles] == [round(5000 * 0.72**3), 5000]
-    assert (scene.points, scene.element_size) == (5000, scene_with().element_size)
-    assert scene.splat_element_size == scene.element_size
+    assert scene.derived.spacing == scene_with().derived.spacing
+    assert [scene.derived.points_of(p) for p in scene.particles] == [round(5000 * 0.72**3), 5000]
+    assert (scene.derived.points, scene.derived.element_size) == (5000, scene_with().derived.element_size)
+    assert scene.derived.splat_element_size == scene.derived.element_size
 
 
 def test_the_fine_part_of_the_target_holds_all_offsets():
     scene = several({"offset": ["10 um", "0 um"]}, {"offset": ["-20 um", "8 um"]}, {"diameter": "18 um"})
-    assert scene.centre == pytest.approx((-5e-6, 4e-6))
-    assert scene.refined_radius == pytest.approx(scene_with().refined_radius + math.hypot(15e-6, 4e-6))
+    assert scene.derived.centre == pytest.approx((-5e-6, 4e-6))
+    assert scene.derived.refined_radius == pytest.approx(scene_with().derived.refined_radius + math.hypot(15e-6, 4e-6))
     one = scene_with(particle__offset=["7 um", "0 um"])
-    assert one.centre == (7e-6, 0.0)
-    assert one.refined_radius == scene_with().refined_radius
+    assert one.derived.centre == (7e-6, 0.0)
+    assert one.derived.refined_radius == scene_with().derived.refined_radius
 
 
 def test_the_smallest_and_the_largest_are_looked_at():
@@ -286,30 +287,30 @@ def test_adhesion_is_read_in_si_units():
         "criterion": "pressure",
         "threshold": "1 GPa",
     }
-    law = scene_with(adhesion=table).adhesion_law
+    law = scene_with(adhesion=table).derived.adhesion_law
     assert (law.strength, law.energy, law.threshold, law.shear_strength) == (300e6, 20.0, 1e9, None)
-    assert several({}, {}).adhesion_law.kind == "tied"
-    assert several({}, {}, adhesion__kind="none").adhesion_law.kind == "none"
+    assert several({}, {}).derived.adhesion_law.kind == "tied"
+    assert several({}, {}, adhesion__kind="none").derived.adhesion_law.kind == "none"
 
 
 def test_a_critical_velocity_needs_a_tensile_strength():
     adhesion = {"kind": "tied", "criterion": "velocity"}
-    assert scene_with(adhesion=adhesion).adhesion_law.criterion == "velocity"
+    assert scene_with(adhesion=adhesion).derived.adhesion_law.criterion == "velocity"
     (problem,) = problems_with(particle=[NI, NI | {"material": "42CrMo4"}], adhesion=adhesion)
     assert problem.startswith('adhesion.criterion = "velocity": 42CrMo4 has no sigma_TS')
 
 
 def test_a_long_sequence_writes_no_more_than_a_scene_may():
     scene = several(*[{"diameter": "10 um"}] * 500, preset="draft", splat__element_size="2.5 um")
-    assert sum(scene.end_time_of(p) / scene.output_every_of(p) for p in scene.particles) < 5000
-    assert scene.output_every_of(scene.particle) > 5 * scene_with().output_every_of(scene.particle)
+    assert sum(scene.derived.end_time_of(p) / scene.derived.output_every_of(p) for p in scene.particles) < 5000
+    assert scene.derived.output_every_of(scene.particle) > 5 * scene_with().derived.output_every_of(scene.particle)
 
 
 def test_each_impact_has_its_own_times():
     slow, fast = (scene := several({"velocity": "250 m/s"}, {})).particles
-    assert scene.output_every_of(slow) == pytest.approx(2 * scene.output_every_of(fast))
-    assert scene.end_time == pytest.approx(scene.end_time_of(slow) + scene.end_time_of(fast))
-    assert scene.end_time_of(slow) == pytest.approx(2 * scene.end_time_of(fast))
+    assert scene.derived.output_every_of(slow) == pytest.approx(2 * scene.derived.output_every_of(fast))
+    assert scene.derived.end_time == pytest.approx(scene.derived.end_time_of(slow) + scene.derived.end_time_of(fast))
+    assert scene.derived.end_time_of(slow) == pytest.approx(2 * scene.derived.end_time_of(fast))
 
 
 def test_missing_tables():

@@ -10,7 +10,8 @@ from test_scene import problems_with, scene_with
 
 from coupler import Scene, run
 from coupler.physics import shapes as morphology
-from coupler.plan.planning import describe, plan
+from coupler.plan.planning import plan
+from coupler.plan.text import describe
 from coupler.scene.model import SHAPES, Shape
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface, volume
@@ -218,10 +219,10 @@ def test_a_scene_may_ask_for_it(name: str) -> None:
 
 def test_a_long_particle_needs_a_wider_target_and_more_time() -> None:
     lying, standing = scene_with(particle__shape="rod"), scene_with(particle__shape="rod", particle__tilt="90 deg")
-    assert lying.width == pytest.approx(6.17 * 12.13e-6, rel=1e-3)
-    assert lying.refined_radius > 0.5 * lying.width
-    assert standing.refined_radius == pytest.approx(scene_with().refined_radius)
-    assert standing.end_time > 2.5 * scene_with().end_time
+    assert lying.particle.width == pytest.approx(6.17 * 12.13e-6, rel=1e-3)
+    assert lying.derived.refined_radius > 0.5 * lying.particle.width
+    assert standing.derived.refined_radius == pytest.approx(scene_with().derived.refined_radius)
+    assert standing.derived.end_time > 2.5 * scene_with().derived.end_time
     (problem,) = problems_with(particle__shape="rod", substrate__diameter="100 um")
     assert "at least 125 um" in problem
     assert scene_with(particle__shape="rod", particle__tilt="90 deg", substrate__diameter="100 um")

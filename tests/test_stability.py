@@ -229,7 +229,7 @@ def test_the_battery_is_sixty_scenes_and_more() -> None:
     assert len(scenes) + len(stability.SPECIAL) >= 60
     for name, said in scenes.items():
         checked = Scene.from_dict(said, name.replace(",", ""))
-        assert checked.points <= 2100, name
+        assert checked.derived.points <= 2100, name
 
 
 def test_the_judge_sees_each_fault() -> None:

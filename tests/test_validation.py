@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coupler.fe import mesh as meshes
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
 

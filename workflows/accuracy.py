@@ -14,8 +14,8 @@ from pages import PAGES, ROOT, figure_path, markdown, marked, table_rows, versio
 
 from coupler.measures import BANDED, MEASURES
 from coupler.plan import bands, cost
+from coupler.plan.reading import Scene
 from coupler.report.picture import save
-from coupler.scene.model import Scene
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, ladder_runs
 from coupler.studies.accuracy_figures import diagram, order_of, preset_of

@@ -24,7 +24,7 @@ from coupler.impact.loop import advance_window
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
 
 STEPS, REPEATS = 40, 7
 

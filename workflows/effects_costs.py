@@ -29,7 +29,7 @@ from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, Target
 from coupler.impact.exchange import WINDOW
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.plan.effects import NAMES
+from coupler.scene.effects import NAMES
 from coupler.sph import law as points_law
 
 SCENE = "Ni on steel, 500 m/s"

@@ -23,8 +23,9 @@ from coupler.errors import ColdsprayError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
-from coupler.plan.effects import LEFT_OUT, NAMES, THRESHOLDS, largest_threshold, worst_change
+from coupler.plan.effects import LEFT_OUT, THRESHOLDS, largest_threshold, worst_change
 from coupler.plan.planning import plan
+from coupler.scene.effects import NAMES
 
 STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
 COSTS, KERNELS = Path("docs/tables/effects_costs.csv"), Path("docs/tables/effects_kernels.csv")

@@ -130,7 +130,7 @@ def verdict(code: int | None, err: str) -> str:
 def read(text: str) -> tuple[int | None, str, float]:
     """As `tried`, for a text that is no scene: refused, as the command would; None for one that is."""
     from coupler.errors import SceneError
-    from coupler.scene.model import Scene
+    from coupler.plan.reading import Scene
 
     try:
         Scene.from_text(text, "scene.toml")

@@ -19,9 +19,10 @@ from scipy.optimize import least_squares
 
 from coupler import run
 from coupler.physics.materials import Material, material
+from coupler.physics.shapes import sphere_volume
 from coupler.plan import cost
 from coupler.plan.planning import plan
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
 from coupler.studies.table import read_rows
 
@@ -82,7 +83,7 @@ def judge(name: str, here: pace.Pace) -> Table:
         took = ladder_runs.spent() - before
     said = here.seconds(planned)
     return {
-        "round": 1 if name in FIRST else 2, "scene": name, "points": checked.points,
+        "round": 1 if name in FIRST else 2, "scene": name, "points": checked.derived.points,
         "steps_said": planned.steps_estimate, "steps": result.steps,
         "said_s": round(said, 2), "took_s": round(took, 2),
         "off_percent": round(100 * (said / took - 1), 1),
@@ -110,11 +111,11 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if odd or len(checked.particles) > 1 or checked.end.time:
             continue
         first, base = material(p.material), material(checked.substrate.material)
-        end, points = float(row["end ns"]) * 1e-9, p.volume / checked.spacing**3
+        end, points = float(row["end ns"]) * 1e-9, p.volume / checked.derived.spacing**3
         row_terms = terms(
             first, base, p.temperature, checked.substrate.temperature, p.velocity, p.diameter, points, p.angle
         )
-        cfl = end / int(row["steps"]) * first.wave_speed / checked.spacing
+        cfl = end / int(row["steps"]) * first.wave_speed / checked.derived.spacing
         found.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
     singles = [
         (r["material"], float(r["diameter_um"]), float(r["speed_m_s"]), float(r["temperature_K"]), r["points"], r["steps"], r["dt_ps"])
@@ -127,7 +128,7 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             singles.append(("Ni", 25.0, 500.0, 300.0, r["points"], r["steps"], r["dt_mean_ps"]))
     for name, D, v, T, points, steps, dt in singles:
         first, time = material(name), int(steps) * float(dt) * 1e-12
-        spacing = cost.spacing(cost.sphere_volume(D * 1e-6), int(points))
+        spacing = cost.spacing(sphere_volume(D * 1e-6), int(points))
         row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, float(points), 0.0)
         found.append(
             (row_terms, math.log(time * v / (D * 1e-6)), math.log(float(dt) * 1e-12 * first.wave_speed / spacing))

@@ -17,8 +17,8 @@ from pydantic_core import PydanticUndefined
 from coupler import units
 from coupler.physics import materials
 from coupler.plan import cost as estimates
-from coupler.plan import effects
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
+from coupler.scene.effects import NAMES
 from coupler.scene.tables import Quantity, Section
 from coupler.spray import nozzles
 
@@ -164,7 +164,7 @@ def page() -> str:
         *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else ""),
         "## Effects",
         "",
-        f"Names for `effects`: {', '.join(f'`{name}`' for name in effects.NAMES)}.",
+        f"Names for `effects`: {', '.join(f'`{name}`' for name in NAMES)}.",
         "",
     ]
     return "\n".join(lines).rstrip() + "\n"

@@ -48,7 +48,7 @@ def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, A
         )
         text = SCENE.format(before=first, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how)
         scene = Scene.from_text(text, "battery")
-        body = shapes.shape(how["shape"], diameter * 1e-6, scene.points, np.radians(how["tilt"]), 0.8)
+        body = shapes.shape(how["shape"], diameter * 1e-6, scene.derived.points, np.radians(how["tilt"]), 0.8)
         inner = CarriedSurface(body.points, *body.inner, body.spacing) if body.inner is not None else None
         seen: dict[str, Any] = {}
 

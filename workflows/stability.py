@@ -207,8 +207,8 @@ def play(name: str, said: dict[str, Any], folder: Path) -> tuple[dict[str, Any],
 
 def melting_of(checked: Any) -> dict[str, float]:
     names = {p.material for p in checked.particles}
-    points = {name: checked.material(name).T_m for name in names}
-    return points | {"substrate": checked.material(checked.substrate.material).T_m}
+    points = {name: checked.derived.material(name).T_m for name in names}
+    return points | {"substrate": checked.derived.material(checked.substrate.material).T_m}
 
 
 class Silent:

@@ -13,7 +13,7 @@ from ..errors import StoreError
 if TYPE_CHECKING:
     from ..plan.bands import Kind
     from ..plan.planning import Plan
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
     from ..studies.pace import Pace
 
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
@@ -49,7 +49,7 @@ def add_to_run(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
     from ..studies import ladder, ladder_runs
     from ..studies.accuracy_figures import write
 

@@ -41,7 +41,7 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..physics import materials
-    from ..scene import gas as scene_gas
+    from ..plan import gas as scene_gas
     from ..spray import flight
 
     nozzles = _nozzles(arguments.nozzles)
@@ -65,7 +65,7 @@ def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple
     """The checked conditions and the diameters, m. Raises SceneError with every problem."""
     from ..errors import SceneError
     from ..physics import materials
-    from ..scene import gas as scene_gas
+    from ..plan import gas as scene_gas
     from ..spray.nozzles import unknown
 
     given = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}

@@ -144,8 +144,9 @@ class _Version(argparse.Action):
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from ..plan.planning import describe, plan
-    from ..scene.model import Scene
+    from ..plan.planning import plan
+    from ..plan.reading import Scene
+    from ..plan.text import describe
 
     what = plan(Scene.load(arguments.scene))
     outlook = accuracy_command.outlook(what, accuracy_command.here(arguments.recalibrate))
@@ -154,7 +155,7 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
 
     scene = Scene.load(arguments.scene)
     out = arguments.out or Path("runs") / scene.name

@@ -82,7 +82,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     import numpy as np
 
     from ..files.result import Result
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
     from ..splat.cloud import Cloud
 
     result = Result(folder)
@@ -91,8 +91,8 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     except IndexError as problem:
         raise SplatError(f"--step {step}: {problem}") from None
     scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
-    metal = scene.material(scene.particle.material)
-    spacing = spacing or float(result.summary.get("spacing_m") or scene.spacing)
+    metal = scene.derived.material(scene.particle.material)
+    spacing = spacing or float(result.summary.get("spacing_m") or scene.derived.spacing)
     times = result.times("surface")
     skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
     surface, notes = None, []

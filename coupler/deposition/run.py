@@ -24,9 +24,9 @@ from ..impact.rebound import deposition_efficiency
 from ..impact.run import RunOptions, run_impact
 from ..impact.validity import merged
 from ..plan.planning import Plan, plan
+from ..plan.reading import Scene
 from ..progress import Progress
 from ..ranks import ranks as parallel
-from ..scene.model import Scene
 from .joining import join, splats_at_end
 
 CHECKPOINT_EVERY = 60.0  # s of wall time

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..errors import SolverError
 from ..geometry import tetrahedra
-from ..plan.cost import COARSEST
+
+COARSEST = 1 / 6  # largest element over the smaller dimension of a cylinder, unless said
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,11 @@ _CORNERS = sorted({p for signs in itertools.product((-1, 1), repeat=2) for p in 
 _CUBOCTAHEDRON_VOLUME = 20.0 / 3.0
 
 
+def sphere_volume(diameter: float) -> float:
+    """Volume of a sphere, m3. diameter: m."""
+    return math.pi / 6 * diameter**3
+
+
 @dataclass(frozen=True)
 class Form:
     """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or

@@ -16,14 +16,12 @@ LEAST_POINTS = 200
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
 ELEMENT_SIZE_OVER_SPACING = 1.7
-REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
-GROWTH = 0.35  # element size gained per unit of distance outside it
 COARSEST = 1 / 6  # largest element over the target's smaller dimension
+REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
 WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
 MANY = 10  # particles from which on that is done
-MASS_SCALING = 0.02  # of the next particle's mass, that the elements with the shortest steps may be made heavier by
 CAP = 3.0  # heights over velocity that an impact may take
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, convergence_ni500): the
@@ -62,17 +60,12 @@ class Cost:
         return self.steps + self.points + self.rest
 
 
-def sphere_volume(diameter: float) -> float:
-    """Volume of a sphere, m^3. diameter: m."""
-    return math.pi / 6 * diameter**3
-
-
 def spacing(volume: float, points: int) -> float:
     """Distance between points that fill a volume (m^3), each with its cube of it, m."""
     return (volume / points) ** (1 / 3)
 
 
-def elements(diameter: float, height: float, element_size: float, refined_radius: float, growth: float = GROWTH) -> int:
+def elements(diameter: float, height: float, element_size: float, refined_radius: float, growth: float) -> int:
     """Tetrahedra of a graded mesh of a cylinder (m): element_size near the impact, growing outside refined_radius.
 
     Sum of TETS_PER_H3 / h(r)^3 over shells of a half ball that has the volume of the cylinder, h(r) = element_size +

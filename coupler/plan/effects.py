@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
-from .. import units
 from ..physics.materials import Material
+from ..scene.effects import WHOLE
 
 # effect -> (the number that decides, its threshold); on when the number is above. What the study's rows allow (`largest_threshold`,
 # docs/evidence/effects.md), rounded down to one digit.
@@ -32,8 +32,6 @@ THRESHOLDS: dict[str, tuple[str, float]] = {
 }
 LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most, as the study's rows have it
 AHEAD_OF_WAVES = 1e-9  # velocities that computing elements asleep changes, of the largest: held by tests/test_fe.py
-NAMES = tuple(THRESHOLDS)
-_WHOLE = ("auto", "all", "none")
 
 _WHY = {  # (why on, why off)
     "thermal_softening": ("the metal gets warm enough to lose strength", "heating is too small to matter"),
@@ -104,24 +102,6 @@ class Effects:
     def active(self) -> list[str]:
         """Names of the effects that take part."""
         return [row.name for row in self.rows if row.on]
-
-
-def check_request(request: str | Sequence[str]) -> list[str]:
-    """Problems of what a scene says under `effects`; empty if it can be understood."""
-    if isinstance(request, str):
-        return [] if request in _WHOLE else [f"expected one of {', '.join(_WHOLE)}, or a list of names"]
-    problems, seen = [], set()
-    for i, item in enumerate(request):
-        name = item.lstrip("+-") if item[:1] in "+-" else item
-        if item in _WHOLE:
-            if i > 0:
-                problems.append(f'"{item}" may only be the first of the list')
-        elif name not in THRESHOLDS or len(item) - len(name) > 1:
-            problems.append(f"unknown effect {item[:40]!r}{units.nearest(name, NAMES)}; known: {', '.join(NAMES)}")
-        elif name in seen:
-            problems.append(f'"{name}" is named twice')
-        seen.add(name)
-    return problems
 
 
 def decide(request: str | Sequence[str], *situations: Situation) -> Effects:
@@ -267,6 +247,6 @@ def _read(request: str | Sequence[str]) -> tuple[str, dict[str, bool]]:
     items = list(request)
     signed = bool(items) and all(item[0] in "+-" for item in items)
     base = "auto" if signed else "none"
-    if items and items[0] in _WHOLE:
+    if items and items[0] in WHOLE:
         base = items.pop(0)
     return base, {item.lstrip("+-"): not item.startswith("-") for item in items}

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 from ..physics.adhesion import Adhesion
 from ..physics.materials import Material
-from ..scene.model import Scene
 from . import cost as estimates
 from . import effects
 from .effects import Effects, Situation
+from .reading import Scene
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
@@ -118,7 +118,7 @@ class Plan:
 def plan(scene: Scene) -> Plan:
     """Decide everything about a checked scene. Raises SceneError if it names a material that is not there."""
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
-    base = scene.material(scene.substrate.material)
+    base = scene.derived.material(scene.substrate.material)
     decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
     target = _target(scene, base, decided)
     dt = [i.dt_expected for i in impacts]
@@ -126,7 +126,7 @@ def plan(scene: Scene) -> Plan:
     # every impact but the first finds the splats of those before it among the target's elements
     elements = [target.elements_estimate]
     for particle in scene.particles[:-1]:
-        elements.append(elements[-1] + scene.splat_elements_of(particle))
+        elements.append(elements[-1] + scene.derived.splat_elements_of(particle))
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
     loads = [estimates.home_load(points, n) for _, points, n in costs]
@@ -135,15 +135,15 @@ def plan(scene: Scene) -> Plan:
         scene=scene,
         impacts=impacts,
         target=target,
-        adhesion=scene.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
+        adhesion=scene.derived.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
         splat_method=scene.splat.method,
-        splat_element_size=scene.splat_element_size,
+        splat_element_size=scene.derived.splat_element_size,
         mass_scaling=float(scene.splat.mass_scaling),
         friction=scene.contact.friction if decided.on("friction") else 0.0,
         effects=decided,
         dt_estimate=min(dt),
         steps_estimate=sum(steps),
-        memory_bytes=estimates.memory(scene.points, elements[-1]),
+        memory_bytes=estimates.memory(scene.derived.points, elements[-1]),
         cost=estimates.Cost(
             steps=sum(estimates.step_time(n, E) for n, _, E in costs),
             points=sum(estimates.point_time(n, N) for n, N, _ in costs),
@@ -161,20 +161,20 @@ def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2:
-            return scene.material(earlier.material), earlier.temperature, True
-    return scene.material(scene.substrate.material), scene.substrate.temperature, False
+            return scene.derived.material(earlier.material), earlier.temperature, True
+    return scene.derived.material(scene.substrate.material), scene.substrate.temperature, False
 
 
 def _impact(scene: Scene, i: int) -> ImpactPlan:
     particle = scene.particles[i]
-    D, v, cap = particle.diameter, particle.velocity, scene.end_time_of(particle)
+    D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
     end_at = scene.end.at or "time"
-    material, (base, T, on_splat) = scene.material(particle.material), _under(scene, i)
+    material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
     damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
-    points = particle.volume / scene.spacing**3
+    points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
-    dt = estimates.time_step(scene.spacing, material.wave_speed, damage, points, particle.angle, tall)
+    dt = estimates.time_step(scene.derived.spacing, material.wave_speed, damage, points, particle.angle, tall)
     return ImpactPlan(
         material=material,
         shape=particle.shape,
@@ -183,17 +183,17 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
         temperature=particle.temperature,
         offset=particle.offset,
-        gap=scene.gap_of(particle),
-        spacing=scene.spacing,
-        points=scene.points_of(particle),
+        gap=scene.derived.gap_of(particle),
+        spacing=scene.derived.spacing,
+        points=scene.derived.points_of(particle),
         end_time=cap,
         expected=estimates.expected_time(cap, height, v, end_at, damage, points, particle.angle),
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
-        output_every=scene.output_every_of(particle),
+        output_every=scene.derived.output_every_of(particle),
         dwell=particle.dwell,
         end_at=end_at,
-        window=scene.window_of(particle),
+        window=scene.derived.window_of(particle),
     )
 
 
@@ -207,11 +207,11 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
         # where no wave comes back in time a plain face gives the same answer for less
         sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
         bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
-        element_size=scene.element_size,
-        centre=scene.centre,
-        refined_radius=scene.refined_radius,
+        element_size=scene.derived.element_size,
+        centre=scene.derived.centre,
+        refined_radius=scene.derived.refined_radius,
         growth=scene.resolution.growth,
-        elements_estimate=scene.elements,
+        elements_estimate=scene.derived.elements,
     )
 
 
@@ -228,11 +228,11 @@ def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -
                 friction=scene.contact.friction,
                 side_distance=_absorbing_distance(scene, impact.offset),
                 end_time=left,
-                element_size=scene.element_size,
+                element_size=scene.derived.element_size,
                 spacing=impact.spacing,
                 duration=impact.end_time,
                 dwell=impact.dwell,
-                bonded=scene.adhesion_law.kind != "none",
+                bonded=scene.derived.adhesion_law.kind != "none",
             )
         )
         left -= impact.end_time
@@ -256,7 +256,7 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
             f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
             " that Johnson-Cook is fitted at"
         )
-    if scene.element_size < scene.spacing:
+    if scene.derived.element_size < scene.derived.spacing:
         found.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
            for i in impacts]  # fmt: skip
@@ -289,11 +289,3 @@ def _together(texts: list[str], labels: list[str]) -> dict[str, list[str]]:
 
 def _listed(labels: list[str]) -> str:
     return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
-
-
-def describe(plan: Plan, outlook: str = "") -> str:
-    """The plan as text of some 30 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
-    accuracy on this machine, in place of the plan's own."""
-    from .text import describe as text  # there, because it needs the plan above
-
-    return text(plan, outlook)

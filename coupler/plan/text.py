@@ -3,9 +3,9 @@
 import math
 
 from .. import units
-from ..scene.model import Scene
 from . import cost as estimates
 from . import effects
+from .gas import describe as gas
 from .planning import ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
@@ -23,7 +23,7 @@ def describe(plan: Plan, outlook: str = "") -> str:
         f"{plan.scene.name} ({plan.preset})",
         *_impacts(plan),
         *_shapes(plan),
-        *_gas(plan.scene),
+        *gas(plan.scene),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -124,7 +124,7 @@ def _splats(plan: Plan) -> list[str]:
         "velocity": f"where the velocity has reached {reached:g} of the critical one",
     }
     held += "" if a.kind == "none" else f", {where[a.criterion]}"
-    each = [plan.scene.splat_elements_of(p) for p in plan.scene.particles]
+    each = [plan.scene.derived.splat_elements_of(p) for p in plan.scene.particles]
     count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
     size = units.rounded(plan.splat_element_size, "um")
     return [f"  adhesion   {held}", f"  splats     about {count} elements of {size} each, method {plan.splat_method}"]
@@ -151,15 +151,6 @@ def _ends(plan: Plan) -> str:
 def _range(times: list[float]) -> str:
     first, last = (units.rounded(time, "ns") for time in (times[0], times[-1]))
     return first if first == last else f"{first.removesuffix(' ns')} to {last}"
-
-
-def _gas(scene: Scene) -> list[str]:
-    """What the gas of a scene gives its particles, as some lines; none without a gas."""
-    if scene.gas is None:
-        return []
-    from ..scene.gas import describe as gas
-
-    return gas(scene)
 
 
 def _shapes(plan: Plan) -> list[str]:

@@ -134,7 +134,7 @@ def asked(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
 def effects(result: Result) -> str:
     """Which effects took part, and why: decided again from the stored scene, as `coldspray check` does."""
     from ..plan.planning import plan
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
 
     used = _taking_part(result.summary.get("effects"))
     try:
@@ -165,12 +165,12 @@ def effects(result: Result) -> str:
 
 def material_data(result: Result) -> str:
     """The constants of the scene's materials with their sources, folded away; nothing if the scene cannot be read."""
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
 
     try:
         scene = Scene.from_text(result.scene_text)
         names = dict.fromkeys([*(one.material for one in scene.particles), scene.substrate.material])
-        metals = [scene.material(name) for name in names]
+        metals = [scene.derived.material(name) for name in names]
     except ColdsprayError:
         return ""
     rows = [
@@ -197,7 +197,7 @@ def warnings(given: object) -> str:
 def planned_warnings(result: Result) -> list[str]:
     """What `coldspray check` warns of in the scene of a run that has no summary yet."""
     from ..plan.planning import plan
-    from ..scene.model import Scene
+    from ..plan.reading import Scene
 
     try:
         return list(plan(Scene.from_text(result.scene_text)).warnings)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -12,17 +12,19 @@ from pydantic import (
     StrictBool,
     StrictFloat,
     StrictInt,
+    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from .. import units
 from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
-from ..plan import cost as estimates
 
+MASS_SCALING = 0.02  # of the next particle's mass, that the elements with the shortest steps may be made heavier by
+GROWTH = 0.35  # element size gained per unit of distance outside the refined part of the target
 SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
 
 
@@ -90,6 +92,17 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+T = TypeVar("T", bound=Section)
+
+
+def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails]]:
+    """A table of texts with units: (table, problems), of which one is empty."""
+    try:
+        return kind.model_validate(data), []
+    except ValidationError as error:
+        return None, error.errors(include_url=False)
+
+
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
 Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
 Face = Literal["absorbing", "free", "fixed"]
@@ -118,7 +131,7 @@ class Particle(Section):
     @property
     def volume(self) -> float:
         """Volume of its metal, m^3."""
-        return estimates.sphere_volume(self.diameter)
+        return morphology.sphere_volume(self.diameter)
 
     @property
     def form(self) -> morphology.Form:
@@ -137,7 +150,7 @@ class Particle(Section):
 
 
 class Coating(Section):
-    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.scene.coating` makes these of it. SI units.
+    """Particles drawn from a seed, in place of [[particle]] tables: `coupler.plan.coating` makes these of it. SI units.
 
     number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
     places that are "random" or "even" (each as far as may be from those of its layer). diameter: the median of a log-normal
@@ -255,7 +268,7 @@ class SplatTable(Section):
 
     method: Literal["auto", "carried", "density", "stuffing", "paper"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
-    mass_scaling: Annotated[StrictFloat, Field(ge=0.0, le=0.2)] = estimates.MASS_SCALING
+    mass_scaling: Annotated[StrictFloat, Field(ge=0.0, le=0.2)] = MASS_SCALING
 
 
 class Resolution(Section):
@@ -264,7 +277,7 @@ class Resolution(Section):
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
-    growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = estimates.GROWTH
+    growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = GROWTH
 
 
 class End(Section):

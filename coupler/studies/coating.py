@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from ..errors import StoreError
 from ..files.result import Fields, Result
+from ..plan.reading import Scene
 from ..report.picture import boundary_faces
-from ..scene.model import Scene
 
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
@@ -73,7 +73,7 @@ def read(result: Result) -> Splats:
     elif not left:
         raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
     particles = scene.particles[: len(left)]  # one that is still falling is not counted
-    mass = np.array([p.volume * scene.material(p.material).rho for p in particles])
+    mass = np.array([p.volume * scene.derived.material(p.material).rho for p in particles])
     sites = np.array([p.offset for p in particles])
     return Splats(mesh, body, impact, last, len(left), sites, np.array(left), mass)
 
@@ -223,7 +223,7 @@ def measure(result: Result, radius: float | None = None) -> CoatingMeasures:
     scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
     splats = read(result)
     patch = scene.coating.radius if scene.coating is not None else float(np.hypot(*splats.sites.T).max())
-    size, planned = scene.splat_element_size, len(scene.particles)
+    size, planned = scene.derived.splat_element_size, len(scene.particles)
     radius = radius or max(WINDOW * patch, 4.0 * size)
     columns = Columns(splats, (0.0, 0.0), radius, COLUMN * size)
     top = columns.top()

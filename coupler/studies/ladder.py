@@ -9,7 +9,7 @@ from ..errors import StoreError
 from ..measures import BANDED
 from ..plan import cost
 from ..plan.bands import KNOB_AXES
-from ..scene.model import Scene
+from ..plan.reading import Scene
 from .table import StudyTable
 
 POINTS = (500, 1000, 2000, 3500, 5000)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from ..deposition.run import resume, run
 from ..errors import SceneError, SolverError
+from ..plan.reading import Scene
 from ..progress import Progress
-from ..scene.model import Scene
 from .ladder import COLUMNS, KEY, MEASURES, LadderPoint, scene_at
 from .table import StudyTable
 

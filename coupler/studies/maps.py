@@ -23,7 +23,7 @@ from .. import units
 from ..errors import ColdsprayError, SceneError, StoreError
 from ..files.result import Result
 from ..physics.adhesion import critical_velocity
-from ..scene.model import Scene
+from ..plan.reading import Scene
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
@@ -88,14 +88,14 @@ def _row(folder: Path, name: str) -> Row:
     if not summary or scene is None:
         return row
     row |= {"status": "done"} | {key: summary.get(key) for key in MEASURES}
-    p, law = scene.particle, scene.adhesion_law
+    p, law = scene.particle, scene.derived.adhesion_law
     rebound = summary.get("rebound_velocity_m_s")
     row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
     if law.kind != "none" and "rebounded" in summary:  # without adhesion everything rebounds, which tells nothing
         row["bonded"] = not summary["rebounded"]
         row["restitution"] = 0.0 if row["bonded"] else row["restitution"]
     with contextlib.suppress(ColdsprayError):  # a metal without tensile strength has no critical velocity
-        row["velocity_ratio"] = p.velocity / critical_velocity(scene.material(p.material), p.temperature)
+        row["velocity_ratio"] = p.velocity / critical_velocity(scene.derived.material(p.material), p.temperature)
     return row
 
 

@@ -23,7 +23,8 @@ from types import FrameType
 
 from .. import units
 from ..errors import SceneError, StoreError
-from ..scene.model import Scene, safe_name
+from ..plan.reading import Scene
+from ..scene.model import safe_name
 
 AXES = {"diameter": "um", "velocity": "m/s", "temperature": "K"}  # and the unit of each in the names of points
 MOST_POINTS = 10_000

@@ -11,7 +11,7 @@ from typing import Protocol
 from ..deposition.run import run
 from ..errors import SolverError
 from ..plan import cost
-from ..scene.model import Scene
+from ..plan.reading import Scene
 from .pace import FACTORS
 
 REPEATS = 2  # of each of the two impacts; the faster counts

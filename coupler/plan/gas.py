@@ -5,16 +5,17 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from .. import units
 from ..errors import ColdsprayError
 from ..physics.materials import Material
+from ..scene.model import MOST_IMPACTS, SceneData
+from ..scene.tables import GasConditions, Particle, read_table
 from ..spray import flight, nozzles
 from ..spray.gas import GASES, Flow
 from ..spray.nozzles import Nozzle
-from .model import MOST_IMPACTS, Scene
-from .tables import GasConditions, Particle
+from .derived import Derived
 
 _STAND_IN = {"velocity": "500 m/s", "temperature": "300 K"}  # while another problem keeps the gas from being computed
 _DIGITS = 4  # the model is good to a few per cent
@@ -24,11 +25,8 @@ _MOST_LINES = 6  # of what the gas gives
 
 def read(table: Any) -> tuple[GasConditions | None, list[tuple[str, str]]]:
     """Gas conditions from texts with units: (conditions, problems); each problem is a field and what is wrong with it."""
-    try:
-        return GasConditions.model_validate(table), []
-    except ValidationError as error:
-        entries = error.errors(include_url=False)
-        return None, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
+    conditions, entries = read_table(GasConditions, table)
+    return conditions, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
 
 
 def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
@@ -91,7 +89,7 @@ def fill(given: dict[str, Any], catalogue: Mapping[str, Material]) -> list[str]:
     return list(dict.fromkeys(problems))
 
 
-def describe(scene: Scene) -> list[str]:
+def describe(scene: SceneData) -> list[str]:
     """What `check` says of the gas: some lines, none without [gas]."""
     if scene.gas is None:
         return []
@@ -113,9 +111,9 @@ def describe(scene: Scene) -> list[str]:
     return lines + [line for note in notes for line in textwrap.wrap(note, 110, **_INDENT)]
 
 
-def _gives(scene: Scene, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
+def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
     """What the gas gives one particle, and whether it is used."""
-    found = arrival(conditions, nozzle, scene.material(particle.material), particle.diameter)
+    found = arrival(conditions, nozzle, Derived(scene).material(particle.material), particle.diameter)
     said = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
     away = [field for field in found if units.rounded(getattr(particle, field), *_UNITS[field]) != found[field]]
     used = f"the scene's own {' and '.join(said[field] for field in away)} used instead" if away else "used here"
@@ -127,7 +125,7 @@ _INDENT: Any = {"initial_indent": " " * 13, "subsequent_indent": " " * 13}
 _UNITS = {"velocity": ("m/s", _DIGITS), "temperature": ("K", _DIGITS)}
 
 
-def _in_words(entry: Any) -> str:
+def _in_words(entry: ErrorDetails) -> str:
     if entry["type"] == "missing":
         return "is missing"
     if entry["type"] == "literal_error":

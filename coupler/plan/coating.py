@@ -6,10 +6,8 @@ from itertools import pairwise
 from statistics import NormalDist
 from typing import Any
 
-from pydantic import ValidationError
-
 from .. import units
-from .tables import Coating
+from ..scene.tables import Coating, read_table
 
 _STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # while the table itself is at fault
 _CANDIDATES = 20  # places of which an "even" layer takes the one farthest from those it has
@@ -23,9 +21,8 @@ def expand(given: dict[str, Any]) -> list[str]:
     given: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
     are. The table's own problems are found by the scene's check; until then a particle stands in for those it would make.
     """
-    try:
-        table = Coating.model_validate(given["coating"])
-    except ValidationError:
+    table, _ = read_table(Coating, given["coating"])
+    if table is None:
         given.setdefault("particle", [dict(_STAND_IN)])
         return []
     there = given.get("particle")

@@ -1,0 +1,170 @@
+"""Problems that only several fields of a scene together have, most of them with derived numbers."""
+
+import math
+from collections.abc import Iterator, Mapping
+
+from .. import units
+from ..errors import ColdsprayError, SceneError
+from ..physics import materials
+from ..physics.adhesion import critical_velocity
+from ..physics.materials import Material
+from ..scene.messages import shown, text_of
+from ..scene.model import SceneData
+from ..scene.tables import Particle, Substrate
+from . import cost as estimates
+from .derived import Derived
+
+_LEAST_WINDOW = 0.6  # particles' widths: the footprint of a splat
+_EXTENT = ("diameter", "shape", "tilt")
+_MOST_RECORDS = 5000
+_LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
+_HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength left
+
+Problem = tuple[tuple[str, ...], str]  # the fields it looked at, the message
+
+
+def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set[str]) -> Iterator[Problem]:
+    """Problems that only several fields together have, each with the fields it looked at."""
+    d = Derived(scene)
+    bodies: list[tuple[str, Particle | Substrate]] = [("substrate", scene.substrate)]
+    bodies[:0] = zip(scene.labels, scene.particles, strict=True)
+    for where, body in bodies:
+        material = catalogue.get(body.material)
+        if material is None:
+            if f"materials.{body.material}" not in broken:  # else its own problems are in the list already
+                yield (
+                    (f"{where}.material",),
+                    f"{where}.material = {shown(body.material)}: {materials.unknown(body.material, catalogue)}",
+                )
+        elif body.temperature > _HOTTEST * material.T_m:
+            yield (
+                (f"{where}.material", f"{where}.temperature"),
+                f"{where}.temperature = {text_of(body.temperature, 'K')}: must stay below {_HOTTEST:g} of the"
+                f" melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K",
+            )
+    yield from _room(d)
+    yield from _resolution(d)
+    yield from _adhesion(d, catalogue)
+    records = sum(d.end_time_of(p) / d.output_every_of(p) for p in scene.particles)
+    if records > _MOST_RECORDS:
+        yield (
+            ("output.every", "end.time", *_fields(scene, "diameter", "velocity", "shape", "tilt")),
+            f"output.every = {text_of(d.output_every_of(scene.particle), 'ns')}: would write {records:.3g} steps;"
+            f" at most {_MOST_RECORDS}, so at least {units.rounded(d.end_time / _MOST_RECORDS, 'ns')}",
+        )
+
+
+def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:
+    """Fields of all particles, as messages call them."""
+    return tuple(f"{label}.{name}" for label in scene.labels for name in names)
+
+
+def _size(particle: Particle) -> str:
+    return f"a particle of {units.rounded(max(particle.diameter, particle.width), 'um')}"
+
+
+def _room(d: Derived) -> Iterator[Problem]:
+    """Whether every particle and its crater find room on the target."""
+    scene = d.scene
+    substrate = scene.substrate
+    across = [(max(p.diameter, p.width) + 2 * p.diameter, p) for p in scene.particles]
+    deep = [(2 * p.diameter, p) for p in scene.particles]
+    for name, extent, needs in (("diameter", substrate.diameter, across), ("height", substrate.height, deep)):
+        least, particle = max(needs, key=lambda need: need[0])
+        if extent < least * (1 - 1e-9):
+            yield (
+                (*_fields(scene, *_EXTENT), f"substrate.{name}"),
+                f"substrate.{name} = {text_of(extent, 'um')}: too small for {_size(particle)} and its crater;"
+                f" at least {units.rounded(least, 'um')} is needed",
+            )
+    widest = max(scene.particles, key=lambda p: max(p.diameter, p.width))
+    least = _LEAST_WINDOW * max(widest.diameter, widest.width)
+    if substrate.window is not None and substrate.window < least * (1 - 1e-9):
+        yield (
+            (*_fields(scene, *_EXTENT), "substrate.window"),
+            f"substrate.window = {text_of(substrate.window, 'um')}: holds less than what {_size(widest)} covers;"
+            f" at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use",
+        )
+    for where, particle in zip(scene.labels, scene.particles, strict=True):
+        D = particle.diameter
+        away = math.hypot(*particle.offset)
+        room = (substrate.diameter - D - max(D, particle.width)) / 2
+        if away and away > room:
+            yield (
+                (*(f"{where}.{name}" for name in (*_EXTENT, "offset")), "substrate.diameter"),
+                f"{where}.offset: {units.rounded(away, 'um')} off the axis takes {_size(particle)} and its crater"
+                f" to the target's edge; at most {units.rounded(max(room, 0.0), 'um')}",
+            )
+        if d.gap_of(particle) > D:
+            yield (f"{where}.gap", f"{where}.diameter"), f"{where}.gap: more than the diameter of {_size(particle)}"
+
+
+def _resolution(d: Derived) -> Iterator[Problem]:
+    """Whether the points and elements are fine enough for the smallest particle, and few enough for the machine."""
+    scene = d.scene
+    smallest = min(scene.particles, key=lambda p: p.diameter)
+    flattest = min(scene.particles, key=lambda p: p.form.thinnest)
+    thinnest, spacing = flattest.form.thinnest, text_of(d.spacing, "um")
+    needs = (*_fields(scene, "diameter"), "preset", "resolution.spacing")
+    if d.points_of(smallest) < estimates.LEAST_POINTS:
+        largest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
+        yield (
+            needs,
+            f"resolution.spacing = {spacing}: gives {_size(smallest)} {d.points_of(smallest)} points;"
+            f" at least {estimates.LEAST_POINTS} are needed, so at most {units.rounded(largest, 'um')}",
+        )
+    elif thinnest < _LEAST_LAYERS * d.spacing:
+        yield (
+            (*needs, *_fields(scene, "shape")),
+            f"resolution.spacing = {spacing}: too coarse for {units.rounded(thinnest, 'um')}, the thinnest part of"
+            f" this {flattest.shape}; at most {units.rounded(thinnest / _LEAST_LAYERS, 'um')}",
+        )
+    coarsest = smallest.diameter / 4
+    for field, said in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
+        if said is not None and said > coarsest:
+            what = "crater" if field == "resolution" else "splat"
+            yield (
+                (*_fields(scene, "diameter"), f"{field}.element_size"),
+                f"{field}.element_size = {text_of(said, 'um')}: too coarse for the {what} of {_size(smallest)};"
+                f" at most {units.rounded(coarsest, 'um')}",
+            )
+    # while the last impact runs, all splats before it are elements
+    splats = sum(map(d.splat_elements_of, scene.particles[:-1]))
+    memory, there = estimates.memory(d.points, d.elements + splats), estimates.machine_memory()
+    if memory > there:
+        joined = f", {splats:.3g} of them in {len(scene.particles) - 1} splats," if splats else ""
+        offsets = _fields(scene, "offset") if len(scene.particles) > 1 else ()
+        yield (
+            (
+                *needs,
+                *offsets,
+                "resolution.element_size",
+                "splat.element_size",
+                "substrate.diameter",
+                "substrate.height",
+            ),
+            f"resolution: {d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about"
+            f" {memory / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB;"
+            " take a larger spacing and element_size, or a coarser preset",
+        )
+
+
+def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
+    """Whether the table [adhesion] makes a law, and the materials have what its criterion looks at."""
+    try:
+        law = d.adhesion_law
+    except SceneError as error:
+        for problem in error.problems:
+            field = f"adhesion.{problem.split()[0]}"
+            yield (field, "adhesion.kind", "adhesion.criterion"), f"adhesion.{problem}"
+        return
+    if law.criterion != "velocity" or law.kind == "none":
+        return
+    scene = d.scene
+    hits = {p.material: (label, p.temperature) for label, p in zip(scene.labels, scene.particles, strict=True)}
+    for name, (label, temperature) in hits.items():
+        try:
+            if name in catalogue:
+                critical_velocity(catalogue[name], temperature)
+        except ColdsprayError as error:
+            yield ("adhesion.criterion", f"{label}.material"), f'adhesion.criterion = "velocity": {error}'

@@ -1,0 +1,136 @@
+"""Numbers that follow from a scene: resolution, times, extents, estimated sizes. Everything here is a formula."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..errors import SceneError
+from ..physics import materials
+from ..physics.adhesion import Adhesion
+from ..physics.materials import Material
+from ..scene.model import SceneData
+from ..scene.tables import Particle
+from . import cost as estimates
+
+_OUTPUTS_PER_CROSSING = 25.0  # written steps in D / v, of one impact ...
+_OUTPUTS_IN_ALL = 1250.0  # ... and in the crossings of a long sequence together
+
+
+@dataclass(frozen=True)
+class Derived:
+    """What follows from a scene."""
+
+    scene: SceneData
+
+    @cached_property
+    def spacing(self) -> float:
+        """Distance of the points, m, of all particles: the scene's own, or the preset's for the largest particle."""
+        if self.scene.resolution.spacing is not None:
+            return self.scene.resolution.spacing
+        return estimates.spacing(max(p.volume for p in self.scene.particles), estimates.PRESETS[self.scene.preset])
+
+    def points_of(self, particle: Particle) -> int:
+        """Points of a particle, about: its volume over the cube of the spacing."""
+        return round(particle.volume / self.spacing**3)
+
+    @property
+    def points(self) -> int:
+        """Points of the largest particle, about."""
+        return max(map(self.points_of, self.scene.particles))
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Middle (x, y) of the box that holds all offsets, m."""
+        xs, ys = zip(*(p.offset for p in self.scene.particles), strict=True)
+        return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
+
+    @property
+    def refined_radius(self) -> float:
+        """Radius about `centre` of the part of the target with the smallest elements, m.
+
+        It holds the widest particle at the farthest offset.
+        """
+        least = estimates.REFINED_RADIUS_OVER_DIAMETER
+        middle, own = (
+            self.centre,
+            max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles),
+        )
+        return own + max(math.dist(p.offset, middle) for p in self.scene.particles)
+
+    @property
+    def element_size(self) -> float:
+        """Smallest edge of the target's elements, m: the scene's own, or a little more than the spacing."""
+        return self.scene.resolution.element_size or estimates.ELEMENT_SIZE_OVER_SPACING * self.spacing
+
+    def window_of(self, particle: Particle) -> float:
+        """Radius (m) round an impact within which the target is computed: the scene's own; where there are many particles, one by
+        the particle's size; everything where there are few."""
+        if self.scene.substrate.window is not None:
+            return self.scene.substrate.window
+        if len(self.scene.particles) < estimates.MANY:
+            return math.inf
+        return estimates.WINDOW_OVER_DIAMETER * particle.diameter + 0.5 * max(particle.width - particle.diameter, 0.0)
+
+    @property
+    def elements(self) -> int:
+        """Elements of the target before the first impact, an estimate."""
+        return estimates.elements(
+            self.scene.substrate.diameter,
+            self.scene.substrate.height,
+            self.element_size,
+            self.refined_radius,
+            self.scene.resolution.growth,
+        )
+
+    @property
+    def splat_element_size(self) -> float:
+        """Edge of the elements of splats, m: the scene's own, or the target's smallest."""
+        return self.scene.splat.element_size or self.element_size
+
+    def splat_elements_of(self, particle: Particle) -> int:
+        """Elements of a particle's splat, an estimate."""
+        return estimates.splat_elements(particle.volume, self.splat_element_size)
+
+    @cached_property
+    def adhesion_law(self) -> Adhesion:
+        """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
+        said = self.scene.adhesion.model_dump()
+        said["kind"] = said["kind"] or ("tied" if len(self.scene.particles) > 1 else "none")
+        return Adhesion(**said)
+
+    def gap_of(self, particle: Particle) -> float:
+        """Distance of a particle's lowest point from what lies under it at the start, m; half a spacing by default."""
+        return self.spacing / 2 if particle.gap is None else particle.gap
+
+    def output_every_of(self, particle: Particle) -> float:
+        """Simulated time between two written steps of an impact, s; D / v / 25 by default, more in a long sequence."""
+        outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
+        return self.scene.output.every or particle.diameter / particle.velocity / outputs
+
+    def end_time_of(self, particle: Particle) -> float:
+        """The longest an impact may take, s: the scene's time, else the flight over the gap and 3 D / v.
+
+        For D the particle's height, where that is larger.
+        """
+        if self.scene.end.time is not None:
+            return self.scene.end.time
+        flight = self.gap_of(particle) / (particle.velocity * math.cos(particle.angle))
+        return flight + estimates.CAP * particle.height / particle.velocity
+
+    @property
+    def end_time(self) -> float:
+        """The longest all impacts together may take, s, without the pauses between them."""
+        return sum(map(self.end_time_of, self.scene.particles))
+
+    @cached_property
+    def _catalogue(self) -> tuple[dict[str, Material], list[str]]:
+        return materials.from_scene(self.scene.materials)
+
+    def material(self, name: str) -> Material:
+        """A material of the library, or the scene's own. Raises SceneError for a name that is neither."""
+        catalogue, problems = self._catalogue
+        if name not in catalogue:
+            raise SceneError([*problems, materials.unknown(name, catalogue)], self.scene.name)
+        if problems:
+            raise SceneError(problems, self.scene.name)
+        return catalogue[name]

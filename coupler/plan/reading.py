@@ -1,0 +1,120 @@
+"""Reading a scene as a whole: coating and gas give what they give, and every problem is reported at once."""
+
+import copy
+import tomllib
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ..errors import SceneError
+from ..physics import materials
+from ..scene.messages import covers, dotted, in_words, text_of, without
+from ..scene.model import SceneData, safe_name
+from ..scene.tables import Particle, Section, read_table
+from ..scene.toml import to_toml
+from .check import problems_of
+from .coating import expand
+from .derived import Derived
+from .gas import fill
+
+_LARGEST_FILE = 1_000_000  # bytes; a scene is a page of text
+
+
+class Scene(SceneData):
+    """A complete scene, checked as a whole when made by `Scene.load`, `from_text` or `from_dict`."""
+
+    @cached_property
+    def derived(self) -> Derived:
+        """The numbers that follow from it."""
+        return Derived(self)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Scene":
+        """Read a scene file. Raises SceneError with every problem of it."""
+        path = Path(path)
+        try:
+            with path.open("rb") as file:
+                raw = file.read(_LARGEST_FILE + 1)
+        except OSError as error:
+            raise SceneError([f"cannot be read: {error.strerror}"], str(path)) from None
+        if len(raw) > _LARGEST_FILE:
+            raise SceneError(["is larger than 1 MB: not a scene"], str(path))
+        try:
+            text = raw.decode("utf-8")
+        except UnicodeDecodeError:
+            raise SceneError(["is not text in UTF-8: not a scene"], str(path)) from None
+        return cls.from_text(text, str(path))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "scene") -> "Scene":
+        """Read a scene from TOML. Raises SceneError with every problem of it.
+
+        source: what to call it in messages; its stem is the scene's name unless the scene has one.
+        """
+        try:
+            data = tomllib.loads(text)
+        except (ValueError, RecursionError) as error:  # ValueError: also a number of thousands of digits
+            raise SceneError([f"is not valid TOML: {error}"], source) from None
+        return cls.from_dict(data, source)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], source: str = "scene") -> "Scene":
+        """Check a scene given as nested dicts, as TOML has them. Raises SceneError with every problem."""
+        return _checked(data, source)
+
+    def to_toml(self) -> str:
+        """The scene with its defaults written out. Reading it gives an equal scene."""
+        return to_toml(self, lambda head, table: defaults(self, head, table))
+
+
+def _checked(data: Mapping[str, Any], source: str) -> Scene:
+    """A scene from nested dicts, or a SceneError with all its problems. source: what messages call it."""
+    given = copy.deepcopy(dict(data))
+    tables = given.get("materials", {})
+    problems = []
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        problems.append("materials: expected tables, such as [materials.MyNi]")
+        given["materials"] = tables = {}
+    catalogue, material_problems = materials.from_scene(tables)
+    given.setdefault("name", safe_name(source))
+    if "coating" in given:
+        problems += expand(given)
+    if "gas" in given or "nozzles" in given:
+        problems += fill(given, catalogue)
+    faulty: set[str] = set()
+    read, entries = read_table(Scene, given)
+    scene: SceneData | None = read
+    if entries:
+        several = isinstance(given.get("particle"), list) and len(given["particle"]) > 1
+        problems += [in_words(entry, several) for entry in entries]
+        faulty = {dotted(entry["loc"], several) for entry in entries}
+        scene = without(given, [entry["loc"] for entry in entries])
+    problems += material_problems
+    if scene is not None:
+        own = {f"materials.{name}" for name in tables if name not in catalogue}
+        for fields, problem in problems_of(scene, catalogue, own):
+            if not any(covers(bad, field) for bad in faulty for field in fields):
+                problems.append(problem)
+    if problems or read is None:
+        raise SceneError(problems, source)
+    return read
+
+
+def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
+    """What takes the place of the fields that a table leaves out, each with where it comes from."""
+    d = Derived(scene)
+    if isinstance(table, Particle):
+        return {"gap": f"{text_of(d.gap_of(table), 'um')}  (from: half a spacing)"}
+    first, each = scene.particle, ", of the first impact" if len(scene.particles) > 1 else ""
+    every, end = d.output_every_of(first), d.end_time_of(first)
+    return {
+        "[adhesion]": {"kind": f'"{d.adhesion_law.kind}"  (from: the number of particles)'},
+        "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},
+        "[resolution]": {
+            "spacing": f"{text_of(d.spacing, 'um')}  (from: preset)",
+            "element_size": f"{text_of(d.element_size, 'um')}  (from: spacing)",
+        },
+        "[end]": {"time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity at most{each})"},
+        "[output]": {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"},
+    }.get(head, {})

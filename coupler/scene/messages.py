@@ -1,0 +1,123 @@
+"""Problems of a scene's tables in the words of the scene."""
+
+import copy
+import json
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+
+from .. import units
+from .model import SceneData
+from .tables import read_table
+
+_EXAMPLES = {  # what a required field looks like; stands in for a faulty one while others are checked
+    "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
+    "substrate": {"material": "SS304"},
+}
+_COATING_EXAMPLE = {
+    "coating": {"material": "Ni", "number": "40", "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
+}
+_GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
+
+
+def without(given: dict[str, Any], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
+    """The scene with its faulty fields replaced, so that the others can be checked against each other."""
+    mended = copy.deepcopy(given)
+    particles = mended.get("particle")
+    mended["particle"] = particles if isinstance(particles, list) else [particles]
+    for section, *inner in faulty:
+        table = mended.get(str(section))
+        if section == "particle" and inner and isinstance(table, list):
+            table, *inner = table[int(inner[0])], *inner[1:]
+            if inner and isinstance(table, dict):
+                table.pop(inner[0], None)
+        elif (
+            section in ("gas", "nozzles", "coating") or not inner
+        ):  # what those two say of the particle is in it already
+            mended.pop(str(section), None)
+        elif isinstance(table, dict):
+            table.pop(inner[0], None)
+    mended["particle"] = [
+        _EXAMPLES["particle"] | (particle if isinstance(particle, dict) else {})
+        for particle in mended.get("particle") or [{}]
+    ]
+    substrate = mended.get("substrate")
+    mended["substrate"] = _EXAMPLES["substrate"] | (substrate if isinstance(substrate, dict) else {})
+    return read_table(SceneData, mended)[0]
+
+
+def covers(bad: str, field: str) -> bool:
+    return bad == field or field.startswith((f"{bad}.", f"{bad}[")) or bad.startswith(f"{field}[")
+
+
+def dotted(loc: tuple[int | str, ...], several: bool) -> str:
+    """A field as people write it, counted from 1; several: the scene has more than one particle."""
+    parts = [p for i, p in enumerate(loc) if several or not (i == 1 and loc[0] == "particle" and isinstance(p, int))]
+    text = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in parts)
+    return text.removeprefix(".")
+
+
+def in_words(entry: ErrorDetails, several: bool) -> str:
+    """One of pydantic's errors as a line a process engineer understands."""
+    kind, loc = entry["type"], entry["loc"]
+    field = dotted(loc if kind != "extra_forbidden" else (*loc[:-1], shown(loc[-1])[1:-1]), several)
+    model = _model_at(loc[:-1])
+    if kind == "extra_forbidden":
+        known = [info.alias or name for name, info in model.model_fields.items()]
+        return f"{field}: unknown key{units.nearest(str(loc[-1]), known)}; known: {', '.join(known)}"
+    if "offset" in loc and kind != "value_error":
+        where = dotted(loc[: loc.index("offset") + 1], several)
+        return f'{where}: expected two lengths, such as ["0 um", "0 um"]'
+    if kind == "missing":
+        if field in _EXAMPLES:
+            return f"{field}: missing; add a table [{field}]"
+        example = (_EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
+        return f'{field}: missing; add for example {loc[-1]} = "{example}"'
+    start = f"{field} = {shown(entry['input'])}"
+    if kind == "literal_error":
+        info = model.model_fields[str(loc[-1])]
+        choices = [choice for choice in _choices(info.annotation) if choice is not None]
+        return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
+    if kind == "value_error":
+        text = str(entry["ctx"]["error"])
+        if loc in (("particle",), ("coating",)):  # a whole table is no answer to what is wrong with it
+            return f"{field} {text}"
+        return f"{start} {text}" if text.startswith(("is ", "has ", "needs ", "would ")) else f"{start}: {text}"
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        table = f"[[{loc[0]}]]" if several and loc[0] == "particle" else f"[{field}]"
+        return f"{start}: expected a table {table}"
+    if kind == "string_pattern_mismatch":
+        return f"{start}: use letters, digits, '_', '.', '-', spaces (at most 64, a letter or digit first)"
+    if kind in ("float_type", "finite_number", "greater_than_equal", "less_than_equal") and field == "contact.friction":
+        return f"{start}: expected a number without unit, from 0 to 2"
+    return f"{start}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
+
+
+def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
+    if not loc or loc[0] not in (names := {info.alias or n: n for n, info in SceneData.model_fields.items()}):
+        return SceneData
+    annotation = SceneData.model_fields[names[str(loc[0])]].annotation
+    inner = getattr(annotation, "__args__", (annotation,))[0]
+    return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else SceneData
+
+
+def _choices(annotation: Any) -> list[Any]:
+    """The values of a Literal, or of a union with one in it."""
+    found: list[Any] = []
+    for arg in getattr(annotation, "__args__", ()):
+        found += _choices(arg) if getattr(arg, "__args__", None) else [arg] if isinstance(arg, str) else []
+    return found
+
+
+def shown(value: object) -> str:
+    """A stranger's value in a message: short, and without control characters."""
+    try:
+        text = json.dumps(value, default=str)
+    except (ValueError, RecursionError):
+        text = "..."
+    return text if len(text) <= 60 else f"{text[:56]}..."
+
+
+def text_of(value: float, unit: str) -> str:
+    return f'"{units.rounded(value, unit, 6)}"'
