@@ -6,10 +6,10 @@ import sys
 import time
 from pathlib import Path
 
-from coupler.geometry import tetrahedra
+from coupler.geometry import mesher
 from coupler.splat import worker
 
-real = tetrahedra.fill
+real = mesher.fill
 
 
 def fill(*arguments):
@@ -20,6 +20,6 @@ def fill(*arguments):
     return real(*arguments)
 
 
-tetrahedra.fill = fill
+mesher.fill = fill
 if __name__ == "__main__":
     worker.main(Path(sys.argv[1]))

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.measure import crater_depth
 from coupler.sph import packing
-from coupler.sph.carried_surface import CarriedSurface, shape_measures, volume
+from coupler.sph.carried_surface import CarriedSurface, shape_measures
 
 D = 25e-6
 
@@ -29,7 +30,7 @@ def test_packing_has_the_spheres_volume_centre_and_points() -> None:
 def test_surface_is_closed_and_faces_outwards(body) -> None:
     _, skin, triangles, _ = body
     assert len(skin) - 3 * len(triangles) // 2 + len(triangles) == 2  # Euler
-    assert volume(skin, triangles) == pytest.approx(np.pi / 6 * D**3, rel=0.03)
+    assert enclosed_volume(skin, triangles) == pytest.approx(np.pi / 6 * D**3, rel=0.03)
     assert np.linalg.norm(skin, axis=1) == pytest.approx(D / 2)
 
 

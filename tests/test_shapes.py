@@ -9,12 +9,13 @@ from scipy.spatial import cKDTree
 from test_scene import problems_with, scene_with
 
 from coupler import Scene, run
+from coupler.geometry.triangles import enclosed_volume, surface_area
 from coupler.physics import shapes as morphology
 from coupler.plan.planning import plan
 from coupler.plan.text import describe
 from coupler.scene.model import SHAPES, Shape
 from coupler.sph import packing, shapes
-from coupler.sph.carried_surface import CarriedSurface, volume
+from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
 V = np.pi / 6 * D**3
@@ -151,9 +152,9 @@ def test_surface_is_closed_outward_and_even(body: tuple[str, shapes.Body]) -> No
         length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1) / b.spacing
         assert 0.5 < length.min() < length.max() < 1.45
         assert length.mean() == pytest.approx(0.8, abs=0.12)
-    assert sum(volume(*part) for part in parts) == pytest.approx(V, rel=0.01)
+    assert sum(enclosed_volume(*part) for part in parts) == pytest.approx(V, rel=0.01)
     assert (b.inner is not None) == (name == "hollow_sphere")
-    assert b.area == pytest.approx(shapes.area_of(b.vertices, b.triangles), rel=0.01)
+    assert b.area == pytest.approx(surface_area(b.vertices, b.triangles), rel=0.01)
     assert b.half_height == pytest.approx(-b.vertices[:, 2].min(), rel=2e-3)
 
 
@@ -168,7 +169,7 @@ def test_points_are_inside_the_surface(body: tuple[str, shapes.Body]) -> None:
         assert cKDTree(b.vertices).query(strays)[0].max() < 0.7 * b.spacing
     if b.inner:
         assert np.abs(solid_angle(chosen, *b.inner)).max() < 0.5
-        assert volume(*b.inner) < 0
+        assert enclosed_volume(*b.inner) < 0
 
 
 @pytest.mark.parametrize("name", list(ASPECT))
@@ -179,7 +180,7 @@ def test_extents_when_tilted(name: str, tilt: float) -> None:
     assert form.height(tilt) == pytest.approx(extent[2], rel=0.01)
     assert form.width(tilt) == pytest.approx(max(extent[:2]), rel=0.01)
     assert b.half_height == pytest.approx(0.5 * form.height(tilt), rel=0.01)
-    assert volume(b.vertices, b.triangles) > 0
+    assert enclosed_volume(b.vertices, b.triangles) > 0
 
 
 def test_a_positive_tilt_dips_the_end_ahead() -> None:

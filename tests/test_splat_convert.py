@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from coupler.errors import SplatError
+from coupler.geometry import tetrahedra
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat import convert as door
@@ -40,11 +41,11 @@ def cloud_of(shape: str = "sphere", points: int = 800, carried: bool = True) -> 
 
 
 def is_good(body: Body, solid: float) -> None:
-    volumes = quality.volumes(body.points, body.tets)
+    volumes = tetrahedra.volumes(body.points, body.tets)
     assert volumes.min() > 0.0
     assert volumes.sum() == pytest.approx(solid, rel=0.01)
     assert quality.pieces(body.points, body.tets) == 1
-    assert surface.open_or_double(quality.boundary(body.tets)) == ""
+    assert surface.open_or_double(tetrahedra.boundary_faces(body.tets)[0]) == ""
     assert quality.gamma(body.points, body.tets).min() >= meshing.MIN_GAMMA
 
 
@@ -62,7 +63,7 @@ def test_a_splat_becomes_one_good_body_with_its_mass(method: str) -> None:
     assert body.energy.shape == (len(body.points),)
     assert body.stress.shape == (len(body.tets), 6)
     assert body.T.shape == body.eps_p.shape == body.J.shape == (len(body.tets),)
-    mass = cloud.rho * quality.volumes(body.points, body.tets) / body.J * body.mass_scale
+    mass = cloud.rho * tetrahedra.volumes(body.points, body.tets) / body.J * body.mass_scale
     assert mass.sum() == pytest.approx(cloud.mass.sum(), rel=1e-12)
     assert body.stress == pytest.approx(np.full((len(body.tets), 6), 1e8))
     assert splat.report["dt_s"] == pytest.approx(splat.report["step_length_min_m"] / 5660.0)
@@ -74,7 +75,7 @@ def test_a_closed_cavity_stays_one() -> None:
     cloud = cloud_of("hollow_sphere", 2000)
     (body,) = convert(cloud, 1.7 * cloud.spacing).bodies
     is_good(body, cloud.solid_volume)
-    assert len(surface.shells((body.points, quality.boundary(body.tets)), 0.0)) == 2
+    assert len(surface.shells((body.points, tetrahedra.boundary_faces(body.tets)[0]), 0.0)) == 2
 
 
 def test_bodies_apart_are_kept_and_dust_is_counted_as_lost() -> None:
@@ -195,4 +196,4 @@ def test_the_papers_way_makes_a_closed_mesh_and_tells_what_it_misses() -> None:
     splat = convert(cloud, 1.7 * cloud.spacing, "paper")
     assert splat.report["volume_error_before"] < -0.05  # through the centres of the outermost points
     assert splat.report["step_length_min_m"] < 0.15 * 1.7 * cloud.spacing
-    assert quality.volumes(splat.bodies[0].points, splat.bodies[0].tets).min() > 0.0
+    assert tetrahedra.volumes(splat.bodies[0].points, splat.bodies[0].tets).min() > 0.0

@@ -11,12 +11,12 @@ from coupler.deposition.equilibrium import settle
 from coupler.deposition.remeshing import Gate, crater_diameter, remeshed
 from coupler.errors import SplatError
 from coupler.fe.patch import patch_of, pinched
-from coupler.geometry.tetrahedra import fill_apart
+from coupler.geometry.mesher import fill_apart
+from coupler.geometry.tetrahedra import volumes
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import Domains, build_target, restored_target
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from coupler.splat import quality
 from coupler.splat.renew import closest, renewed_surface
 from coupler.splat.surface import open_or_double
 
@@ -80,7 +80,7 @@ def test_a_distorted_crater_is_remeshed(cured: tuple[Bodies, Bodies, dict[str, A
     assert after["step_s"] > 1.5 * before["step_s"]
     assert after["quality"] > 2.0 * before["quality"]
     mesh = new.target.mesh
-    assert quality.volumes(new.target.x, mesh.conn).min() > 0.0
+    assert volumes(new.target.x, mesh.conn).min() > 0.0
     assert open_or_double(mesh.facets.astype(np.int64)) == ""
     assert np.all(np.diff(mesh.reach_element) >= 0)
     behind = mesh.conn[mesh.facet_element]

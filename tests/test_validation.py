@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from coupler.fe import mesh as meshes
+from coupler.geometry.tetrahedra import boundary_faces
 from coupler.plan.reading import Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
@@ -59,11 +60,11 @@ def test_ringing_is_heard_with_its_amplitude(study: ModuleType) -> None:
 
 def test_thickness_on_the_axis_of_a_block_of_tetrahedra(study: ModuleType) -> None:
     points, tets = meshes.box((20e-6, 20e-6, 6e-6), 3e-6)
-    faces = study.skin(tets)
+    faces = boundary_faces(tets)[0]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
     assert study.axial(points, faces) == pytest.approx(6e-6, rel=1e-9)
-    hollow = np.concatenate([faces, study.skin(tets)[:, ::-1] + len(points)])
+    hollow = np.concatenate([faces, boundary_faces(tets)[0][:, ::-1] + len(points)])
     inside = points.mean(axis=0) + 0.5 * (points - points.mean(axis=0))
     assert study.axial(np.concatenate([points, inside]), hollow) == pytest.approx(3e-6, rel=1e-9)
 

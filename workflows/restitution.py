@@ -16,7 +16,7 @@ import numpy as np
 
 from coupler import Scene, run
 from coupler.contact.hold import REACH
-from coupler.impact.heat import vertex_areas
+from coupler.geometry.triangles import vertex_areas
 from coupler.physics.adhesion import critical_velocity, critical_velocity_linear
 from coupler.physics.materials import Material, material
 from coupler.progress import Progress

@@ -27,7 +27,9 @@ from scipy.sparse.csgraph import connected_components
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
-from coupler.impact.measure import contact_pressure, von_mises_of
+from coupler.geometry.tetrahedra import boundary_faces, volumes
+from coupler.impact.measure import contact_pressure
+from coupler.physics.constitutive import von_mises
 from coupler.report.picture import stage
 from coupler.report.profiles import on_vertical, profiles
 
@@ -142,18 +144,10 @@ def splats_of(result: Result, least: float) -> list[float]:
     rows = np.repeat(cells[:, :1], 3, axis=1).ravel()
     graph = coo_matrix((np.ones(len(rows)), (rows, cells[:, 1:].ravel())), shape=(n, n))
     owner = connected_components(graph, directed=False)[1][cells[:, 0]]
-    edges = f.points[cells[:, 1:]] - f.points[cells[:, :1]]
-    volume = np.bincount(owner, np.abs(np.linalg.det(edges)) / 6.0)
+    volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
     found = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
     middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in found}
-    return [axial(f.points, skin(cells[owner == b])) for b in sorted(found, key=lambda b: middle[b])]
-
-
-def skin(cells: NDArray) -> NDArray:
-    """The faces (k,3) of tetrahedra (m,4) that belong to one of them only."""
-    faces = np.concatenate([cells[:, corners] for corners in ([0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3])])
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[first[count == 1]]
+    return [axial(f.points, boundary_faces(cells[owner == b])[0]) for b in sorted(found, key=lambda b: middle[b])]
 
 
 def strained_radius(result: Result, least: float = 0.2) -> float:
@@ -237,7 +231,7 @@ class WaveProbe:
         touching = impact.surface.contacts(p.x)[impact.contact.depth > 0]
         force = float(impact.force[2])
         pressure, area = contact_pressure(force, touching)
-        of_particle, of_target = von_mises_of(p.stress()), von_mises_of(t.stress())
+        of_particle, of_target = von_mises(p.stress()), von_mises(t.stress())
         self.rows.append(
             {
                 "time_ns": impact.time * 1e9, "force_mN": force * 1e3, "contact_um2": area * 1e12, "pressure_MPa": pressure / 1e6,

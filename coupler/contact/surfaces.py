@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import SolverError
+from ..geometry.triangles import area_vectors
 from . import bond_kernels, broad
 
 
@@ -40,8 +41,7 @@ class Surfaces:
 
     def vectors(self, x: np.ndarray, ids: np.ndarray) -> np.ndarray:
         """Area vectors (len(ids),3) of facets, m2: outward normal times area. x (N,3) m."""
-        a, b, c = (x[self.facets[ids, i]] for i in range(3))
-        return 0.5 * np.cross(b - a, c - a)
+        return area_vectors(x, self.facets[ids])
 
     def spacing(self, x: np.ndarray, body: int) -> float:
         """Edge (m) of the equilateral triangles that would give a body's surface its number of facets."""

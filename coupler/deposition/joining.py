@@ -14,7 +14,7 @@ from ..fe.cooling import Links, cool, together
 from ..impact.bodies import NEAR, Bodies, level_under
 from ..impact.domains import Domains
 from ..impact.rebound import rebounds, velocity_ratio
-from ..physics.constitutive import sound_speed
+from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..sph.carried_surface import shape_measures
 from ..splat.cloud import Cloud
@@ -177,10 +177,9 @@ def _held(bodies: Bodies) -> dict[str, float]:
     """What the last body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
     t = bodies.target
     own = bodies.body == bodies.count - 1
-    weight, s = t.volume[own], t.s[own]
-    von_mises = np.sqrt(1.5 * (np.sum(s[:, :3] ** 2, axis=1) + 2.0 * np.sum(s[:, 3:] ** 2, axis=1)))
+    weight = t.volume[own]
     pressure = t.p[t.mesh.conn[own]].mean(axis=1)
-    values = {"von_mises_Pa": von_mises, "pressure_Pa": pressure, "eps_p": t.eps_p[own], "T_K": t.T[own]}
+    values = {"von_mises_Pa": von_mises(t.s[own]), "pressure_Pa": pressure, "eps_p": t.eps_p[own], "T_K": t.T[own]}
     return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
 
 

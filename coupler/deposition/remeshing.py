@@ -19,7 +19,8 @@ from ..fe import kernels
 from ..fe.assemble import Domain, domain_now, merge
 from ..fe.explicit import COURANT, LINEAR_VISCOSITY
 from ..fe.patch import Patch, Renewal, patch_of, renewed
-from ..geometry.tetrahedra import fill_apart
+from ..geometry.mesher import fill_apart
+from ..geometry.tetrahedra import volumes
 from ..impact import measure as measures
 from ..impact.bodies import NEAR, Bodies, bodies_of
 from ..plan import cost as estimates
@@ -243,7 +244,7 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
 
     J = at_elements(state["J"][mesh.conn[around]].mean(axis=1))
     V0_before = mesh.V0[patch.elements]
-    V0 = quality.volumes(points, tets) / J
+    V0 = volumes(points, tets) / J
     V0 *= V0_before.sum() / V0.sum()
     elements: dict[str, np.ndarray] = {}
     for name, floor in (("eps_p", 0.0), ("rate", 0.0), ("T", None)):
@@ -287,7 +288,7 @@ def _measures(bodies: Bodies) -> dict[str, Any]:
     rho = t.laws["rho"][t.law_of]
     return {
         "step_s": t.stable_dt(1.0)[0], "quality": float(quality.gamma(x, mesh.conn).min()), "elements": len(mesh.conn),
-        "mass_kg": float(mass.sum()), "volume_m3": float(quality.volumes(x, mesh.conn).sum()),
+        "mass_kg": float(mass.sum()), "volume_m3": float(volumes(x, mesh.conn).sum()),
         "momentum_N_s": (mass @ t.v).tolist(), "angular_momentum_N_m_s": (mass @ np.cross(x, t.v)).tolist(),
         "kinetic_J": 0.5 * float(mass @ np.sum(t.v**2, axis=1)), "elastic_J": t.elastic(),
         "energy_J": t.elastic() + float(t.sums[2]),

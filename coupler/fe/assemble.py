@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from ..physics.constitutive import hugoniot_pressure, yield_stress
+from ..physics.constitutive import pressures, yield_stresses
 from .mesh import TetMesh, prepare_ordered
 
 NODE_STATE = ("x", "v", "f", "f_old", "total", "J", "p", "energy")
@@ -67,10 +66,10 @@ def domain_of(body: BodyState, name: str) -> Domain:
     deviator[:, :3] -= stress[:, :3].mean(axis=1)[:, None]
     state: dict[str, np.ndarray] = {name: np.zeros((n, 3)) for name in ("f", "f_old", "total")}
     state |= {"x": mesh.points.copy(), "v": body.velocity[node], "J": now / share, "energy": body.energy[node]}
-    state["p"] = _pressures(law, state["J"], state["energy"])
+    state["p"] = pressures(law, state["J"], state["energy"])
     state |= {"s": deviator, "eps_p": body.eps_p[element], "T": body.T[element], "volume": V.copy()}
     state |= {"rate": np.zeros(m), "heat": np.zeros(m), "fe": np.zeros((m, 4, 3))}
-    state["sigma_y"] = _yields(law, state["eps_p"], state["T"])
+    state["sigma_y"] = yield_stresses(law, state["eps_p"], state["T"])
     return Domain(mesh, state, np.zeros(m, np.int32), law)
 
 
@@ -124,23 +123,3 @@ def domain_now(target: Any, body: np.ndarray) -> Domain:
     """A running `explicit.Target` as a domain; body (m,) of each element."""
     state = {name: getattr(target, name).copy() for name in (*NODE_STATE, *ELEMENT_STATE)}
     return Domain(target.mesh, state, body, target.laws)
-
-
-@njit(cache=True)
-def _pressures(laws, J, energy):
-    """Mie-Grueneisen pressure (n,) Pa of a state at rest."""
-    law = laws[0]
-    p = np.empty(len(J))
-    for i in range(len(J)):
-        p[i] = hugoniot_pressure(law, J[i]) * (1.0 - 0.5 * law.Gamma0 * (1.0 - J[i])) + law.Gamma0 * energy[i]
-    return p
-
-
-@njit(cache=True)
-def _yields(laws, eps_p, T):
-    """Yield stress (m,) Pa at rest."""
-    law = laws[0]
-    sigma = np.empty(len(T))
-    for e in range(len(T)):
-        sigma[e] = yield_stress(law, eps_p[e], 0.0, T[e])
-    return sigma

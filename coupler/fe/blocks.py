@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from ..physics.constitutive import von_mises_squared
+
 BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
 ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN
 CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root to 3 % (Kahan, as in fdlibm's cbrt)
@@ -168,7 +170,7 @@ def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w)
         a = b.two_G_dt[i]
         sxx, syy, szz = oxx + a * (l00 - third), oyy + a * (l11 - third), ozz + a * (l22 - third)
         syz, sxz, sxy = oyz + 0.5 * a * (l12 + l21), oxz + 0.5 * a * (l02 + l20), oxy + 0.5 * a * (l01 + l10)
-        b.q_squared[i] = 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
+        b.q_squared[i] = von_mises_squared(sxx, syy, szz, syz, sxz, sxy)
         b.along[i] = oxx * sxx + oyy * syy + ozz * szz + 2.0 * (oyz * syz + oxz * sxz + oxy * sxy)
         S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = sxx, syy, szz, syz, sxz, sxy
         C[0, i], C[1, i], C[2, i], C[3, i], C[4, i], C[5, i], C[6, i], C[7, i], C[8, i], b.J[i] = _cofactor(

@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
 
 from ..errors import SolverError
+from ..physics.constitutive import conductivities
 from .heat import gains, means, shares, take_heat
 
 GROWTH = 1.1  # of the step
@@ -63,7 +64,7 @@ def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links
     known = np.full(n, np.inf)
     while left > 0.0:
         T_mean = T[t.mesh.conn].mean(axis=1)
-        k = _linear(laws[law_of], "k", T_mean)
+        k = conductivities(laws[law_of], T_mean)
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
             K, known = assemble(k) + _across(links, laws, law_of, t, n, k), T.copy()
         rate = k * grad2 / (4.0 * share / V0)
@@ -124,12 +125,6 @@ def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Any, n: int, 
 
 def _extremes(t: Any) -> tuple[float, float]:
     return float(t.T.max()), float(np.average(t.T, weights=t.mesh.V0))
-
-
-def _linear(laws: np.ndarray, name: str, T: np.ndarray) -> np.ndarray:
-    """c_p or k of each element's law at T (m,) K: linear between two points, constant beyond them."""
-    T0 = laws[f"{name}_T0"]
-    return laws[f"{name}_0"] + laws[f"{name}_slope"] * (np.clip(T, T0, laws[f"{name}_T1"]) - T0)
 
 
 def together(links: Sequence[Links]) -> Links:

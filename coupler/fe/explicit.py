@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import SolverError
+from ..geometry.triangles import areas_and_normals
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from . import kernels as k
 from .heat import Conduction, take_heat
-from .mesh import TetMesh, facet_areas
+from .mesh import TetMesh
 from .stability import HighestFrequency
 from .window import LAYER, edge, layer
 
@@ -119,7 +120,7 @@ class Target:
         for name in names:
             ids = self.mesh.sets[name]
             corners = self.mesh.facets[ids]
-            area, normal = facet_areas(self.mesh.points, corners)
+            area, normal = areas_and_normals(self.mesh.points, corners)
             law = self.laws[self.law_of[self.mesh.facet_element[ids]]]
             cp = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"])
             cs = np.sqrt(law["G"] / law["rho"])

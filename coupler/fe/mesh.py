@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
 from ..errors import SolverError
-from ..geometry import tetrahedra
+from ..geometry import mesher
+from ..geometry.tetrahedra import oriented, volumes
+from ..geometry.triangles import area_vectors
 
 COARSEST = 1 / 6  # largest element over the smaller dimension of a cylinder, unless said
 
@@ -52,7 +54,7 @@ def cylinder(
     unit = size  # gmsh's absolute tolerances want numbers near one
     largest = (sizes_to or COARSEST * min(diameter, height)) / unit
 
-    def build(gmsh: Any) -> None:
+    def build(gmsh: ModuleType) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
         x, y = centre[0] / unit, centre[1] / unit
@@ -62,20 +64,20 @@ def cylinder(
         gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
-    points, tets = tetrahedra.build(build)
+    points, tets = mesher.build(build)
     return points * unit, tets
 
 
 def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
     """Points and tetrahedra of a box [0, lx] x [0, ly] x [0, lz] with edges of about `size` (m)."""
 
-    def build(gmsh: Any) -> None:
+    def build(gmsh: ModuleType) -> None:
         gmsh.model.occ.addBox(0, 0, 0, *(length / size for length in lengths))
         gmsh.model.occ.synchronize()
         gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
         gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
 
-    points, tets = tetrahedra.build(build)
+    points, tets = mesher.build(build)
     return points * size, tets
 
 
@@ -103,12 +105,11 @@ def prepare_ordered(
     by_reach = np.argsort(reach, kind="stable")
     tets, reach = tets[by_reach], reach[by_reach]
 
-    edge = points[tets[:, 1:]] - points[tets[:, :1]]
-    signed = np.linalg.det(edge) / 6.0
-    if not np.all(np.abs(signed) > 0.0):
-        bad = int(np.argmin(np.abs(signed)))
+    size = np.abs(volumes(points, tets))
+    if not np.all(size > 0.0):
+        bad = int(np.argmin(size))
         raise SolverError(f"tetrahedron {bad} of the mesh is empty: remesh the target or change its element size")
-    tets[signed < 0, 2:] = tets[signed < 0, 2:][:, ::-1]
+    tets = oriented(points, tets)
 
     mesh = MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tets.T), sort_t=False)
     basis = Basis(mesh, ElementTetP1(), intorder=1)
@@ -122,9 +123,7 @@ def prepare_ordered(
     element = mesh.f2t[0, facet_ids]
     corners = mesh.facets[:, facet_ids].T
     inside = points[tets[element]].mean(axis=1)
-    a, b, c = points[corners[:, 0]], points[corners[:, 1]], points[corners[:, 2]]
-    normal = np.cross(b - a, c - a)
-    flip = np.einsum("ij,ij->i", normal, a - inside) < 0
+    flip = np.einsum("ij,ij->i", area_vectors(points, corners), points[corners[:, 0]] - inside) < 0
     corners[flip] = corners[flip][:, [0, 2, 1]]
     sets = _name_sides(points, corners)
     prepared = TetMesh(
@@ -199,11 +198,3 @@ def _name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray
     top = np.all(z > high - close, axis=1)
     bottom = np.all(z < low + close, axis=1)
     return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
-
-
-def facet_areas(points: np.ndarray, facets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Areas (k,) m2 and unit outward normals (k,3) of triangles."""
-    a, b, c = (points[facets[:, i]] for i in range(3))
-    normal = np.cross(b - a, c - a)
-    twice = np.linalg.norm(normal, axis=1)
-    return 0.5 * twice, normal / twice[:, None]

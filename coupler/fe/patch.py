@@ -12,12 +12,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
-from .assemble import Domain, _pressures, _yields
+from ..geometry.tetrahedra import FACES, boundary_faces
+from ..physics.constitutive import pressures, von_mises, yield_stresses
+from .assemble import Domain
 from .heat import take_heat
 from .kernels import elastic_shear_energy
 from .mesh import TetMesh
 
-_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outwards of a positive tetrahedron
 ROUNDS = 12  # at most, to make a patch's boundary sound
 
 
@@ -36,13 +37,6 @@ class Patch:
     free: int
     inner: np.ndarray
     name: str
-
-
-def boundary(conn: np.ndarray) -> np.ndarray:
-    """Triangles (k,3) that only one of the tetrahedra (m,4) has, outwards."""
-    faces = np.concatenate([conn[:, face] for face in _FACES]).astype(np.int64)
-    _, first, count = np.unique(_key(faces, int(conn.max()) + 1), return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
 
 
 def _key(faces: np.ndarray, many: int) -> np.ndarray:
@@ -88,7 +82,7 @@ def patch_of(mesh: TetMesh, wanted: np.ndarray, allowed: np.ndarray, seed: int) 
         if not chosen[seed]:
             return None
         chosen = _part(conn, chosen, seed)
-        bad = pinched(boundary(conn[chosen]))
+        bad = pinched(boundary_faces(conn[chosen])[0])
         if len(bad) == 0:
             break
         touching = np.isin(conn, bad).any(axis=1)
@@ -96,7 +90,7 @@ def patch_of(mesh: TetMesh, wanted: np.ndarray, allowed: np.ndarray, seed: int) 
         chosen = grown if turn < ROUNDS // 2 and grown.sum() > chosen.sum() else chosen & ~touching
     else:
         return None
-    faces = boundary(conn[chosen])
+    faces = boundary_faces(conn[chosen])[0]
     many = len(mesh.points)
     free = np.isin(_key(faces, many), _key(mesh.facets, many))
     faces = np.concatenate([faces[~free], faces[free]])
@@ -121,7 +115,7 @@ def patch_of(mesh: TetMesh, wanted: np.ndarray, allowed: np.ndarray, seed: int) 
 def _part(conn: np.ndarray, chosen: np.ndarray, seed: int) -> np.ndarray:
     """Those of the chosen elements (m,) bool that hang together with one of them, `seed`, by faces."""
     ids = np.flatnonzero(chosen)
-    faces = np.concatenate([conn[ids][:, face] for face in _FACES])
+    faces = np.concatenate([conn[ids][:, face] for face in FACES])
     key = _key(faces, int(conn.max()) + 1)
     element = np.tile(np.arange(len(ids)), 4)
     order = np.argsort(key, kind="stable")
@@ -167,7 +161,7 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
     tets = number[new.tets]
     conn = np.concatenate([node[mesh.conn[out]], tets])
 
-    faces = boundary(conn)
+    faces = boundary_faces(conn)[0]
     many = kept_nodes + added
     old = ~np.isin(_key(mesh.facets, n), _key(patch.nodes[patch.triangles[-patch.free :]], n))
     stay = node[mesh.facets[old]]
@@ -186,10 +180,9 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
     V0 = put(mesh.V0, new.V0, out)
     B, V = _gradients(new.points[new.tets], new.V0)
     law = domain.laws[domain.body[patch.elements[:1]]]
-    sigma_y = _yields(law, new.elements["eps_p"], new.elements["T"])
+    sigma_y = yield_stresses(law, new.elements["eps_p"], new.elements["T"])
     s = new.elements["s"]
-    equivalent = np.sqrt(1.5 * (np.sum(s[:, :3] ** 2, axis=1) + 2.0 * np.sum(s[:, 3:] ** 2, axis=1)))
-    s = s * np.minimum(1.0, sigma_y / np.maximum(equivalent, 1.0))[:, None]  # a mean of states may lie beyond yield
+    s = s * np.minimum(1.0, sigma_y / np.maximum(von_mises(s), 1.0))[:, None]  # a mean of states may lie beyond yield
     still = np.zeros((added, 3))
     nodes = {
         "x": new.points[patch.cut :],
@@ -214,7 +207,7 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
     touched = np.unique(tets)
     now = np.bincount(conn.ravel(), np.repeat(0.25 * state["volume"], 4), many)
     state["J"][touched] = (now / share)[touched]
-    state["p"][touched] = _pressures(law, state["J"][touched], state["energy"][touched])
+    state["p"][touched] = pressures(law, state["J"][touched], state["energy"][touched])
     return made, node, facet, np.array([lost, warmth])
 
 
@@ -246,7 +239,7 @@ def _gradients(corner: np.ndarray, V0: np.ndarray) -> tuple[np.ndarray, np.ndarr
 def _behind(conn: np.ndarray, facets: np.ndarray) -> np.ndarray:
     """The element behind each facet (k,3)."""
     many = int(conn.max()) + 1
-    faces = np.concatenate([conn[:, face] for face in _FACES])
+    faces = np.concatenate([conn[:, face] for face in FACES])
     key = _key(faces, many)
     order = np.argsort(key, kind="stable")
     found = order[np.searchsorted(key, _key(facets, many), sorter=order)]

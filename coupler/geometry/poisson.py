@@ -7,6 +7,7 @@ or are marked where it gives none.
 import numpy as np
 
 from ..errors import SplatError
+from ..geometry.triangles import enclosed_volume
 
 ALPHA = 0.025  # of the bounding box's diagonal: three spacings of the paper's 89,094 points
 MIN_ALPHA = 2.0  # spacings, ours: on a coarse cloud ALPHA is less than one spacing and leaves no surface
@@ -40,7 +41,6 @@ def poisson_surface(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarr
     vertices, triangles = np.asarray(mesh.vertices) * unit, np.asarray(mesh.triangles).astype(np.int64)
     if len(triangles) == 0:
         raise SplatError("the Poisson reconstruction left no surface")
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0.0:
+    if enclosed_volume(vertices, triangles) < 0.0:
         triangles = triangles[:, ::-1]
     return vertices, triangles

@@ -1,137 +1,33 @@
-"""Tetrahedra by gmsh, its only place: of solids it builds itself, and inside closed surfaces."""
-
-import json
-import signal
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+"""Tetrahedra (m,4) on points (n,3): volumes, faces and the boundary. Lengths in whatever unit the points have."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..errors import SolverError, SplatError
+#: Faces of a tetrahedron of positive volume, normals outwards; face i lies opposite corner i.
+FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
-HXT, DELAUNAY = 10, 1
+
+def volumes(points: NDArray, tets: NDArray) -> NDArray[np.float64]:
+    """Signed volumes (m,)."""
+    edges = points[tets[:, 1:]] - points[tets[:, :1]]
+    return np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
 
 
-def build(model: Callable[[Any], None], name: str = "target", algorithm: int = HXT) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) and tetrahedra (m,4) of the solid that model(gmsh) describes, in the unit it uses.
+def oriented(points: NDArray, tets: NDArray) -> NDArray:
+    """The tetrahedra with the last two corners of those of negative volume swapped, so that no volume is negative."""
+    return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)
 
-    Sizes come from what `model` sets, never from curvature or points. Raises SolverError where gmsh makes nothing, and
-    whatever gmsh raises.
+
+def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
+    """Faces (k,3) that belong to one tetrahedron only, and the tetrahedron of each (k,).
+
+    Normals point outwards where volumes are positive. Faces come in the order of `FACES`, then of the tetrahedra.
     """
-    import gmsh
-
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("General.NumThreads", 1)  # the same mesh on every machine
-        gmsh.model.add(name)
-        for option in ("MeshSizeExtendFromBoundary", "MeshSizeFromPoints", "MeshSizeFromCurvature"):
-            gmsh.option.setNumber(f"Mesh.{option}", 0)
-        gmsh.option.setNumber("Mesh.Algorithm3D", algorithm)
-        gmsh.option.setNumber("Mesh.OptimizeNetgen", 1)  # halves the number of slivers that would set dt
-        model(gmsh)
-        gmsh.model.mesh.generate(3)
-        tags, coords, _ = gmsh.model.mesh.getNodes()
-        _, nodes = gmsh.model.mesh.getElementsByType(4)
-    finally:
-        gmsh.finalize()
-    if len(nodes) == 0:
-        raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
-    lookup = np.zeros(int(tags.max()) + 1, np.int64)
-    lookup[tags.astype(np.int64)] = np.arange(len(tags))
-    tets = lookup[nodes.astype(np.int64)].reshape(-1, 4)
-    points = coords.reshape(-1, 3)
-    used, tets = np.unique(tets, return_inverse=True)  # geometry points that carry no element
-    return points[used], tets.reshape(-1, 4)
-
-
-def fill(
-    shells: list[tuple[np.ndarray, np.ndarray]],
-    size: float,
-    algorithm: int = HXT,
-    improve: float = 0.45,
-    graded: bool = False,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
-
-    shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
-    lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
-    all that a bad surface allows in reasonable time. graded: edges as long as those of the surface nearby instead of `size`,
-    which is then only the unit. Raises SplatError where gmsh cannot. Bad input can bring the process
-    down: call it in one that may die.
-    """
-
-    def model(gmsh: Any) -> None:
-        nodes = elements = 1
-        loops = []
-        for vertices, triangles in shells:
-            surface = gmsh.model.addDiscreteEntity(2)
-            numbers = np.arange(nodes, nodes + len(vertices))
-            gmsh.model.mesh.addNodes(2, surface, numbers, (vertices / size).ravel())
-            own = np.arange(elements, elements + len(triangles))
-            gmsh.model.mesh.addElementsByType(surface, 2, own, (triangles + nodes).ravel())
-            loops.append(gmsh.model.geo.addSurfaceLoop([surface]))
-            nodes += len(vertices)
-            elements += len(triangles)
-        gmsh.model.geo.addVolume(loops)
-        gmsh.model.geo.synchronize()
-        if graded:
-            gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
-        else:
-            gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-            gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
-        gmsh.option.setNumber("Mesh.OptimizeThreshold", improve)
-
-    try:
-        points, tets = build(model, "splat", algorithm)
-    except SolverError:
-        raise SplatError("gmsh made no tetrahedra inside the surface") from None
-    except Exception as problem:  # gmsh raises plain Exception
-        raise SplatError(f"gmsh: {str(problem).splitlines()[0] if str(problem) else 'failed'}") from problem
-    corner = points[tets]
-    turned = np.linalg.det(corner[:, 1:] - corner[:, :1]) < 0.0
-    tets[turned] = tets[turned][:, [0, 1, 3, 2]]
-    return points * size, tets
-
-
-def fill_apart(
-    shells: list[tuple[np.ndarray, np.ndarray]], size: float, time_limit: float = 60.0, **how: Any
-) -> tuple[np.ndarray, np.ndarray]:
-    """`fill` in a process of its own, which may die or take more than time_limit s: a SplatError then, as for all else."""
-    with tempfile.TemporaryDirectory(prefix="fill-") as name:
-        folder = Path(name)
-        arrays: dict[str, Any] = {f"x_{i}": x for i, (x, _) in enumerate(shells)}
-        arrays |= {f"t_{i}": t for i, (_, t) in enumerate(shells)}
-        np.savez(folder / "shells.npz", **arrays)
-        (folder / "task.json").write_text(json.dumps({"size": size, "shells": len(shells), "how": how}))
-        start = "from coupler.geometry.tetrahedra import _fill_in; import sys; _fill_in(sys.argv[1])"
-        try:
-            done = subprocess.run(
-                [sys.executable, "-c", start, name], cwd=Path(__file__).parents[1], stdin=subprocess.DEVNULL,
-                capture_output=True, timeout=time_limit, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise SplatError(f"gmsh was not done after {time_limit:g} s") from None
-        if done.returncode < 0:
-            raise SplatError(f"gmsh was ended by {signal.Signals(-done.returncode).name}")
-        if done.returncode > 0:
-            raise SplatError(done.stderr.decode(errors="replace").strip().splitlines()[-1])
-        with np.load(folder / "mesh.npz", allow_pickle=False) as file:
-            return file["points"], file["tets"]
-
-
-def _fill_in(name: str) -> None:
-    """What the process of `fill_apart` does."""
-    folder = Path(name)
-    task = json.loads((folder / "task.json").read_text())
-    with np.load(folder / "shells.npz", allow_pickle=False) as file:
-        shells = [(file[f"x_{i}"], file[f"t_{i}"]) for i in range(task["shells"])]
-    try:
-        points, tets = fill(shells, task["size"], **task["how"])
-    except SplatError as problem:
-        sys.exit(str(problem))
-    np.savez(folder / "mesh.npz", points=points, tets=tets)
+    faces = np.concatenate([tets[:, corners] for corners in FACES])
+    if len(faces) == 0:
+        return faces, np.zeros(0, np.int64)
+    corners = np.sort(faces, axis=1)
+    order = np.lexsort(corners.T)
+    twin = np.all(corners[order][1:] == corners[order][:-1], axis=1)
+    single = np.sort(order[~(np.append(twin, False) | np.insert(twin, 0, False))])
+    return faces[single], single % len(tets)

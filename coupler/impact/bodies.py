@@ -14,6 +14,7 @@ from ..errors import SolverError
 from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
+from ..geometry.tetrahedra import boundary_faces, volumes
 from ..physics.adhesion import Adhesion
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
@@ -207,7 +208,9 @@ class Bodies:
     def _fitted(self, splat: BodyState, size: float) -> BodyState:
         """A splat with the nodes that lie on other bodies put on their facets, as far as its tetrahedra bear it."""
         n, t = len(self.target.x), self.target
-        facets, element = _boundary(splat.tets)
+        if len(splat.tets) == 0:
+            raise SolverError("a splat without elements cannot join the target")
+        facets, element = boundary_faces(splat.tets)
         x = np.concatenate([t.x, splat.points])
         surfaces = Surfaces(
             np.concatenate([t.mesh.facets, facets + n]).astype(np.int64),
@@ -215,12 +218,12 @@ class Bodies:
             np.concatenate([t.mesh.facet_element, element + len(t.mesh.conn)]).astype(np.int64),
         )
         found = interface(surfaces, x, self.count, NEAR * size)
-        before = _volumes(splat.points, splat.tets)
+        before = volumes(splat.points, splat.tets)
         wanted = found.fitted(x, surfaces)[n:]
         share = np.ones(len(wanted))  # of the way that each node goes
         for _ in range(8):
             points = splat.points + share[:, None] * (wanted - splat.points)
-            bad = _volumes(points, splat.tets) < LEAST_QUALITY * before
+            bad = volumes(points, splat.tets) < LEAST_QUALITY * before
             if not bad.any():
                 break
             share[np.unique(splat.tets[bad])] *= 0.5
@@ -305,19 +308,3 @@ def _covered(found: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tol
         rim = np.unique(corners[~np.isin(corners, nodes).all(axis=1)])
         covered.append(own[~np.isin(corners, rim).any(axis=1)])
     return np.concatenate(covered)
-
-
-def _volumes(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    edge = points[tets[:, 1:]] - points[tets[:, :1]]
-    return np.linalg.det(edge) / 6.0
-
-
-def _boundary(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Boundary triangles (k,3) of positively oriented tetrahedra, normals outwards, and the element behind each."""
-    faces = np.concatenate([tets[:, [0, 2, 1]], tets[:, [0, 1, 3]], tets[:, [0, 3, 2]], tets[:, [1, 2, 3]]])
-    element = np.tile(np.arange(len(tets)), 4)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    if len(first) == 0:
-        raise SolverError("a splat without elements cannot join the target")
-    once = first[count == 1]
-    return faces[once], element[once]

@@ -156,7 +156,6 @@ def build_particle(
 
 
 def _heat_share(a: Material, Ta: float, b: Material, Tb: float) -> float:
-    """Share of friction heat that goes to body a: by effusivity sqrt(k rho cp), as for two half-spaces in contact."""
-    ea = float(np.sqrt(a.k_at(Ta) * a.rho * a.cp_at(Ta)))
-    eb = float(np.sqrt(b.k_at(Tb) * b.rho * b.cp_at(Tb)))
+    """Share of friction heat that goes to body a: by effusivity, as for two half-spaces in contact."""
+    ea, eb = a.effusivity(Ta), b.effusivity(Tb)
     return ea / (ea + eb)

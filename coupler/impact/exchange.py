@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..contact.hold import REACH, STIFFNESS, Hold
+from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import Adhesion
 from .domains import Domains
-from .heat import vertex_areas
 from .ledger import Ledger
 
 WINDOW = (

@@ -6,6 +6,8 @@ import numpy as np
 
 from ..contact.penalty import PointContact
 from ..fe.explicit import Target
+from ..geometry.triangles import areas, vertex_areas
+from ..physics.constitutive import conductivities, heat_capacities
 from ..sph.carried_surface import CarriedSurface
 from ..sph.heat import PointConduction
 
@@ -75,29 +77,13 @@ class HeatPaths:
         area = vertex_areas(skin, surface.triangles)[rows]
         T_a, T_b = surface.values(particle.T)[rows], target.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
-        deep_b = 0.75 * target.volume[elements] / _facet_areas(target, facets)  # of a tetrahedron's centre
+        deep_b = (
+            0.75 * target.volume[elements] / areas(target.x, target.mesh.facets[facets])
+        )  # of a tetrahedron's centre
         a, b = particle.law[0], target.laws[target.law_of[elements]]
-        resistance = deep_a / _at(a, "k", T_a) + deep_b / _at(b, "k", T_b)
-        C_a = a["rho"] * _at(a, "cp", T_a) * area * particle.spacing
+        resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
+        C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing
         sharing = np.bincount(elements, minlength=len(target.T))[elements]
-        C_b = b["rho"] * _at(b, "cp", T_b) * target.mesh.V0[elements] / sharing
+        C_b = b["rho"] * heat_capacities(b, T_b) * target.mesh.V0[elements] / sharing
         together = C_a * C_b / (C_a + C_b)
         return rows, elements, together * (T_a - T_b) * -np.expm1(-area / resistance * time / together)
-
-
-def _at(law: np.ndarray, name: str, T: np.ndarray) -> np.ndarray:
-    """c_p or k of laws at temperatures T (K): linear between two points, constant beyond."""
-    T0 = law[f"{name}_T0"]
-    return law[f"{name}_0"] + law[f"{name}_slope"] * (np.clip(T, T0, law[f"{name}_T1"]) - T0)
-
-
-def vertex_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """What each vertex stands for of a surface (m2): a third of the triangles around it."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6.0
-    return np.bincount(triangles.ravel(), np.repeat(third, 3), len(vertices))
-
-
-def _facet_areas(target: Target, facets: np.ndarray) -> np.ndarray:
-    a, b, c = (target.x[target.mesh.facets[facets, i]] for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -4,17 +4,11 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from ..fe.explicit import Target
+from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface, shape_measures
 
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
-
-
-def von_mises_of(stress: np.ndarray) -> np.ndarray:
-    """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, Pa."""
-    mean = stress[:, :3].mean(axis=1)
-    deviator = stress[:, :3] - mean[:, None]
-    return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
 
 
 def crater_depth(surface: np.ndarray) -> float:
@@ -84,10 +78,10 @@ def measure(
     m["T_mean_K"] = float(np.average(particle.T, weights=particle.mass))
     m["T_p99_K"] = float(np.percentile(particle.T, 99))
     m["T_max_K"] = float(particle.T.max())
-    m["von_mises_max_Pa"] = float(von_mises_of(particle.stress()).max())
+    m["von_mises_max_Pa"] = float(von_mises(particle.stress()).max())
     m["target_eps_p_max"] = float(target.eps_p.max())
     m["target_T_max_K"] = float(target.T.max())
-    m["target_von_mises_max_Pa"] = float(von_mises_of(target.stress()).max())
+    m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
     m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
     m["velocity_z_m_s"] = float(particle.momentum()[2] / particle.mass.sum())
     return m

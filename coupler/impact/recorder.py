@@ -7,11 +7,12 @@ import numpy as np
 
 from ..errors import SolverError
 from ..files.store import Store
+from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
-from .measure import crater_depth, measure, von_mises_of
+from .measure import crater_depth, measure
 from .validity import Extremes
 
 ROWS = 400  # rows of the history in D / v
@@ -115,14 +116,14 @@ class Recorder:
         p, s, t = impact.particle, impact.surface, impact.target
         stress = p.stress()
         fields = {
-            "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": p.eps_p,
+            "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": p.eps_p,
             "eps_p_rate": p.rate, "T": p.T,
         }  # fmt: skip
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         self.store.write("surface", time, s.positions(p.x), s.triangles, skin)
         stress = t.stress()
-        cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises_of(stress), "eps_p": t.eps_p, "T": t.T}
+        cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
         cells["body"] = impact.bodies.body  # 0 the substrate, then the splats in the order they joined
         self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cells)
         self._next_output = impact.time + self.impact_plan.output_every

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 from numba.extending import overload
+from numpy.typing import NDArray
 
 #: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
 LAW = np.dtype(
@@ -109,6 +110,16 @@ def conductivity(law, T):
     return law.k_0 + law.k_slope * (min(max(T, law.k_T0), law.k_T1) - law.k_T0)
 
 
+def heat_capacities(laws: NDArray | np.void, T: NDArray) -> NDArray[np.float64]:
+    """`heat_capacity` of arrays: LAW records laws, one or (m,), at T (m,) K."""
+    return laws["cp_0"] + laws["cp_slope"] * (np.clip(T, laws["cp_T0"], laws["cp_T1"]) - laws["cp_T0"])
+
+
+def conductivities(laws: NDArray | np.void, T: NDArray) -> NDArray[np.float64]:
+    """`conductivity` of arrays: LAW records laws, one or (m,), at T (m,) K."""
+    return laws["k_0"] + laws["k_slope"] * (np.clip(T, laws["k_T0"], laws["k_T1"]) - laws["k_T0"])
+
+
 @njit(cache=True, nogil=True, inline="always")
 def heated(law, T, q):
     """Temperature (K) after a heat of q J/kg at T (K): exact for a c_p that is linear in T."""
@@ -176,19 +187,25 @@ def hugoniot_pressure(law, J):
     return law.K * eta
 
 
+@njit(cache=True, nogil=True, inline="always")
+def pressure(law, J, energy):
+    """Mie-Grueneisen pressure in Pa: p_H (1 - Gamma0 eta / 2) + Gamma0 E with Gamma rho = Gamma0 rho0.
+
+    eta = 1 - J; energy E in J per reference m3.
+    """
+    return hugoniot_pressure(law, J) * (1.0 - 0.5 * law.Gamma0 * (1.0 - J)) + law.Gamma0 * energy
+
+
 @njit(cache=True, nogil=True)
 def mie_gruneisen(law, J_old, J, p_old, energy, heat):
     """Pressure (Pa) and energy (J per reference m3) after a change of volume ratio from J_old to J and an input of
     heat.
 
-    p = p_H (1 - Gamma0 eta / 2) + Gamma0 E with Gamma rho = Gamma0 rho0; the energy equation dE = -p dJ + dq is
-    solved together with it (trapezoidal, linear in p).
+    `pressure` and the energy equation dE = -p dJ + dq are solved together (trapezoidal, linear in p).
     """
     dJ = J - J_old
-    p = hugoniot_pressure(law, J)
     energy += heat - 0.5 * p_old * dJ
-    if on(law.Gamma0):
-        p = (p * (1.0 - 0.5 * law.Gamma0 * (1.0 - J)) + law.Gamma0 * energy) / (1.0 + 0.5 * law.Gamma0 * dJ)
+    p = pressure(law, J, energy) / (1.0 + 0.5 * law.Gamma0 * dJ) if on(law.Gamma0) else hugoniot_pressure(law, J)
     return p, energy - 0.5 * p * dJ
 
 
@@ -199,10 +216,36 @@ def bulk_stiffness(law, J):
     return law.K * (1.0 + law.s * eta) / (1.0 - law.s * eta) ** 3
 
 
+@njit(cache=True)
+def pressures(laws, J, energy):
+    """Pressure (n,) Pa of states at rest: one LAW record laws (1,), J (n,), energy (n,) J per reference m3."""
+    law = laws[0]
+    p = np.empty(len(J))
+    for i in range(len(J)):
+        p[i] = pressure(law, J[i], energy[i])
+    return p
+
+
+@njit(cache=True)
+def yield_stresses(laws, eps_p, T):
+    """Yield stress (m,) Pa of states at rest: one LAW record laws (1,), eps_p (m,), T (m,) K."""
+    law = laws[0]
+    sigma = np.empty(len(T))
+    for e in range(len(T)):
+        sigma[e] = yield_stress(law, eps_p[e], 0.0, T[e])
+    return sigma
+
+
 @njit(cache=True, nogil=True, inline="always")
-def von_mises(sxx, syy, szz, syz, sxz, sxy):
-    """Equivalent stress of a deviator given by its six components."""
-    return sqrt(1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy)))
+def von_mises_squared(sxx, syy, szz, syz, sxz, sxy):
+    """Square of the equivalent stress of a deviator, 3/2 s:s."""
+    return 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
+
+
+def von_mises(stress: NDArray) -> NDArray[np.float64]:
+    """Equivalent stress (n,) of tensors (n,6), Voigt xx yy zz yz xz xy, in their unit."""
+    deviator = stress[:, :3] - stress[:, :3].mean(axis=1)[:, None]
+    return np.sqrt(1.5 * (np.sum(deviator**2, axis=1) + 2.0 * np.sum(stress[:, 3:] ** 2, axis=1)))
 
 
 def sound_speed(rho: float, K: float, G: float) -> float:

@@ -113,6 +113,10 @@ class Material:
         """Conductivity at T (K), W/(m K)."""
         return _interpolate(self.k, T)
 
+    def effusivity(self, T: float) -> float:
+        """sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K): half-spaces in contact share heat in proportion to it."""
+        return math.sqrt(self.k_at(T) * self.rho * self.cp_at(T))
+
 
 _FIELDS = {f.name for f in fields(Material)} - {"name"}
 

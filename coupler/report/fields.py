@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..files.result import Fields
+from ..geometry.tetrahedra import volumes
 
 NEAR = 12  # points whose average is the value at a place inside the particle
 
@@ -60,8 +61,7 @@ def at_nodes(fields: Fields, name: str) -> NDArray:
     values = fields.data[name].astype(float)
     if len(values) == len(fields.points):
         return values
-    corners = fields.points[fields.cells]
-    volume = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    volume = np.abs(volumes(fields.points, fields.cells))
     where, count = fields.cells.ravel(), len(fields.points)
     weight = np.bincount(where, np.repeat(volume, 4), count)
     columns = values.reshape(len(values), -1).T

@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 from ..errors import StoreError
 from ..files.result import DOMAINS, Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
+from ..geometry.tetrahedra import boundary_faces
+from ..geometry.triangles import enclosed_volume
 from .fields import FIELDS, at_nodes, from_points
 from .words import title
 
 MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
 PIXELS = 500  # along the longer side of the particle
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # of a tetrahedron
 
 Window = tuple[float, float, float, float]  # left, right, bottom, top, um
 
@@ -81,8 +82,7 @@ def stage(result: Result) -> Stage:
         raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
     surface, count = result.fields(0, "surface"), len(result.fields(0, "particle").points)
     start = surface.points
-    a, b, c = (start[surface.cells[:, k]] for k in range(3))
-    volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
+    volume = abs(enclosed_volume(start, surface.cells))
     plane = float(start[:, 1].min() + start[:, 1].max()) / 2
     level = float(result.fields(0, "target").points[:, 2].max()) * MICRO
     return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO, VOID * (volume / max(count, 1)) ** (1 / 3))
@@ -117,7 +117,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window
     for name in names:
         ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
-    skin = boundary_faces(target.cells)
+    skin, _ = boundary_faces(target.cells)
     rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
     loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
     images, extent = _images(particle, names, loops, at, pixels)
@@ -140,13 +140,6 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
             f"{result.directory}: step {step % steps} holds values that are not numbers; the run broke down"
         )
     return particle, surface, target
-
-
-def boundary_faces(tets: NDArray) -> NDArray[np.int64]:
-    """Faces (k, 3) that belong to one tetrahedron (m, 4) only, turning outwards where these are positive."""
-    faces = tets[:, FACES].reshape(-1, 3)
-    _, where, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[where[count == 1]]
 
 
 def _images(

@@ -18,8 +18,9 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ..files.result import Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
+from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
-from .picture import MICRO, Stage, boundary_faces, read
+from .picture import MICRO, Stage, read
 
 FRAMES = 26  # of the time slider, at most
 VERTICES = 2500  # of the particle's surface: more are merged
@@ -55,7 +56,7 @@ def solid(
             cells, kept = surface.cells, thinned(surface.points, surface.cells)
         nodal = {name: at_nodes(target, name) * FIELDS[name].factor for name in ranges}
         cloud = {name: at_nodes(particle, name) * FIELDS[name].factor for name in ranges}
-        skin = boundary_faces(target.cells)
+        skin, _ = boundary_faces(target.cells)
         loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
         rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
         shown.append(

@@ -103,12 +103,6 @@ def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
 
 
-def volume(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    """Volume inside a closed surface of outward triangles, m3."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
-
-
 def shape_measures(vertices: np.ndarray, diameter: float) -> dict[str, float]:
     """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
 

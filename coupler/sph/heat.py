@@ -18,6 +18,8 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity
 from scipy.spatial import cKDTree
 
+from ..physics.constitutive import conductivities, heat_capacities
+
 SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours
 MIN_NEIGHBOURS = 10
 SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2
@@ -46,8 +48,8 @@ class PointConduction:
         D = self.volume[:, None, None] * _pulled_back(np.stack([G @ x for G in self.G], axis=2))
         gained, current, left = np.zeros(len(T)), np.array(T, float), time
         while left > 0.0:
-            capacity = law["rho"] * self.volume * _linear(law, "cp", current)
-            kD = _linear(law, "k", current)[:, None, None] * D
+            capacity = law["rho"] * self.volume * heat_capacities(law, current)
+            kD = conductivities(law, current)[:, None, None] * D
             c = SMOOTHING * np.trace(kD, axis1=1, axis2=2) / self.spacing**2
             dt = left / ceil(left * self._fastest(kD, c, capacity) / (2.0 * CONDUCTION_SAFETY))
             flow = dt * self._flow(kD, c, current)
@@ -110,9 +112,3 @@ def _pulled_back(F: np.ndarray) -> np.ndarray:
     cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     J = np.maximum(np.einsum("ni,ni->n", a, cofactor[:, :, 0]), _MIN_J)
     return np.einsum("nia,nib->nab", cofactor, cofactor) / J[:, None, None]
-
-
-def _linear(law: np.void, name: str, T: np.ndarray) -> np.ndarray:
-    """c_p or k at temperatures T (n,) K: linear between two points, constant beyond them."""
-    at = np.clip(T, law[f"{name}_T0"], law[f"{name}_T1"]) - law[f"{name}_T0"]
-    return law[f"{name}_0"] + law[f"{name}_slope"] * at

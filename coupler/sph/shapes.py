@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from ..geometry.triangles import surface_area
 from ..physics import shapes as morphology
 from . import packing
 
@@ -63,7 +64,9 @@ def shape(
         if name == "hollow_sphere":
             hole, facing_out = packing.surface(morphology.HOLLOW_RATIO * form.lengths[0], edge * each ** (1.0 / 3.0))
             inner = hole, facing_out[:, ::-1]
-        body = Body(cloud, each, vertices, triangles, area_of(vertices, triangles), -float(vertices[:, 2].min()), inner)
+        body = Body(
+            cloud, each, vertices, triangles, surface_area(vertices, triangles), -float(vertices[:, 2].min()), inner
+        )
     return _tilted(body, tilt) if tilt else body
 
 
@@ -73,7 +76,7 @@ def cylinder(diameter: float, length: float, points: int, edge: float = 0.8) -> 
     half = (0.5 * diameter, 0.5 * diameter, 0.5 * length)
     cloud, each = packing.fill(lambda x: _in_cylinder(half[0], half[2], x), half, volume, points, (2,))
     skin = revolved(_cylinder_profile(half[0], half[2]), edge * each ** (1.0 / 3.0))
-    return Body(cloud, each, *skin, area_of(*skin), half[2])
+    return Body(cloud, each, *skin, surface_area(*skin), half[2])
 
 
 def _tilted(body: Body, tilt: float) -> Body:
@@ -84,12 +87,6 @@ def _tilted(body: Body, tilt: float) -> Body:
     vertices = body.vertices @ turn.T
     points, half = np.ascontiguousarray(body.points @ turn.T), -float(vertices[:, 2].min())
     return replace(body, points=points, vertices=vertices, half_height=half, inner=inner)
-
-
-def area_of(vertices: np.ndarray, triangles: np.ndarray) -> float:
-    """Area of a triangulated surface, m2."""
-    a, b, c = (vertices[triangles[:, i]] for i in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
 def _inside(form: morphology.Form, x: np.ndarray) -> np.ndarray:

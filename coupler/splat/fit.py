@@ -3,9 +3,10 @@
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
+from ..geometry.tetrahedra import boundary_faces, volumes
 from .cloud import Cloud, Report
 from .kernels import winding
-from .quality import boundary, compact, volumes
+from .quality import compact
 
 _SAMPLES = 6  # along the edge of a facet, to measure distances from
 
@@ -33,7 +34,7 @@ def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
     width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than
     half a spacing outside; outside_max: the farthest; centroid_off: of the centre of mass.
     """
-    x, triangles = compact(points, boundary(tets))
+    x, triangles = compact(points, boundary_faces(tets)[0])
     source = cloud.x if cloud.surface is None else cloud.surface[0]
     share = volumes(points, tets)
     centroid = share @ points[tets].mean(axis=1) / share.sum()

@@ -8,9 +8,10 @@ from typing import TypeVar
 import numpy as np
 
 from ..errors import SplatError
-from ..geometry import tetrahedra
+from ..geometry import mesher
 from ..geometry.poisson import poisson_surface
-from ..sph.carried_surface import volume
+from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.triangles import enclosed_volume
 from . import field as fields
 from . import quality, stuffing, surface
 from .cloud import Cloud, Report
@@ -170,7 +171,7 @@ def build_mesh(
 
     if strategy.source == "paper":
         skin = timed("surface", lambda: poisson_surface(cloud.x, cloud.spacing))
-        report["volume_error_before"] = volume(*skin) / solid - 1.0
+        report["volume_error_before"] = enclosed_volume(*skin) / solid - 1.0
         shells, max_offset = [skin], cloud.spacing
     else:
         max_offset = MAX_OFFSET * size
@@ -186,16 +187,16 @@ def build_mesh(
         shells = timed("surface", lambda: [surface.even(shell, size, level_set) for shell in _one_piece(shape)])
     shells, moved = surface.correct_volume(shells, solid, max_offset)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
-    algorithm = tetrahedra.DELAUNAY if strategy.mesher == "Delaunay" else tetrahedra.HXT
+    algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
     improve = 0.3 if strategy.source == "paper" else 0.45
-    points, tets = timed("volume", lambda: tetrahedra.fill(shells, size, algorithm, improve))
+    points, tets = timed("volume", lambda: mesher.fill(shells, size, algorithm, improve))
     report |= check_mesh(points, tets, solid, size, strict=strategy.source != "paper")
     return points, tets, report
 
 
 def _one_piece(shape: Shape) -> list[surface.Surface]:
     """The outer surface of the one piece of a shape, and its cavities. Raises SplatError if it is in pieces."""
-    outer = [shell for shell in shape.shells if volume(*shell) > 0.0]
+    outer = [shell for shell in shape.shells if enclosed_volume(*shell) > 0.0]
     if len(outer) != 1:
         raise SplatError(f"the surface falls into {len(outer)} pieces")
     return shape.shells
@@ -209,17 +210,17 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, 
     """
     if len(tets) == 0:
         raise SplatError("no tetrahedra")
-    volumes = quality.volumes(points, tets)
+    volume = volumes(points, tets)
     gamma, steps = quality.gamma(points, tets), quality.step_lengths(points, tets)
     report: Report = {
-        "tets": len(tets), "nodes": len(points), "volume_m3": float(volumes.sum()), "gamma_min": float(gamma.min()),
+        "tets": len(tets), "nodes": len(points), "volume_m3": float(volume.sum()), "gamma_min": float(gamma.min()),
         "gamma_mean": float(gamma.mean()), "dihedral_min_deg": float(np.degrees(quality.dihedral_angles(points, tets).min())),
         "step_length_min_m": float(steps.min()),
     }  # fmt: skip
     wrong, poor = [], []
-    if inverted := int(np.sum(~(volumes > 0.0))):
+    if inverted := int(np.sum(~(volume > 0.0))):
         wrong.append(f"{inverted} tetrahedra are inverted")
-    if unclosed := surface.open_or_double(quality.boundary(tets)):
+    if unclosed := surface.open_or_double(boundary_faces(tets)[0]):
         wrong.append(unclosed)
     if (pieces := quality.pieces(points, tets)) != 1:
         wrong.append(f"{pieces} pieces")

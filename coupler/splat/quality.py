@@ -4,20 +4,15 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from ..geometry.tetrahedra import FACES, volumes
+
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))  # outwards of a positive tetrahedron
-
-
-def volumes(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Signed volumes (m,) m3."""
-    edges = points[tets[:, 1:]] - points[tets[:, :1]]
-    return np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
 
 
 def _face_normals(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
     """Outward normals (m,4,3) of the faces opposite each corner, as long as twice their area."""
     corner = points[tets]
-    return np.stack([np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]) for a, b, c in _FACES], axis=1)
+    return np.stack([np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]) for a, b, c in FACES], axis=1)
 
 
 def gamma(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -44,18 +39,6 @@ def step_lengths(points: np.ndarray, tets: np.ndarray) -> np.ndarray:
     b = -_face_normals(points, tets) / (6.0 * np.maximum(volumes(points, tets), 1e-300))[:, None, None]
     M = np.einsum("eki,ekj->eij", b, b)
     return 1.0 / np.sqrt(3.0 / 7.0 * np.trace(M, axis1=1, axis2=2) + 4.0 / 7.0 * np.linalg.eigvalsh(M)[:, 2])
-
-
-def boundary(tets: np.ndarray) -> np.ndarray:
-    """Outward triangles (k,3) that only one tetrahedron has."""
-    faces = np.concatenate([tets[:, face] for face in _FACES])
-    a, b, c = np.sort(faces, axis=1).T
-    many = int(tets.max()) + 1
-    key = (a * many + b) * many + c
-    order = np.argsort(key)
-    twin = key[order][1:] == key[order][:-1]
-    alone = ~(np.concatenate([twin, [False]]) | np.concatenate([[False], twin]))
-    return faces[order[alone]]
 
 
 def compact(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,6 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from ..geometry.triangles import area_vectors
+
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
 ROUNDS = 5
@@ -60,8 +62,7 @@ def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
 
 def normals(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Unit outward normals (k,3) at the vertices, triangles counted by area."""
-    a, b, c = (x[t[:, i]] for i in range(3))
-    face = np.cross(b - a, c - a)
+    face = area_vectors(x, t)
     total = np.stack([np.bincount(t.ravel(), np.repeat(face[:, i], 3), len(x)) for i in range(3)], axis=1)
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
-from ..sph.carried_surface import volume
+from ..geometry.triangles import enclosed_volume, surface_area
 from . import remesh
-from .surface import area, open_or_double
+from .surface import open_or_double
 
 NEAREST = 24  # triangles, by their centres, among which the closest point is searched
 VOLUME_TOLERANCE = 1e-9  # relative, of the patch
@@ -80,7 +80,7 @@ def renewed_surface(
     """
     if wrong := open_or_double(triangles):
         raise SplatError(f"the surface of the patch is not closed: {wrong}")
-    target = volume(vertices, triangles)
+    target = enclosed_volume(vertices, triangles)
     if not target > 0.0:
         raise SplatError("the surface of the patch encloses no volume")
     old = Original(vertices, triangles[len(triangles) - free :])
@@ -88,13 +88,13 @@ def renewed_surface(
     x, t = remesh.even(vertices, triangles, size, old.project, fixed, scale)
     moved = 0.0
     for _ in range(20):
-        missing = target - volume(x, t)
+        missing = target - enclosed_volume(x, t)
         if abs(missing) < VOLUME_TOLERANCE * target:
             break
         normal = remesh.normals(x, t)
         normal[:fixed] = 0.0
         loose = (t >= fixed).any(axis=1)
-        step = missing / area((x, t[loose]))
+        step = missing / surface_area(x, t[loose])
         x = x + step * normal
         moved += step
         if abs(moved) > MAX_OFFSET * size:

@@ -7,8 +7,10 @@ angles (11 deg) is not guaranteed.
 
 import numpy as np
 
+from ..geometry.tetrahedra import boundary_faces, oriented, volumes
+from ..geometry.triangles import surface_area
 from .field import Field
-from .quality import boundary, compact, volumes
+from .quality import compact
 from .remesh import normals
 
 WARP_LONG, WARP_SHORT = 0.24999, 0.41189  # of an edge: a vertex closer to a cut is moved onto the cut
@@ -62,9 +64,7 @@ def _lattice(field: Field, a: float) -> tuple[np.ndarray, np.ndarray, np.ndarray
             tets.append(np.stack([c0, c1, ring[k].ravel(), ring[(k + 1) % 4].ravel()], axis=1))
     all_tets = np.concatenate(tets)
     metal = field.at(x) > 1e-3
-    all_tets = all_tets[metal[all_tets].any(axis=1)]
-    flip = volumes(x, all_tets) < 0
-    all_tets[flip] = all_tets[flip][:, [0, 1, 3, 2]]
+    all_tets = oriented(x, all_tets[metal[all_tets].any(axis=1)])
     pairs = np.concatenate([all_tets[:, [i, j]] for i, j in ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))])
     edges = np.unique(np.sort(pairs, axis=1), axis=0)
     long = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1) > 0.95 * a
@@ -124,21 +124,18 @@ def _clip(
     pn, qn, rn = cuts(p, n), cuts(q, n), cuts(r, n)
     kept += [np.stack(c, axis=1) for c in ((p, q, r, rn), (p, q, qn, rn), (p, pn, qn, rn))]
 
-    points, cells = np.concatenate([x, cut]), np.concatenate(kept)
-    signed = volumes(points, cells)
-    cells[signed < 0] = cells[signed < 0][:, [0, 1, 3, 2]]
-    return compact(points, cells)
+    points = np.concatenate([x, cut])
+    return compact(points, oriented(points, np.concatenate(kept)))
 
 
 def correct_volume(points: np.ndarray, tets: np.ndarray, target: float, max_offset: float) -> tuple[np.ndarray, float]:
     """Points (n,3) m with the boundary moved along its normals until the mesh has `target` m3, and the offset, m."""
-    used, numbered = np.unique(boundary(tets), return_inverse=True)
+    used, numbered = np.unique(boundary_faces(tets)[0], return_inverse=True)
     numbered = numbered.reshape(-1, 3)
     x, moved = points.copy(), 0.0
     for _ in range(6):
         skin = x[used]
-        a, b, c = (skin[numbered[:, i]] for i in range(3))
-        area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+        area = surface_area(skin, numbered)
         step = float(np.clip(moved + (target - float(volumes(x, tets).sum())) / area, -max_offset, max_offset)) - moved
         x[used] = skin + step * normals(skin, numbered)
         moved += step

@@ -5,7 +5,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
-from ..sph.carried_surface import volume
+from ..geometry.triangles import enclosed_volume, surface_area
 from . import remesh
 from .field import Field
 from .quality import compact
@@ -31,15 +31,9 @@ def shells(surface: Surface, smallest: float) -> list[Surface]:
         if len(own) == 0:
             continue
         part = compact(vertices, own)
-        if abs(volume(*part)) >= smallest:
+        if abs(enclosed_volume(*part)) >= smallest:
             pieces.append(part)
-    return sorted(pieces, key=lambda part: -volume(*part))
-
-
-def area(surface: Surface) -> float:
-    """Area of a triangulated surface, m2."""
-    a, b, c = (surface[0][surface[1][:, i]] for i in range(3))
-    return 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    return sorted(pieces, key=lambda part: -enclosed_volume(*part))
 
 
 def handles(surface: Surface) -> int:
@@ -88,8 +82,8 @@ def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tu
     """Shells moved along their normals until they enclose `target` m3 together, and the offset, m (at most `max_offset`)."""
     moved = 0.0
     for _ in range(6):
-        missing = target - sum(volume(*part) for part in parts)
-        step = missing / sum(area(part) for part in parts)
+        missing = target - sum(enclosed_volume(*part) for part in parts)
+        step = missing / sum(surface_area(*part) for part in parts)
         step = float(np.clip(moved + step, -max_offset, max_offset)) - moved
         parts = [(part[0] + step * remesh.normals(*part), part[1]) for part in parts]
         moved += step

@@ -9,7 +9,7 @@ the points it comes from by more than EXTRAPOLATION of that range.
 import numpy as np
 from scipy.spatial import cKDTree
 
-from . import quality
+from ..geometry.tetrahedra import volumes
 from .cloud import Cloud
 from .kernels import least_squares_weights
 
@@ -92,13 +92,13 @@ def transfer(
     angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
     sigma : sigma (stress_square), which is not corrected.
     """
-    volumes = quality.volumes(points, tets)
+    volume = volumes(points, tets)  # m3
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
     at_nodes = Fit(cloud.x, points, cloud.spacing)
     weights = cloud.mass / cloud.mass.sum()
     fields: dict[str, np.ndarray | None] = dict.fromkeys(("velocity", "stress", "eps_p", "T", "J", "energy"))
     J = None if cloud.J is None else at_elements(cloud.J)
-    reference = volumes if J is None else volumes / J
+    reference = volume if J is None else volume / J
     scale = float(cloud.volume.sum() / reference.sum())
     share = reference / reference.sum()
     node_share = np.bincount(tets.ravel(), np.repeat(0.25 * share, 4), len(points))
@@ -121,7 +121,7 @@ def transfer(
     if cloud.stress is not None:
         fields["stress"] = stress = at_elements(cloud.stress)
         before = float(cloud.current_volume @ _square(cloud.stress))
-        errors["stress_square"] = float(volumes @ _square(stress)) / before - 1.0 if before else 0.0
+        errors["stress_square"] = float(volume @ _square(stress)) / before - 1.0 if before else 0.0
     if cloud.velocity is not None:
         mass, node_mass = cloud.mass, node_share * cloud.mass.sum()
         P, L = mass @ cloud.velocity, mass @ np.cross(cloud.x, cloud.velocity)

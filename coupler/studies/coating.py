@@ -14,8 +14,8 @@ from scipy import ndimage
 
 from ..errors import StoreError
 from ..files.result import Fields, Result
+from ..geometry.tetrahedra import boundary_faces, volumes
 from ..plan.reading import Scene
-from ..report.picture import boundary_faces
 
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
@@ -92,7 +92,7 @@ class Columns:
         self.inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= radius
         self._origin, self._side = (centre[0] - n * step, centre[1] - n * step), 2 * n
         skins = [
-            (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b]), b > 0)
+            (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0], b > 0)
             for b in range(len(splats.impact))
         ]
         if splats.last is not None:
@@ -245,17 +245,12 @@ def measure(result: Result, radius: float | None = None) -> CoatingMeasures:
     )  # fmt: skip
 
 
-def _volumes(mesh: Fields) -> NDArray:
-    corners = mesh.points[mesh.cells]
-    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
-
-
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
     """Strain, temperature and stress of the substrate (layer 0: what yielded of it) and of each layer of `each` particles, over volume.
 
     The last particle, still made of points, is in none of them.
     """
-    volume, data = _volumes(splats.mesh), splats.mesh.data
+    volume, data = np.abs(volumes(splats.mesh.points, splats.mesh.cells)), splats.mesh.data
     layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
     found = []
     for number in range(int(layer.max()) + 1):
@@ -285,7 +280,7 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
-    z, volume = middle[own, 2], _volumes(splats.mesh)[own]
+    z, volume = middle[own, 2], np.abs(volumes(splats.mesh.points, splats.mesh.cells[own]))
     columns = {
         f"sigma_{axis}": splats.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
     }

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import meshio
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.result import Result
-from ..report.picture import Stage, boundary_faces, colour_range, cut, panels, read, save
+from ..geometry.tetrahedra import boundary_faces
+from ..geometry.triangles import enclosed_volume
+from ..report.picture import Stage, colour_range, cut, panels, read, save
 from ..report.picture import beyond as beyond_of
 from .coating import CoatingMeasures, Splats
 from .table import write_rows
@@ -45,7 +46,7 @@ def section(result: Result, path: Path, radius: float, heading: str, plane: floa
     across = radius * MICRO
     seen = (-across, across, -0.35 * across, top + 0.08 * across)
     points = result.fields(-1, "particle").points
-    spacing = float(np.cbrt(_volume(surface.points, surface.cells) / max(len(points), 1)))
+    spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
     section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, across, 1.6 * spacing), seen)
     ranges = {name: colour_range([section_cut], name) for name in _DRAWN}
     figure = panels(
@@ -53,11 +54,6 @@ def section(result: Result, path: Path, radius: float, heading: str, plane: floa
     )
     save(figure, path)
     return path
-
-
-def _volume(points: NDArray, triangles: NDArray) -> float:
-    a, b, c = (points[triangles[:, k]] for k in range(3))
-    return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
@@ -77,7 +73,7 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
             old.unlink()
         meshio.Mesh(splats.mesh.points[used], [("tetra", local.reshape(cells.shape))], cell_data=data).write(paths[0])
         skins = [
-            (int(splats.impact[b]), splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b]))
+            (int(splats.impact[b]), splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0])
             for b in range(1, len(splats.impact))
         ]
         if splats.last is not None:

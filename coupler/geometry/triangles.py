@@ -1,0 +1,39 @@
+"""Triangulated surfaces: triangles (m,3) on points (n,3). Lengths in whatever unit the points have."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Normal times area (m,3) of each triangle, by the right-hand rule."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def areas(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Areas (m,)."""
+    return np.linalg.norm(area_vectors(points, triangles), axis=1)
+
+
+def areas_and_normals(points: NDArray, triangles: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Areas (m,) and unit normals (m,3)."""
+    vectors = area_vectors(points, triangles)
+    area = np.linalg.norm(vectors, axis=1)
+    return area, vectors / area[:, None]
+
+
+def surface_area(points: NDArray, triangles: NDArray) -> float:
+    """Area of all triangles together."""
+    return float(areas(points, triangles).sum())
+
+
+def vertex_areas(points: NDArray, triangles: NDArray) -> NDArray:
+    """The part of the area (n,) that belongs to each point: a third of each triangle around it."""
+    third = areas(points, triangles) / 3.0
+    return np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
+
+
+def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
+    """Volume inside a closed surface with outward normals; negative where they point inwards (divergence theorem)."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
