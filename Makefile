@@ -1,5 +1,6 @@
 # make run    one nickel particle on steel, into runs/single_ni
-# make test   format, lint, types and tests
+# make test   format, lint, types and tests, those marked slow left out
+# make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
 # make studies effects  Taylor bars and convergence, into docs/tables (hours; rows of the convergence table that are there are kept)
 # make accuracy  what accuracy costs in time, into docs/evidence/accuracy.md and coupler/plan/bands.csv (an hour; rows that are there are kept)
@@ -23,7 +24,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # The test of the report opens it in a browser.
 LIBRARIES += chromium
 
-.PHONY: setup run check test bench studies effects accuracy stability fuzz validate maps docs clean
+.PHONY: setup run check test test-all bench studies effects accuracy stability fuzz validate maps docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
@@ -69,11 +70,14 @@ check: setup
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
 
-# Files side by side, each file's tests in one process
 WORKERS ?= 2
 
+# One thread each: the workers share the cores
 test: check
-	$(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile
+	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow"
+
+test-all: check
+	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal
 
 bench: setup
 	$(VENV)/bin/python workflows/bench.py

@@ -1,12 +1,14 @@
 """Bodies and materials that several tests use."""
 
 import json
+import os
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from runs import SharedRuns
 
 from coupler.physics.materials import material
 
@@ -24,15 +26,29 @@ def update_golden(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _a_machine_that_is_timed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """`check` finds this machine's pace known: tests neither wait for it nor touch the user's cache."""
+def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """What all tests take for granted.
+
+    The machine's pace is known: `check` neither measures it nor touches the user's cache. Programs that tests start may keep
+    their byte code: it costs half a second each to compile. Runs draw no section unless a test asks for it: it costs as
+    much as the run.
+    """
     from coupler.studies import pace
 
     folder = tmp_path_factory.mktemp("cache")
     (folder / "pace.json").write_text(json.dumps({pace.machine(): {"steps": 1.0, "points": 1.0, "date": "2026-01-01"}}))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLDSPRAY_CACHE", str(folder))
+        patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+        patch.setattr("coupler.report.section_picture", lambda result: None)
         yield
+
+
+@pytest.fixture(scope="session")
+def shared_run(tmp_path_factory: pytest.TempPathFactory) -> SharedRuns:
+    """shared_run(text, **options): a finished run, computed once in a session."""
+    own = tmp_path_factory.getbasetemp()
+    return SharedRuns((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared_runs")
 
 
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:

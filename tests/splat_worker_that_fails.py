@@ -16,6 +16,7 @@ def fill(*arguments):
     if len((Path(sys.argv[1]) / "attempts.jsonl").read_text().splitlines()) == 1:
         if os.environ["SPLAT_FAILURE"] == "dies":
             os.kill(os.getpid(), signal.SIGSEGV)
+        Path(os.environ["SPLAT_HANGS"]).touch()
         time.sleep(600)
     return real(*arguments)
 

@@ -5,6 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runs import Stopped
+from scenes import scene
+from test_sequence import block, substrate
 
 from coupler import Result, Scene, run
 from coupler.contact.hold import Hold
@@ -15,22 +18,9 @@ from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from tests.test_resume import Enough
-from tests.test_sequence import block, substrate
 
-ONE = """
-[[particle]]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-diameter = "100 um"
-height = "50 um"
-[resolution]
-spacing = "3.2 um"
-element_size = "5.5 um"
-"""
+COARSE = {"spacing": 3.2, "element_size": 5.5, "diameter": 100, "height": 50}
+ONE = scene(("Ni", 25, 500), **COARSE)
 STRONG = '[adhesion]\nkind = "cohesive"\nstrength = "462 MPa"\nenergy = "150 J/m2"\n'
 WEAK = STRONG.replace("150 J/m2", "8 J/m2")
 
@@ -146,9 +136,9 @@ def test_strong_bonds_hold_and_weak_ones_do_not(runs: dict[str, Result]) -> None
 def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
         if impact.hold is not None and impact.time > 45e-9:
-            raise Enough
+            raise Stopped
 
-    with pytest.raises(Enough):
+    with pytest.raises(Stopped):
         run(Scene.from_text(ONE + STRONG, "strong"), tmp_path / "out", probe=probe, checkpoint_every=0.0)
     again = resume(tmp_path / "out").summary
     for name in ("bonded_area_end_m2", "height_m", "energy_drift", "velocity_z_m_s"):
@@ -156,9 +146,7 @@ def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_
 
 
 def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
-    second = ONE.replace(
-        "[substrate]", '[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "500 m/s"\n[substrate]'
-    )
+    second = scene(("Ni", 25, 500), ("Ni", 25, 500), **COARSE)
     result = run(
         Scene.from_text(second + '[adhesion]\nkind = "tied"\ncriterion = "velocity"\n', "two"), tmp_path / "two"
     )

@@ -8,28 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from runs import SharedRuns
+from scenes import NI, SHORT
 
 from coupler import Result, Scene, run
 from coupler.errors import SolverError, StoreError
-
-NI = """
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-diameter = "120 um"
-height = "60 um"
-[resolution]
-spacing = "3 um"
-element_size = "4.5 um"
-"""
+from coupler.report.picture import section_picture
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(Scene.from_text(NI, "coarse"), tmp_path_factory.mktemp("ni") / "out")
+def result(shared_run: SharedRuns) -> Result:
+    return shared_run(NI)
 
 
 def test_books_close(result: Result) -> None:
@@ -87,8 +76,8 @@ def test_history_and_fields_are_there(result: Result) -> None:
     assert np.abs(middle[:2]).max() < 0.02 * 25e-6
 
 
-def test_section_picture_is_made(result: Result) -> None:
-    assert (result.directory / "section.png").stat().st_size > 20_000
+def test_section_picture_is_made(result: Result, tmp_path: Path) -> None:
+    assert section_picture(result, tmp_path / "section.png").stat().st_size > 20_000
 
 
 def test_a_finished_run_is_not_overwritten(result: Result) -> None:
@@ -134,11 +123,12 @@ def test_a_ledger_that_does_not_close_is_not_a_result(tmp_path: Path, monkeypatc
 
 def test_whole_run_through_the_command_line(tmp_path: Path) -> None:
     scene = tmp_path / "tiny.toml"
-    scene.write_text(NI + '[end]\ntime = "10 ns"\n')
+    scene.write_text(SHORT)
     command = [sys.executable, "-m", "coupler", "run", str(scene), "--out", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "flattening" in done.stdout
+    assert (tmp_path / "out" / "section.png").stat().st_size > 20_000
     assert "ns" in done.stderr  # plain progress lines where there is no terminal
     assert ">>====" not in done.stdout  # LAMMPS's own chatter
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())

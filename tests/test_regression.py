@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from coupler import Scene, run
-from tests.test_impact import NI
+from runs import SharedRuns
+from scenes import NI, scene
 
 GOLDENS = Path(__file__).parent / "goldens"
 # Measure -> what it may differ by, as a share of its value and absolutely; the larger counts. Far above what another machine's
@@ -42,22 +41,12 @@ TOLERANCES: dict[str, tuple[float, float]] = {
 }
 OF_THE_END = ("flattening_ratio", "flattening_ratio_total", "splat_diameter_m")  # as the last impact leaves the splat
 
-TI = NI.replace('"Ni"', '"Ti"').replace("25 um", "30 um").replace("3 um", "3.6 um").replace("4.5 um", "5.4 um")
-_PARTICLE = '[[particle]]\nmaterial = "{}"\ndiameter = "{} um"\nvelocity = "{} m/s"\n'
-_TARGET = NI[NI.index("[substrate]") :]
-
-
-def several(*particles: tuple[str, int, int]) -> str:
-    """A scene of impacts one onto another: material, diameter (um) and velocity (m/s) of each."""
-    return "".join(_PARTICLE.format(*one) for one in particles) + _TARGET
-
-
 SCENES = {
     "single_ni": NI,
-    "single_ti": TI,
-    "double_ni_ti": several(("Ni", 30, 500), ("Ti", 25, 500)),
+    "single_ti": scene(("Ti", 30, 500), spacing=3.6, element_size=5.4),
+    "double_ni_ti": scene(("Ni", 30, 500), ("Ti", 25, 500)),
     # the smallest of three needs 200 points
-    "triple_ni": several(("Ni", 25, 500), ("Ni", 22, 546), ("Ni", 18, 610)).replace("3 um", "2.4 um"),
+    "triple_ni": scene(("Ni", 25, 500), ("Ni", 22, 546), ("Ni", 18, 610), spacing=2.4),
 }
 
 
@@ -115,9 +104,9 @@ def as_toml(values: list[dict[str, float]], old: dict[str, Any]) -> str:
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "triple_ni" else []) for name in SCENES]
 )
-def test_a_coarse_run_gives_what_it_gave(name: str, tmp_path: Path, update_golden: bool) -> None:
+def test_a_coarse_run_gives_what_it_gave(name: str, shared_run: SharedRuns, update_golden: bool) -> None:
     path = GOLDENS / f"{name}.toml"
-    values = measured(run(Scene.from_text(SCENES[name], name), tmp_path / name).summary)
+    values = measured(shared_run(SCENES[name]).summary)
     old = tomllib.loads(path.read_text()) if path.exists() else {}
     if update_golden:
         path.parent.mkdir(exist_ok=True)

@@ -10,6 +10,7 @@ import made_up_run
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
+from scenes import NI
 
 from coupler.commands import main as cli
 from coupler.errors import StoreError
@@ -19,20 +20,6 @@ from coupler.report import charts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import stage
 from coupler.report.solid import TOP, frames, solid, thinned
-
-NI = """
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-diameter = "120 um"
-height = "60 um"
-[resolution]
-spacing = "3 um"
-element_size = "4.5 um"
-"""
 
 
 @pytest.fixture(scope="module")
@@ -329,10 +316,8 @@ def drawn(browser: Browser) -> str:
 
 @needs_chromium
 @pytest.mark.slow
-def test_a_browser_shows_a_real_run(tmp_path):
-    from coupler import Scene, run
-
-    result = run(Scene.from_text(NI, "coarse"), tmp_path / "run")
+def test_a_browser_shows_a_real_run(tmp_path, shared_run):
+    result = Result(shutil.copytree(shared_run(NI).directory, tmp_path / "run"))
     page = write_report(result)
     read_ = rows(page.read_text(encoding="utf-8"))
     value, band = read_["flattening, above surface"][-2].split(" ± ")

@@ -1,68 +1,37 @@
 """Nothing is lost: checkpoints, and runs that go on after being stopped or killed."""
 
-import json
 import os
-import random
 import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
+from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import StoreError
 from coupler.files import checkpoint
 from coupler.files.checkpoint import CheckpointError
-from tests.test_parallel import MPIEXEC, NI, numbers
-
-SHORT = NI + '[end]\ntime = "36 ns"\n[output]\nevery = "5 ns"\n'
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that nobody disturbed."""
-    folder = tmp_path_factory.mktemp("whole")
-    (folder / "short.toml").write_text(SHORT)
-    run(folder / "short.toml", folder / "out")
-    return folder
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """The file of a scene."""
+    path = tmp_path / "shared.toml"
+    path.write_text(SHORT)
+    return path
 
 
-class Enough(Exception):
-    """Raised by a probe to break a run off."""
-
-
-def break_off(scene: Path, out: Path, at: float, every: float = 0.0) -> None:
-    def probe(impact: Any) -> None:
-        if impact.time > at:
-            raise Enough
-
-    with pytest.raises(Enough):
-        run(scene, out, probe=probe, checkpoint_every=every)
-
-
-def same(a: Path, b: Path) -> None:
-    expected, got = (
-        numbers(json.loads((a / "summary.json").read_text())),
-        numbers(json.loads((b / "summary.json").read_text())),
-    )
-    assert {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=1e-9, abs=1e-25)} == {}
-    assert (a / "history.csv").read_text() == (b / "history.csv").read_text()
-    one, other = Result(a), Result(b)
-    for domain in ("particle", "surface", "target"):
-        np.testing.assert_array_equal(one.times(domain), other.times(domain))
-        for step in range(len(one.times(domain))):
-            left, right = one.fields(step, domain), other.fields(step, domain)
-            np.testing.assert_array_equal(left.points, right.points)
-            np.testing.assert_array_equal(left.cells, right.cells)
-            assert left.data.keys() == right.data.keys()
-            for name in left.data:
-                np.testing.assert_array_equal(left.data[name], right.data[name])
+def assert_same(one: Result, other: Result) -> None:
+    """Numbers to 1e-9: a shared run is of one process, its sums in the same order; files to the last bit."""
+    assert_same_numbers(one.summary, other.summary, rel=1e-9)
+    assert_same_files(one, other)
 
 
 def test_a_state_comes_back_exactly(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -126,37 +95,31 @@ def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Mon
     assert not list(tmp_path.glob("*.part"))
 
 
-@pytest.mark.parametrize("at", [5e-9, 32e-9])
-def test_a_run_goes_on_to_the_same_end(whole: Path, tmp_path: Path, at: float) -> None:
-    break_off(whole / "short.toml", tmp_path / "out", at)
-    assert len(checkpoint.found(tmp_path / "out")) > 0
-    result = resume(tmp_path / "out")
+@pytest.mark.parametrize(("text", "at"), [(SHORT, 5e-9), (WHOLE, 32e-9)], ids=["going down", "rebounding"])
+def test_a_run_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Path, text: str, at: float) -> None:
+    out = tmp_path / "out"
+    break_off(Scene.from_text(text, "shared"), out, at)
+    assert len(checkpoint.found(out)) > 0
+    result = resume(out)
     assert result.finished
-    assert checkpoint.found(tmp_path / "out") == []
-    same(whole / "out", tmp_path / "out")
+    assert checkpoint.found(out) == []
+    assert_same(shared_run(text), result)
 
 
-def test_it_goes_on_on_other_ranks(whole: Path, tmp_path: Path) -> None:
-    break_off(whole / "short.toml", tmp_path / "out", 12e-9)
-    command = [str(MPIEXEC), "-n", "2", sys.executable, "-m", "coupler", "resume", str(tmp_path / "out"), "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240)
-    assert done.returncode == 0, done.stderr
-    assert json.loads((tmp_path / "out" / "summary.json").read_text())["ranks"] == 2
-    same(whole / "out", tmp_path / "out")
-
-
-def test_without_a_checkpoint_it_starts_anew(whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    break_off(whole / "short.toml", tmp_path / "out", 5e-9, every=1e9)
-    resume(tmp_path / "out")
+def test_without_a_checkpoint_it_starts_anew(
+    short: Path, shared_run: SharedRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    break_off(short, tmp_path / "out", 5e-9, every=1e9)
+    result = resume(tmp_path / "out")
     assert "no checkpoint: the run starts from its beginning" in capsys.readouterr().err
-    same(whole / "out", tmp_path / "out")
+    assert_same(shared_run(SHORT), result)
 
 
 def test_a_damaged_checkpoint_and_a_damaged_file(
-    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    short: Path, shared_run: SharedRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    break_off(whole / "short.toml", out, 20e-9)
+    break_off(short, out, 6e-9)
     last = checkpoint.found(out)[-1][1]
     last.write_bytes(last.read_bytes()[:-1])
     (out / "surface.vtkhdf").write_bytes(b"not HDF5 at all")
@@ -164,43 +127,40 @@ def test_a_damaged_checkpoint_and_a_damaged_file(
     said = capsys.readouterr().err
     assert f"{last} is damaged" in said
     assert "surface.vtkhdf cannot be read" in said
-    assert len(result.times("target")) == len(Result(whole / "out").times("target"))
+    assert len(result.times("target")) == len(shared_run(SHORT).times("target"))
     assert 0 < len(result.times("surface")) < len(result.times("target"))
 
 
-def test_an_unfinished_run_is_not_thrown_away(whole: Path, tmp_path: Path) -> None:
-    break_off(whole / "short.toml", tmp_path / "out", 5e-9)
+def test_an_unfinished_run_is_not_thrown_away(short: Path, tmp_path: Path) -> None:
+    break_off(short, tmp_path / "out", 3e-9)
     with pytest.raises(StoreError, match="coldspray resume"):
-        run(whole / "short.toml", tmp_path / "out")
-    other = tmp_path / "out" / "scene.toml"
-    other.write_text(other.read_text().replace("5.0 ns", "6.0 ns").replace('"30.0 ns"', '"31.0 ns"'))
-    other.write_text(other.read_text() + "\n")
-    text = Scene.load(other).to_toml()
-    if text != Scene.from_text(SHORT, "short").to_toml():
-        with pytest.raises(CheckpointError, match="another scene"):
-            resume(tmp_path / "out")
+        run(short, tmp_path / "out")
 
 
-def test_a_finished_run_is_left_alone(whole: Path) -> None:
-    before = (whole / "out" / "summary.json").stat().st_mtime_ns
-    assert resume(whole / "out").finished
-    assert (whole / "out" / "summary.json").stat().st_mtime_ns == before
+def test_a_checkpoint_of_another_scene_is_refused(short: Path, tmp_path: Path) -> None:
+    """The scene beside a checkpoint was changed: its numbers would be those of neither."""
+    break_off(short, tmp_path / "out", 3e-9)
+    faster = Scene.from_text(SHORT.replace("500 m/s", "510 m/s"), "shared")
+    (tmp_path / "out" / "scene.toml").write_text(faster.to_toml())
+    with pytest.raises(CheckpointError, match="another scene"):
+        resume(tmp_path / "out")
+
+
+def test_a_finished_run_is_left_alone(shared_run: SharedRuns, tmp_path: Path) -> None:
+    summary = shared_run(SHORT).directory / "summary.json"
+    before = summary.stat().st_mtime_ns
+    assert resume(summary.parent).finished
+    assert summary.stat().st_mtime_ns == before
     with pytest.raises(StoreError):
-        resume(whole / "nothing here")
+        resume(tmp_path / "nothing here")
 
 
-def launch(whole: Path, out: Path, every: float = 0.05) -> subprocess.Popen[str]:
-    command = [
-        sys.executable,
-        "-m",
-        "coupler",
-        "run",
-        str(whole / "short.toml"),
-        "--out",
-        str(out),
-        "--checkpoint",
-        str(every),
-    ]
+def launch(text: str, folder: Path, every: float = 0.05) -> subprocess.Popen[str]:
+    """The command line on a scene, into the folder `out` there."""
+    scene = folder / "shared.toml"
+    scene.write_text(text)
+    arguments = ["run", str(scene), "--out", str(folder / "out"), "--checkpoint", str(every)]
+    command = [sys.executable, "-m", "coupler", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -211,30 +171,41 @@ def wait_for(path: Path, size: int = 1) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_writes_a_checkpoint_first(whole: Path, tmp_path: Path, number: signal.Signals, code: int) -> None:
-    started = launch(whole, tmp_path / "out", every=1e9)
-    wait_for(tmp_path / "out" / "history.csv", 600)
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGTERM, 143), pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow)]
+)
+def test_a_signal_writes_a_checkpoint_first(
+    shared_run: SharedRuns, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    out = tmp_path / "out"
+    started = launch(WHOLE, tmp_path, every=1e9)
+    wait_for(out / "history.csv", 600)
     started.send_signal(number)
     _, err = started.communicate(timeout=60)
     assert started.returncode == code
     assert "go on with coldspray resume" in err
-    assert len(checkpoint.found(tmp_path / "out")) == 1
-    resume(tmp_path / "out")
-    same(whole / "out", tmp_path / "out")
+    assert len(checkpoint.found(out)) == 1
+    assert_same(shared_run(WHOLE), resume(out))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_killed_run_goes_on(whole: Path, tmp_path: Path, seed: int) -> None:
-    out, moment = tmp_path / "out", random.Random(seed).random()
-    started = launch(whole, out)
+@pytest.mark.parametrize(
+    "moment",
+    [
+        pytest.param(0, marks=pytest.mark.slow),
+        800,
+        *(pytest.param(size, marks=pytest.mark.slow) for size in (1500, 2700, 3300)),
+    ],
+)
+def test_a_killed_run_goes_on(shared_run: SharedRuns, tmp_path: Path, moment: int) -> None:
+    """Killed when the history has so many bytes; 0: as soon as there is a scene."""
+    out = tmp_path / "out"
+    started = launch(WHOLE, tmp_path)
     wait_for(out / "scene.toml")
-    if seed:  # 0: at the very start
-        wait_for(out / "history.csv", int(400 + 3000 * moment))
+    if moment:
+        wait_for(out / "history.csv", moment)
     os.kill(started.pid, signal.SIGKILL)
     started.communicate(timeout=60)
     if not (out / "summary.json").exists():
         for domain in ("particle", "target"):
             Result(out).times(domain)  # still readable
-    resume(out)
-    same(whole / "out", out)
+    assert_same(shared_run(WHOLE), resume(out))

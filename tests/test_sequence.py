@@ -1,8 +1,5 @@
 """Several impacts: a finished splat becomes part of the target, and the next particle hits it."""
 
-import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,6 +7,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from runs import SharedRuns, Stopped, assert_same_files, assert_same_numbers
+from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
 from coupler.deposition.equilibrium import settle
@@ -24,28 +23,8 @@ from coupler.impact.ending import EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
-from tests.test_parallel import MPIEXEC, numbers
-from tests.test_resume import Enough
 
-DOUBLE = """
-[[particle]]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[[particle]]
-material = "Ti"
-diameter = "22 um"
-velocity = "450 m/s"
-[substrate]
-material = "SS304"
-diameter = "120 um"
-height = "60 um"
-window = "50 um"
-[resolution]
-spacing = "3 um"
-element_size = "4.5 um"
-"""
-MIXED = DOUBLE.replace('velocity = "500 m/s"', 'velocity = "500 m/s"\nshape = "oblate"')
+DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n')
 
 
 def block(corner: tuple[float, float, float], stress: float, J: float, law: np.ndarray) -> BodyState:
@@ -201,12 +180,11 @@ def test_a_particle_that_creeps_has_come_to_rest() -> None:
     assert not plain.reached(5e-9)
 
 
-@pytest.fixture(scope="module")
-def double(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(Scene.from_text(DOUBLE, "double"), tmp_path_factory.mktemp("double") / "out")
+@pytest.fixture
+def double(shared_run: SharedRuns) -> Result:
+    return shared_run(DOUBLE)
 
 
-@pytest.mark.slow
 def test_a_double(double: Result) -> None:
     s = double.summary
     first, second = s["impacts"]
@@ -230,46 +208,30 @@ def test_a_double(double: Result) -> None:
     assert set(double.history("impact")) == {1.0, 2.0}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("at", [20e-9, None, 85e-9])
-def test_a_sequence_goes_on_to_the_same_end(double: Result, tmp_path: Path, at: float | None) -> None:
-    """Broken off in the first impact, right after the join, and in the second."""
+def assert_goes_on(text: str, whole: Result, out: Path, at: float | None) -> None:
+    """Broken off at `at` s after the start of the run, or right after the join, and resumed: the same to 1e-9."""
     seen = []
 
     def probe(impact: Any) -> None:
         seen.append(impact.time)
         joined = len(seen) > 1 and seen[-1] < seen[-2]
         if (at is None and joined) or (at is not None and sum(np.diff([0.0, *seen]).clip(0)) > at):
-            raise Enough
+            raise Stopped
 
-    with pytest.raises(Enough):
-        run(Scene.from_text(DOUBLE, "double"), tmp_path / "out", probe=probe, checkpoint_every=0.0)
-    result = resume(tmp_path / "out")
-    expected, got = numbers(double.summary), numbers(result.summary)
-    for index in range(2):
-        expected |= {f"{index}.{k}": v for k, v in numbers(double.summary["impacts"][index]).items()}
-        got |= {f"{index}.{k}": v for k, v in numbers(result.summary["impacts"][index]).items()}
-    assert {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=1e-9, abs=1e-20)} == {}
+    with pytest.raises(Stopped):
+        run(Scene.from_text(text, "shared"), out, probe=probe, checkpoint_every=0.0)
+    result = resume(out)
+    assert_same_numbers(whole.summary, result.summary, rel=1e-9)
+    assert_same_files(whole, result)
+
+
+@pytest.mark.parametrize("at", [pytest.param(20e-9, marks=pytest.mark.slow), None], ids=["second", "joined"])
+def test_a_sequence_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Path, at: float | None) -> None:
+    """Broken off in the second impact of 15 ns, and right after the join."""
+    assert_goes_on(SHORT_DOUBLE, shared_run(SHORT_DOUBLE), tmp_path / "out", at)
 
 
 @pytest.mark.slow
-def test_a_sequence_on_two_ranks(double: Result, tmp_path: Path) -> None:
-    scene = tmp_path / "double.toml"
-    scene.write_text(DOUBLE)
-    command = [
-        str(MPIEXEC),
-        "-n",
-        "2",
-        sys.executable,
-        "-m",
-        "coupler",
-        "run",
-        str(scene),
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    done = subprocess.run([*command, "--quiet"], capture_output=True, text=True, timeout=400)
-    assert done.returncode == 0, done.stderr
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    expected, got = numbers(double.summary), numbers(summary)
-    assert {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=1e-9, abs=1e-20)} == {}
+@pytest.mark.parametrize("at", [20e-9, None, 85e-9], ids=["first", "joined", "second"])
+def test_a_whole_sequence_goes_on_to_the_same_end(double: Result, tmp_path: Path, at: float | None) -> None:
+    assert_goes_on(DOUBLE, double, tmp_path / "out", at)

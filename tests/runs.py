@@ -1,0 +1,122 @@
+"""Runs that tests share, compare, stop and start on several ranks."""
+
+import fcntl
+import hashlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coupler import Result, Scene, run
+
+MPIEXEC = Path(sys.executable).parent / "mpiexec"
+OF_THE_MACHINE = {
+    "wall_s", "wall_loop_s", "cpu_s", "seconds", "meshing_s", "joining_s", "placement", "ranks", "idle_share", "memory_peak_bytes",
+}  # fmt: skip
+
+
+class SharedRuns:
+    """Finished runs by scene and options: the first test that asks computes one, in whichever process of pytest it is.
+
+    They live as long as the session of pytest. A test that changes files of a run works on a copy.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def __call__(self, text: str, name: str = "shared", **options: Any) -> Result:
+        """The run of a scene (TOML) with options of `coupler.run`."""
+        key = hashlib.sha256(repr((text, name, sorted(options.items()))).encode()).hexdigest()[:16]
+        self.folder.mkdir(exist_ok=True)
+        with open(self.folder / f"{key}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # released as the file is closed
+            out = self.folder / key
+            if not (out / "summary.json").exists():
+                run(Scene.from_text(text, name), out, force=True, **options)
+        return Result(out)
+
+
+class Stopped(Exception):
+    """Raised by a probe to break a run off."""
+
+
+def break_off(scene: Scene | Path, out: Path, at: float, every: float = 0.0) -> None:
+    """Run to the time `at` s and stop there as a crash would; every: s of wall time between checkpoints."""
+
+    def probe(impact: Any) -> None:
+        if impact.time > at:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(scene, out, probe=probe, checkpoint_every=every)
+
+
+def numbers(summary: dict[str, Any], prefix: str = "") -> dict[str, float]:
+    """All numbers of a summary by their path, but for those of the machine; impacts by their index."""
+    values: dict[str, float] = {}
+    for name, value in summary.items():
+        if name in OF_THE_MACHINE:
+            continue
+        if isinstance(value, dict):
+            values |= numbers(value, f"{prefix}{name}.")
+        elif isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+            for index, item in enumerate(value):
+                values |= numbers(item, f"{prefix}{name}.{index}.")
+        elif isinstance(value, (int, float)):
+            values[prefix + name] = float(value)
+    return values
+
+
+def assert_same_numbers(one: dict[str, Any], other: dict[str, Any], rel: float, ignore: tuple[str, ...] = ()) -> None:
+    """Two summaries hold the same numbers within a relative tolerance."""
+    expected, got = (numbers({k: v for k, v in s.items() if k not in ignore}) for s in (one, other))
+    assert got.keys() == expected.keys()
+    different = {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=rel, abs=1e-25)}
+    assert different == {}
+
+
+def assert_same_files(one: Result, other: Result) -> None:
+    """History and all stored steps of two runs are equal to the last bit."""
+    assert (one.directory / "history.csv").read_text() == (other.directory / "history.csv").read_text()
+    for domain in ("particle", "surface", "target"):
+        np.testing.assert_array_equal(one.times(domain), other.times(domain))
+        for step in range(len(one.times(domain))):
+            left, right = one.fields(step, domain), other.fields(step, domain)
+            np.testing.assert_array_equal(left.points, right.points)
+            np.testing.assert_array_equal(left.cells, right.cells)
+            assert left.data.keys() == right.data.keys()
+            for name in left.data:
+                np.testing.assert_array_equal(left.data[name], right.data[name])
+
+
+def start(ranks: int, *arguments: str, code: str | None = None) -> subprocess.Popen[str]:
+    """The command line, or a program of Python, on several ranks."""
+    program = [sys.executable, "-c", code] if code else [sys.executable, "-m", "coupler"]
+    return subprocess.Popen(
+        [str(MPIEXEC), "-n", str(ranks), *program, *arguments],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def finish(process: subprocess.Popen[str], timeout: float = 240) -> tuple[int, str, str]:
+    """Exit code and what was written to stdout and stderr."""
+    try:
+        out, err = process.communicate(timeout=timeout)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, out, err
+
+
+def on_ranks(ranks: int, code: str) -> None:
+    """Run a program on several ranks, which must end well."""
+    status, _, err = finish(start(ranks, code=code))
+    assert status == 0, err
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "summary.json").read_text())  # type: ignore[no-any-return]

@@ -1,0 +1,44 @@
+"""Scenes that several test files run, coarse enough for about a second of processor time each."""
+
+STEEL = """[substrate]
+material = "SS304"
+diameter = "{diameter} um"
+height = "{height} um"
+{more}"""
+
+
+def scene(
+    *particles: tuple[str, float, float],
+    spacing: float = 3.0,
+    element_size: float = 4.5,
+    diameter: float = 120,
+    height: float = 60,
+    end: float | None = None,
+    of_particle: str = "",
+    of_substrate: str = "",
+    more: str = "",
+) -> str:
+    """TOML of impacts on SS304, one after another.
+
+    particles: material, diameter in um, velocity in m/s of each. spacing, element_size, diameter, height: um. end: ns.
+    of_particle, of_substrate: further lines of these tables. more: further tables.
+    """
+    head = "[particle]" if len(particles) == 1 else "[[particle]]"
+    lines = [
+        f'{head}\nmaterial = "{material}"\ndiameter = "{size} um"\nvelocity = "{velocity} m/s"\n{of_particle}'
+        for material, size, velocity in particles
+    ]
+    lines.append(STEEL.format(diameter=diameter, height=height, more=of_substrate))
+    lines.append(f'[resolution]\nspacing = "{spacing} um"\nelement_size = "{element_size} um"\n')
+    if end is not None:
+        lines.append(f'[end]\ntime = "{end} ns"\n')
+    return "".join(lines) + more
+
+
+NI = scene(("Ni", 25, 500))  # 300 points, to its end at about 50 ns
+TINY = {"spacing": 3.4, "element_size": 6.0, "diameter": 100, "height": 50}
+WHOLE = scene(("Ni", 25, 500), **TINY, more='[output]\nevery = "5 ns"\n')  # 200 points, to its end at about 50 ns
+# 200 points; 10 ns: deep in contact, still going down
+SHORT = scene(("Ni", 25, 500), **TINY, end=10, more='[output]\nevery = "2 ns"\n')
+# the first splat becomes a body, the second particle is in contact with it for its last 10 ns
+SHORT_DOUBLE = scene(("Ni", 25, 500), ("Ti", 25, 450), **TINY, end=15)
