@@ -54,7 +54,7 @@ def step_for(mass: np.ndarray, safe: np.ndarray, most: float, enough: float) -> 
 
     An element of mass m and step t bears the step T with the mass m (T / t)^2: T^2 sum m / t^2 - sum m = most, over those with t < T.
     """
-    order = np.argsort(safe)
+    order = np.argsort(safe, kind="stable")
     mass, safe = mass[order], safe[order]
     reached = np.sqrt((most + np.cumsum(mass)) / np.cumsum(mass / safe**2))
     fits = np.append(reached[:-1] <= safe[1:], True)  # no further element would have to be made heavier

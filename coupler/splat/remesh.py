@@ -15,6 +15,7 @@ from ..geometry.triangles import area_vectors
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
 ROUNDS = 5
+TIE = 1e-6
 
 
 def even(
@@ -99,6 +100,15 @@ def _scaled(x: np.ndarray, edges: np.ndarray, scale: Scale) -> np.ndarray:
     return np.ones(len(edges)) if scale is None else scale(0.5 * (x[edges[:, 0]] + x[edges[:, 1]]))
 
 
+def _shortest_first(length: np.ndarray, size: float) -> np.ndarray:
+    """Order of edges (e,) by their length, m, where lengths that differ by less than TIE of `size` count as equal.
+
+    Equal ones keep their order. Halves of an edge and edges of a symmetric splat are equal to rounding: without the tie, and
+    with numpy's default sort, whose order of ties depends on the processor's vector unit, the mesh would depend on both.
+    """
+    return np.argsort(np.round(length / (TIE * size)), kind="stable")
+
+
 def _collapse_all(
     x: np.ndarray, t: np.ndarray, short: float, longest: float, fixed: int, scale: Scale
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +116,7 @@ def _collapse_all(
         edges, length = _edges(x, t)
         wide = _scaled(x, edges, scale)
         pick = np.flatnonzero((length < short * wide) & (edges >= fixed).any(axis=1))
-        pick = pick[np.argsort(length[pick])]
+        pick = pick[_shortest_first(length[pick], short)]
         start, table = _around(t, len(x))
         done = _collapse(x, t, start, table, edges[pick], longest * wide[pick], fixed)
         if done == 0:
@@ -204,7 +214,7 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float, fixed: int, scale: 
         pick = np.flatnonzero((length > longest * _scaled(x, edges, scale)) & (edges >= fixed).any(axis=1))
         if len(pick) == 0:
             break
-        pick = edges[pick[np.argsort(-length[pick])]]
+        pick = edges[pick[_shortest_first(-length[pick], longest)]]
         start, table = _around(t, len(x))
         x, t = _split(x, t, start, table, pick)
     return x, t
