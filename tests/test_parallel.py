@@ -53,7 +53,7 @@ from coupler.errors import SolverError
 from coupler.impact import retry
 from coupler.progress import Progress
 
-retry.EVERY = 1  # so that so short a run has a state to go back to
+retry.KEEP_EVERY = 1  # so that so short a run has a state to go back to
 out, options = {out!r}, dict(progress=Progress(quiet=True))
 short = Scene.from_text({short!r}, "shared")
 broken = []
@@ -65,14 +65,14 @@ def break_once(impact):
 
 run(short, out + "/spread", placement="spread", **options)
 resume(out + "/resumed", **options)
-run(short, out + "/rescued", probe=break_once, **options)
+run(short, out + "/retried", probe=break_once, **options)
 run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
 """
 
 
 @pytest.fixture(scope="module")
 def on_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four runs on two ranks: spread, resumed, rescued, double."""
+    """Four runs on two ranks: spread, resumed, retried, double."""
     out = tmp_path_factory.mktemp("two")
     break_off(Scene.from_text(SHORT, "shared"), out / "resumed", 5e-9)
     code, _, err = finish(start(2, code=PROGRAM.format(out=str(out), short=SHORT, double=SHORT_DOUBLE)))
@@ -95,9 +95,9 @@ def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: Sha
 
 def test_ranks_go_back_together(on_two: Path, shared_run: SharedRuns) -> None:
     """Half the step from 6 ns on changes the splat by the error of time integration, far below 1 %."""
-    summary, alone = summary_of(on_two / "rescued"), shared_run(SHORT).summary
-    (rescue,) = summary["rescues"]
-    assert 0.0 < rescue["back_to_s"] < 6e-9
+    summary, alone = summary_of(on_two / "retried"), shared_run(SHORT).summary
+    (retry,) = summary["retries"]
+    assert 0.0 < retry["back_to_s"] < 6e-9
     assert summary["ranks"] == 2
     assert summary["steps"] > alone["steps"]
     assert summary["flattening_ratio"] == pytest.approx(alone["flattening_ratio"], rel=0.01)

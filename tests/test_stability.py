@@ -164,7 +164,7 @@ def test_the_second_impact_of_a_sequence_is_retried(
     shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     same_step(monkeypatch)
-    monkeypatch.setattr(retry, "EVERY", 1)  # so that so short an impact has a state to go back to
+    monkeypatch.setattr(retry, "KEEP_EVERY", 1)  # so that so short an impact has a state to go back to
     trouble = Trouble(12e-9, impact=2)
     result = run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / "out", probe=trouble)
     (made,) = result.summary["retries"]

@@ -50,10 +50,10 @@ class Recorder:
         self._next_row = self._next_output = 0.0
 
     def start(self, impact: Impact) -> None:
-        """Write the fields of the first instant."""
+        """Write the fields of the first instant, if a state gone back to does not hold them already."""
         if self.progress is not None:
             self.progress.start(self.impact_plan.expected)
-        if impact.time == 0.0:
+        if self._next_output == 0.0:
             self.write_fields(impact)
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
