@@ -194,7 +194,7 @@ def test_the_command_prints_writes_and_draws(capsys, tmp_path):
     for part in ("25 um", f"{flown.velocity:.0f} m/s", "over-expanded", "assumed of the nozzle"):
         assert part in said
     head, columns, first, second = table.read_text().splitlines()
-    assert head.startswith("# remake: coldspray gas")
+    assert head.startswith("# written by coldspray gas; remake: coldspray gas")
     assert columns.split(",")[2] == "velocity_m_s"
     assert float(first.split(",")[2]) == pytest.approx(flown.velocity, rel=1e-5)
     assert second.startswith("18,")
@@ -219,8 +219,8 @@ def test_the_command_lists_nozzles_with_their_sources(capsys, tmp_path):
         (["--gas", "Ne"], "--gas \"Ne\" must be 'N2', 'He' or 'air'"),
         (["--material", "Nj"], "--material: unknown material"),
         (["--pressure", "3 bar"], "at least 4.604 bar"),
-        (["--nozzles", "absent.toml"], "absent.toml: No such file"),
-        (["--csv", "absent/a.csv"], "absent/a.csv: No such file"),
+        (["--nozzles", "absent.toml"], "absent.toml is missing"),
+        (["--csv", "absent/a.csv"], "absent/a.csv: there is no folder"),
     ],
 )
 def test_the_command_says_what_is_wrong(more, says, capsys):

@@ -23,10 +23,10 @@ ALLOWED: dict[str, set[str]] = {
     "sph": {"physics", "geometry"},
     "fe": {"physics", "geometry"},
     "contact": {"physics", "geometry"},
-    "files": {"geometry"},
-    "plan": {"scene", "physics", "spray", "geometry"},
+    "plan": {"scene", "physics", "spray", "geometry", "files"},
     "scene": {"physics", "spray"},
     "spray": {"physics"},
+    "files": {"geometry"},
     "physics": {"geometry"},
     "geometry": set(),
 }  # fmt: skip

@@ -249,7 +249,9 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
         looked_at = tmp_path / "Ni_20um_650ms_300K"
         summary = json.loads((looked_at / "summary.json").read_text())
         (looked_at / "summary.json").unlink()
-        write(looked_at, 1, 200, 20.0, (looked_at / "scene.toml").read_text(), summary)
+        scene = (looked_at / "scene.toml").read_text()
+        (looked_at / "scene.toml").unlink()
+        write(looked_at, 1, 200, 20.0, scene, summary)
         return tmp_path
 
     monkeypatch.setattr(Sweep, "run", run)

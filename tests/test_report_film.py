@@ -87,7 +87,7 @@ def test_films_that_cannot_be_made(folder, tmp_path, capsys):
     empty.mkdir()
     shutil.copy(folder / "scene.toml", empty)
     for arguments, says in (
-        ([str(folder), "--out", str(tmp_path / "film.avi")], "ends in .mp4 or .gif"),
+        ([str(folder), "--out", str(tmp_path / "film.avi")], "use .mp4 or .gif"),
         ([str(folder), "--out", str(tmp_path / "no" / "film.mp4")], "there is no folder"),
         ([str(folder), "--out", str(tmp_path / "film.gif"), "--field", "stress"], "has T, eps_p, von_mises"),
         ([str(folder), "--out", str(tmp_path / "film.gif"), "--fps", "0"], "outside 0.1 to 100"),
@@ -179,7 +179,7 @@ def test_comparing_on_the_command_line(folder, other, tmp_path, capsys, monkeypa
         ([str(folder)], "needs 2 to 12 folders"),
         ([str(folder)] * 13, "needs 2 to 12 folders"),
         ([str(folder), "absent"], "absent is not a folder"),
-        ([str(folder), str(other), "--out", "x.pdf"], "ends in .png or .html"),
+        ([str(folder), str(other), "--out", "x.pdf"], "use .png or .html"),
         ([str(folder), str(other), "--out", "no/x.png"], "cannot write no/x.png"),
         ([str(folder), str(empty)], f"{empty}: no stored step"),
     ):

@@ -8,7 +8,7 @@ import pytest
 
 from coupler.commands import mesh as mesh_command
 from coupler.commands.main import main
-from coupler.errors import SplatError
+from coupler.errors import StoreError
 from coupler.files.store import Store
 from coupler.sph import packing
 
@@ -128,7 +128,7 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
     good = tmp_path / "good.npz"
     np.savez(good, x=ball)
     files = {
-        "missing.csv": (None, "is not there"),
+        "missing.csv": (None, "is missing"),
         "empty.csv": ("", "it is empty"),
         "words.csv": ("a,b,c\n1,2,3\n", "x, y and z are needed"),
         "ragged.csv": ("1,2,3\n1,2\n", "different numbers of columns"),
@@ -136,9 +136,9 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
         "flat.csv": ("\n".join(f"{i % 10},{i // 10},0" for i in range(100)), "plane"),
         "few.csv": ("\n".join(f"{i},{i * i},{i % 3}" for i in range(40)), "50 or more"),
         "nan.csv": ("\n".join(f"{i % 5},{i // 5 % 5},{i // 25 if i else 'nan'}" for i in range(125)), "not a number"),
-        "bytes.npz": ("not an archive", "cannot read"),
-        "what.vtu": ("<html>", "cannot read"),
-        "what.unknown": ("1 2 3", "cannot read"),
+        "bytes.npz": ("not an archive", "cannot be read"),
+        "what.vtu": ("<html>", "cannot be read"),
+        "what.unknown": ("1 2 3", "cannot be read"),
     }
     cases = [([str(tmp_path / name)], told) for name, (_, told) in files.items()]
     for name, (text, _) in files.items():
@@ -147,7 +147,7 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
     (tmp_path / "folder").mkdir()
     cases += [
         ([str(tmp_path / "folder")], "holds no results"),
-        ([str(good), "--out", str(tmp_path / "a.jpg")], "no format has the suffix"),
+        ([str(good), "--out", str(tmp_path / "a.jpg")], "use .vtu or .vtk"),
         ([str(good), "--size", "5"], "has no unit"),
         ([str(good), "--size", "-5 um"], "more than zero"),
         ([str(good), "--unit", "parsec"], "unknown unit"),
@@ -167,7 +167,7 @@ def test_the_file_to_read_is_never_written(ball, tmp_path: Path) -> None:
     path = tmp_path / "cloud.vtu"
     meshio.write(path, meshio.Mesh(ball, [("vertex", np.arange(len(ball))[:, None])]))
     before = path.read_bytes()
-    with pytest.raises(SplatError, match="is the file to read"):
+    with pytest.raises(StoreError, match="is the same file as"):
         mesh_command.run(mesh_parser().parse_args(["mesh", str(path), "--out", str(path)]))
     assert path.read_bytes() == before
 

@@ -261,7 +261,7 @@ def test_finished_run_needs_force(tmp_path):
     (tmp_path / "a" / "run" / "notes.txt").write_text("mine")
     Store.create(tmp_path / "a" / "run", "two = 2\n", force=True).close()
     left = sorted(path.name for path in (tmp_path / "a" / "run").iterdir())
-    assert left == ["notes.txt", "scene.toml"]
+    assert left == [".coldspray", "notes.txt", "scene.toml"]
     assert (tmp_path / "a" / "run" / "scene.toml").read_text() == "two = 2\n"
 
 
@@ -306,7 +306,7 @@ def test_summary_is_plain_json(tmp_path):
         "effects": ["friction"],
         "on": True,
     }
-    assert not list(tmp_path.glob(".*"))
+    assert not list(tmp_path.glob(".*.part"))
 
 
 def test_history_keeps_its_columns(tmp_path):

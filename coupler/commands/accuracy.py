@@ -4,11 +4,11 @@ import argparse
 import math
 import re
 import sys
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
+from .arguments import add_force, path
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..plan.reading import Scene
     from ..studies.pace import Pace
 
+_NAMES = ("scene.toml", "accuracy.csv", "accuracy.png", "accuracy.html")
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -23,9 +24,9 @@ def add(commands: Any) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("accuracy", help="compute a scene at many settings: what accuracy costs in time")
     parser.set_defaults(command=run)
-    parser.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
+    parser.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
     option = parser.add_argument
-    option("--out", type=Path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
+    option("--out", type=path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
     option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
     option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
     option(
@@ -34,6 +35,7 @@ def add(commands: Any) -> None:
         metavar="N",
         help="points at which the other settings are tried; 0: not at all (default: 1000)",
     )
+    add_force(parser)
     option("--quiet", action="store_true", help="print errors only")
 
 
@@ -49,6 +51,7 @@ def add_to_run(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
+    from ..files.outputs import claim_folder
     from ..plan.reading import Scene
     from ..studies import ladder, ladder_runs
     from ..studies.accuracy_figures import write
@@ -62,6 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
     points = ladder.ladder_points(
         arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None
     )
+    claim_folder(out, "accuracy", _NAMES, [arguments.scene], arguments.force)
     same_scene(scene, out)
 
     def say(text: str) -> None:
@@ -86,16 +90,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 def same_scene(scene: "Scene", out: Path) -> None:
     """Keep the scene beside its ladder. Raises StoreError if the folder holds the ladder of another one."""
+    from ..files.inputs import parse_toml, read_toml
+
     path, text = out / "scene.toml", scene.to_toml()
     if path.exists():
-        try:
-            known = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise StoreError(f"{path} cannot be read: {error}") from None
-        if known != tomllib.loads(text):
+        if read_toml(path) != parse_toml(text):
             raise StoreError(f"{out} holds the ladder of another scene: name another folder with --out, or remove it")
         return
-    out.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
 
 

@@ -3,10 +3,10 @@
 import argparse
 import contextlib
 import io
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
+from .arguments import add_force, path
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -16,17 +16,19 @@ def add(commands: Any) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("coating", help="measure a coating: thickness, roughness, porosity, stress over depth")
     parser.set_defaults(command=run)
-    parser.add_argument("run", type=Path, metavar="DIR", help="folder of a run of several impacts, finished or not")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="where the files go (default: DIR/coating)")
+    parser.add_argument("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
+    parser.add_argument("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
     parser.add_argument(
         "--window", metavar="L", help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)'
     )
+    add_force(parser)
     parser.add_argument("--section", metavar="L", default="0 um", help="the plane y of the cut (default: 0 um)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from .. import units
+    from ..files.outputs import claim_folder
     from ..files.result import Result
     from ..studies import coating, coating_files
 
@@ -42,12 +44,9 @@ def run(arguments: argparse.Namespace) -> int:
     radius = length("window", arguments.window, True) if arguments.window is not None else None
     plane = length("section", arguments.section, False)
     result = Result(arguments.run)
-    measures = coating.measure(result, radius)
     folder = arguments.out or arguments.run / "coating"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot write to {folder}: {error.strerror}") from None
+    claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
+    measures = coating.measure(result, radius)
     coating_files.write_measures(folder, measures)
     heading = (
         f"{measures.impacts} of {measures.of} impacts" if measures.impacts < measures.of else f"{measures.of} impacts"

@@ -6,6 +6,8 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .arguments import add_force, path
+
 if TYPE_CHECKING:
     from ..scene.model import GasConditions
     from ..spray.flight import Flight
@@ -25,7 +27,7 @@ def add(commands: Any) -> None:
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
     option("--nozzle", metavar="NAME", help="a nozzle of the library (see --list), or of --nozzles FILE")
-    option("--nozzles", type=Path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
+    option("--nozzles", type=path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
     option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
     option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
     option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
@@ -33,13 +35,15 @@ def add(commands: Any) -> None:
     option("--powder-temperature", metavar="T", default="20 degC", help="of the powder when fed (default: 20 degC)")
     option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
     option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
-    option("--csv", type=Path, metavar="FILE", help="write the table to a file too")
-    option("--png", type=Path, metavar="FILE", help="draw velocity and temperature along the axis")
+    option("--csv", type=path, metavar="FILE", help="write the table to a file too")
+    option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
+    add_force(parser)
     option("--list", action="store_true", help="print the nozzles with their sources and stop")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..files.outputs import claim_file
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..spray import flight
@@ -48,6 +52,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list:
         print("\n\n".join(_shown(nozzle) for nozzle in nozzles.values()))
         return 0
+    inputs = [arguments.nozzles] if arguments.nozzles else []
+    for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
+        if out is not None:
+            claim_file(out, suffixes, inputs, arguments.force)
     conditions, diameters = _read(arguments, nozzles)
     material = materials.material(arguments.material)
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
@@ -93,21 +101,16 @@ def _option(field: str) -> str:
     return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
-def _nozzles(path: Path | None) -> "dict[str, Nozzle]":
-    import tomllib
-
+def _nozzles(file: Path | None) -> "dict[str, Nozzle]":
     from ..errors import SceneError
+    from ..files.inputs import read_toml
     from ..spray import nozzles
 
-    if path is None:
+    if file is None:
         return nozzles.library()
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
-    known, problems = nozzles.from_tables(tables)
+    known, problems = nozzles.from_tables(read_toml(file))
     if problems:
-        raise SceneError(problems, str(path))
+        raise SceneError(problems, str(file))
     return known
 
 
@@ -149,17 +152,20 @@ def _at_exit(flow: "Flow", flight: "Flight") -> float:
 
 
 def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
+    from ..files.outputs import MARK, replacing
+
     said = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
     options = [f"{_option(field)}={value}" for field, value in said.items() if value is not None]
     switches = ["--bow-shock"] if arguments.bow_shock else []
     rows = [
-        f"# remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}",
+        f"# {MARK} gas; remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}",
         "diameter_um,exit_velocity_m_s,velocity_m_s,temperature_K,flight_time_ms",
     ]
     for D, flight in zip(diameters, flights, strict=True):
         values = (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
         rows.append(",".join(f"{value:.6g}" for value in values))
-    arguments.csv.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    with replacing(arguments.csv) as part:
+        part.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
@@ -167,6 +173,8 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+
+    from ..files.outputs import MARK, replacing
 
     figure = Figure(figsize=(8.0, 7.0), dpi=150, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
@@ -190,4 +198,5 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
     above.legend(title=material, fontsize=8, loc="upper left")
     head = f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
     figure.suptitle(head, fontsize=11)
-    figure.savefig(path, format="png")
+    with replacing(path) as part:
+        figure.savefig(part, format="png", metadata={"Software": MARK})

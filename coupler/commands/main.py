@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ColdsprayError, speaks
+from ..files.inputs import bounded_memory
 from . import accuracy as accuracy_command
 from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
+from .arguments import add_force, path, seconds
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -37,13 +39,15 @@ _PACKAGES = {
 }
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
+_MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
     arguments = _parser().parse_args(argv)
     try:
-        code = arguments.command(arguments)
+        with bounded_memory():
+            code = arguments.command(arguments)
         sys.stdout.flush()
         return code
     except ColdsprayError as error:
@@ -54,6 +58,8 @@ def main(argv: list[str] | None = None) -> int:
         return _BROKEN_PIPE
     except KeyboardInterrupt:
         return _fail("stopped", _INTERRUPTED)
+    except MemoryError as error:
+        return _fail(f"out of memory{f': {error}' if str(error) else ''}; {_MORE_MEMORY}", 2)
     except (OSError, ImportError) as error:
         message = missing_library(error) or _file_problem(error)
         if message is None:
@@ -79,32 +85,35 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
-    check.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
+    check.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML)")
     check.add_argument("--recalibrate", action="store_true", help="time this machine anew for the estimate")
     check.set_defaults(command=_check)
     run = commands.add_parser("run", help="compute a scene")
-    run.add_argument("scene", type=Path, metavar="SCENE", help="scene file (TOML)")
-    run.add_argument("--out", type=Path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
-    run.add_argument("--force", action="store_true", help="overwrite a finished run")
+    run.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    run.add_argument("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
+    run.add_argument("--force", action="store_true", help="replace a finished run, or files of the same names")
     accuracy_command.add_to_run(run)
     run.set_defaults(command=_run)
     report = commands.add_parser("report", help="write all about a run as one HTML page")
-    report.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
-    report.add_argument("--out", type=Path, metavar="FILE", help="the page (default: DIR/report.html)")
+    report.add_argument("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    report.add_argument("--out", type=path, metavar="FILE", help="the page (default: DIR/report.html)")
+    add_force(report)
     report.set_defaults(command=_report)
     film = commands.add_parser("animate", help="write a film of the cut through particle and target")
-    film.add_argument("run", type=Path, metavar="DIR", help="folder of a run, finished or not")
-    film.add_argument("--out", type=Path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
+    film.add_argument("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    film.add_argument("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
     film.add_argument("--field", default="T", help="T, eps_p or von_mises (default: T)")
     film.add_argument("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
+    add_force(film)
     film.set_defaults(command=_animate)
     compare = commands.add_parser("compare", help="print runs side by side and draw them")
-    compare.add_argument("runs", type=Path, nargs="+", metavar="DIR", help="folders of runs, two or more")
-    compare.add_argument("--out", type=Path, default=Path("comparison.png"), metavar="FILE",
+    compare.add_argument("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
+    compare.add_argument("--out", type=path, default=Path("comparison.png"), metavar="FILE",
                          help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
+    add_force(compare)
     compare.set_defaults(command=_compare)
     resume = commands.add_parser("resume", help="go on with an unfinished run")
-    resume.add_argument("folder", type=Path, metavar="DIR", help="folder of the run")
+    resume.add_argument("folder", type=path, metavar="DIR", help="folder of the run")
     resume.set_defaults(command=_resume)
     for computing in (run, resume):
         computing.add_argument("--quiet", action="store_true", help="print errors only")
@@ -122,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
         )
         computing.add_argument(
             "--checkpoint",
-            type=float,
+            type=seconds,
             default=60.0,
             metavar="SECONDS",
             help="wall time between two checkpoints (default: 60)",
@@ -155,10 +164,13 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+    from ..files.outputs import RUN_FILES, check_folder, keep_inputs
     from ..plan.reading import Scene
 
     scene = Scene.load(arguments.scene)
     out = arguments.out or Path("runs") / scene.name
+    check_folder(out)
+    keep_inputs(out, RUN_FILES, [arguments.scene])
     if arguments.within or arguments.accuracy:
         scene, said = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
         if not arguments.quiet and speaks():
@@ -209,28 +221,36 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
 
 
 def _report(arguments: argparse.Namespace) -> int:
+    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.page import write_report
 
-    print(f"page in {write_report(Result(arguments.run), arguments.out)}")
+    result, out = Result(arguments.run), arguments.out or arguments.run / "report.html"
+    claim_file(out, (".html", ".htm"), [arguments.run], arguments.force)
+    print(f"page in {write_report(result, out)}")
     return 0
 
 
 def _animate(arguments: argparse.Namespace) -> int:
+    from ..files.outputs import claim_file
     from ..files.result import Result
-    from ..report.animation import animate
+    from ..report.animation import SUFFIXES, animate
 
-    print(f"film in {animate(Result(arguments.run), arguments.out, arguments.field, arguments.fps)}")
+    result, out = Result(arguments.run), arguments.out or arguments.run / f"{arguments.field}.mp4"
+    claim_file(out, SUFFIXES, [arguments.run], arguments.force)
+    print(f"film in {animate(result, out, arguments.field, arguments.fps)}")
     return 0
 
 
 def _compare(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
+    from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.compare import compare, comparison_table
 
     results = [Result(folder) for folder in arguments.runs]
+    claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
     Console().print(comparison_table(results))
     print(f"comparison in {compare(results, arguments.out)}")
     return 0

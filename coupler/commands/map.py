@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..measures import MEASURES, axis_label
+from .arguments import add_force, path
 
 if TYPE_CHECKING:
     from ..studies.maps import Interpolation, Row
@@ -26,20 +27,29 @@ def add(commands: Any) -> None:
     parser.set_defaults(command=run)
     option = parser.add_argument
     option(
-        "folder", type=Path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
+        "folder", type=path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
     )
     option("--show", nargs="+", choices=tuple(COLOURS), default=DRAWN, metavar="QUANTITY",
            help=f"what to draw, of {', '.join(COLOURS)} (default: {', '.join(DRAWN)})")  # fmt: skip
-    option("--out", type=Path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
+    add_force(parser)
+    option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..errors import StoreError
+    from ..files.outputs import MARK, check_folder, claim_file
     from ..studies import maps
 
     rows = maps.table(arguments.folder)
     out = arguments.out or arguments.folder
-    out.mkdir(parents=True, exist_ok=True)
+    check_folder(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(f"cannot write to the folder {out}: {error.strerror}") from None
+    for name in ("map.csv", *(drawn.name for drawn in out.glob("map_*.png"))):
+        claim_file(out / name, (".csv", ".png"), force=arguments.force)
     count = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "unfinished")}
     print(f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items()))
     for row in rows:
@@ -48,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     for line in draw(rows, out, arguments.show):
         print(line)
     # last: whoever waits for the table finds the pictures beside it
-    maps.write_table(rows, out / "map.csv", "written by coldspray map; SI units")
+    maps.write_table(rows, out / "map.csv", f"{MARK} map; SI units")
     print(f"table in {out / 'map.csv'}")
     return 0
 
@@ -103,6 +113,8 @@ def _figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    from ..files.outputs import MARK, replacing
+
     m = MEASURES[quantity]
     title, unit, factor = m.label, m.unit, m.factor
     x_axis, y_axis, *third = axes
@@ -127,7 +139,8 @@ def _figure(
             )
     substrates = ", ".join(dict.fromkeys(row["substrate"] for row in done))
     figure.suptitle(f"{rows[0]['material']} on {substrates}: {title}", fontsize=11)
-    figure.savefig(path, format="png")
+    with replacing(path) as part:
+        figure.savefig(part, format="png", metadata={"Software": MARK})
 
 
 def _fields(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SplatError
+from .arguments import add_force, path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
-LARGEST_FILE = 2 * 1024**3  # bytes
-_TEXT = (".csv", ".xyz", ".txt", ".dat")
+SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
 _COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 1, "T": 1, "J": 1, "energy": 1, "volume": 1}
 _SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's order, xx yy zz xy yz xz
 _SWAP_BACK = [0, 1, 2, 5, 3, 4]
@@ -28,14 +28,15 @@ def add(commands: Any) -> None:
     parser.set_defaults(command=run)
     option = parser.add_argument
     option(
-        "cloud", type=Path, metavar="CLOUD", help="folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
+        "cloud", type=path, metavar="CLOUD", help="folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
     )
     option(
         "--out",
-        type=Path,
+        type=path,
         metavar="FILE",
-        help="what meshio writes: .vtu, .vtk, .msh ... (default: beside CLOUD, .vtu)",
+        help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)",
     )
+    add_force(parser)
     option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
     option("--size", metavar="L", help=f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)')
     option("--spacing", metavar="L", help="of the points before they were deformed (default: the run's, or estimated)")
@@ -46,6 +47,7 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from .. import units
+    from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert
 
     def length(name: str, text: str | None) -> float | None:
@@ -63,9 +65,8 @@ def run(arguments: argparse.Namespace) -> int:
         ("size", arguments.size), ("spacing", arguments.spacing), ("unit", f"1 {arguments.unit}")))  # fmt: skip
     source: Path = arguments.cloud
     out = arguments.out or (source / "splat.vtu" if source.is_dir() else source.with_name(f"{source.stem}_mesh.vtu"))
-    if out.resolve() == source.resolve():
-        raise SplatError(f"{out} is the file to read: choose another with --out")
-    _check_suffix(out)
+    in_its_run = arguments.out is None and kind_of(out.parent) == "run"
+    claim_file(out, SUFFIXES, [source], arguments.force or in_its_run)
     if source.is_dir():
         cloud, notes = of_run(source, arguments.step, spacing)
     else:
@@ -113,24 +114,15 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
 def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tuple["Cloud", list[str]]:
     """The points of a file in units of `unit` m, with the fields whose names we know; and remarks.
 
-    Raises SplatError if it cannot be read or has no points.
+    Raises InputError if it cannot be read or has no points, SplatError if no spacing can be told.
     """
     import numpy as np
 
+    from ..files.clouds import read_points
     from ..splat.cloud import Cloud
 
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise SplatError(f"{path} is larger than {LARGEST_FILE // 1024**3} GiB")
-        reader = _npz if path.suffix == ".npz" else _table if path.suffix in _TEXT else _meshio
-        points, data = reader(path)
-    except FileNotFoundError:
-        raise SplatError(f"{path} is not there") from None
-    except (OSError, ValueError, KeyError, UnicodeDecodeError) as problem:
-        raise SplatError(f"cannot read {path}: {problem}") from problem
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-        raise SplatError(f"{path} has no points with x, y and z (found an array of shape {points.shape})")
-    x = np.ascontiguousarray(points, float) * unit
+    points, data = read_points(path, tuple(name.lower() for name in _COLUMNS))
+    x = points * unit
     fields, notes = {}, []
     for name, values in data.items():
         known = next((own for own in _COLUMNS if own.lower() == name.lower()), None)
@@ -177,92 +169,12 @@ def estimated_spacing(x: "np.ndarray") -> float:
     return spacing
 
 
-def _npz(path: Path) -> tuple["np.ndarray", dict[str, Any]]:
-    import zipfile
-
-    import numpy as np
-
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-    except zipfile.BadZipFile as problem:
-        raise ValueError(str(problem)) from None
-    for name in ("points", "x"):
-        if name in arrays:
-            points = arrays.pop(name)
-            return points, {k: v for k, v in arrays.items() if len(np.shape(v)) and len(v) == len(points)}
-    raise ValueError("it has no array 'points' or 'x'")
-
-
-def _table(path: Path) -> tuple["np.ndarray", dict[str, Any]]:
-    """Columns x, y, z and others by the names in the first line; without names the first three (of .xyz: after the element)."""
-    import numpy as np
-
-    lines = [line.replace(",", " ").replace(";", " ").split() for line in path.read_text(encoding="utf-8").splitlines()]
-    lines = [line for line in lines if line and not line[0].startswith("#")]
-    if path.suffix == ".xyz" and lines and len(lines[0]) == 1 and lines[0][0].isdigit():
-        count = int(lines[0][0])
-        lines = lines[len(lines) - count :]  # the comment line may be empty and gone
-    if not lines:
-        raise ValueError("it is empty")
-    names: list[str] = []
-    if not any(_is_number(word) for word in lines[0]):
-        names, lines = [word.strip('"') for word in lines[0]], lines[1:]
-    elif lines[0] and not _is_number(lines[0][0]):  # the element's symbol of an .xyz file
-        lines = [line[1:] for line in lines]
-    widths = {len(line) for line in lines}
-    if len(widths) != 1:
-        raise ValueError("its lines have different numbers of columns")
-    table = np.array([[float(word) for word in line] for line in lines])
-    if not names:
-        return table[:, :3], {}
-    at = {name.lower(): i for i, name in enumerate(names)}
-    if not {"x", "y", "z"} <= at.keys():
-        raise ValueError(f"its columns are {', '.join(names)}: x, y and z are needed")
-    data = {name: table[:, i] for i, name in enumerate(names) if name.lower() not in ("x", "y", "z")}
-    return table[:, [at["x"], at["y"], at["z"]]], data
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
-def _meshio(path: Path) -> tuple["np.ndarray", dict[str, Any]]:
-    import meshio
-
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            mesh = meshio.read(path)
-    except (meshio.ReadError, SystemExit) as problem:  # meshio leaves by sys.exit where several readers have failed
-        if not path.exists():
-            raise FileNotFoundError(path) from None
-        raise ValueError(str(problem) if str(problem) not in ("1", "") else "not in a format meshio reads") from None
-    except OSError:
-        raise
-    except Exception as problem:  # its readers raise whatever comes up on a damaged file
-        raise ValueError(f"damaged? ({type(problem).__name__}: {problem})") from problem
-    return mesh.points, dict(mesh.point_data)
-
-
-def _check_suffix(path: Path) -> None:
-    """Refuse a file meshio cannot write before hours are spent."""
-    import meshio
-
-    known = meshio.extension_to_filetypes
-    if path.suffix.lower() not in known:
-        good = ", ".join(s for s in (".vtu", ".vtk", ".msh", ".xdmf", ".inp") if s in known)
-        raise SplatError(f"cannot write {path}: no format has the suffix {path.suffix!r}; use one of {good}")
-
-
 def write(path: Path, splat: "Splat") -> None:
     """All bodies of a splat with their fields in one file; the cell field `body` numbers them. Raises SplatError."""
     import meshio
     import numpy as np
+
+    from ..files.outputs import MARK, replacing
 
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])
@@ -277,11 +189,15 @@ def write(path: Path, splat: "Splat") -> None:
     if "stress" in cells:  # gmsh knows whole tensors only, row by row
         cells["stress"] = cells["stress"][:, [0, 5, 4, 5, 1, 3, 4, 3, 2] if gmsh else _SWAP_BACK]
     mesh = meshio.Mesh(points, [("tetra", tets)], nodes, {name: [values] for name, values in cells.items()})
+    kind = {"file_format": "gmsh22"} if gmsh else {"data_format": "XML"} if path.suffix.lower() == ".xdmf" else {}
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            meshio.write(path, mesh, file_format="gmsh22" if gmsh else None)
-    except (meshio.WriteError, OSError, KeyError, ValueError, SystemExit) as problem:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), replacing(path) as part:
+            meshio.write(part, mesh, **kind)
+            if path.suffix.lower() == ".vtu":
+                with part.open("a", encoding="utf-8") as file:
+                    file.write(f"<!-- {MARK} -->\n")
+    except (meshio.WriteError, KeyError, ValueError, SystemExit) as problem:
         raise SplatError(f"cannot write {path}: {problem}") from problem
 
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, speaks
 from ..files import checkpoint
 from ..files.result import Result
-from ..files.store import Store
+from ..files.store import PICTURE, Store
 from ..impact.bodies import Bodies
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
@@ -82,10 +82,21 @@ def resume(
     folder = Path(out)
     result = Result(folder)
     if result.finished:
+        _complete(result)
         return result
     scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
     requested = _Requested(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
     return _compute(scene, folder, requested, anew=False, force=False)
+
+
+def _complete(result: Result) -> None:
+    """Do what a run does after its summary, where it was ended before."""
+    from ..report import section_picture
+
+    if speaks():
+        checkpoint.clear(result.directory)
+        if not (result.directory / PICTURE).exists():
+            section_picture(result)
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,8 @@ def write(directory: Path, state: dict[str, Any], about: dict[str, Any]) -> Path
 
 def found(directory: Path) -> list[tuple[int, Path]]:
     """The checkpoints of a run, oldest first: (number, path)."""
-    matches = [(match, path) for path in directory.glob("checkpoint-*.ckpt") if (match := _NAME.fullmatch(path.name))]
+    files = [path for path in directory.glob("checkpoint-*.ckpt") if path.is_file()]
+    matches = [(match, path) for path in files if (match := _NAME.fullmatch(path.name))]
     return sorted((int(match[1]), path) for match, path in matches)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import difflib
-import json
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,13 +18,15 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import StoreError
+from ..errors import ColdsprayError, StoreError
+from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory
 
 # Names are repeated here so that reading needs nothing of the writing side.
 DOMAINS = ("particle", "surface", "target")
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
 DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
-TEXT_LIMIT = 256 * 1024**2  # bytes of a text file that we are ready to read
+FARTHEST = 1e3  # m from the origin: no run has a point beyond it
+_CSV_MEMORY = 12  # bytes while reading over bytes of the file
 
 
 @dataclass(frozen=True)
@@ -72,14 +74,7 @@ class Result:
     def summary(self) -> dict[str, Any]:
         """Contents of summary.json; empty while the run is not finished. StoreError if it is damaged."""
         if not self._summary and self.finished:
-            path = self.directory / "summary.json"
-            try:
-                summary = json.loads(_text(path), parse_constant=_no_constant)
-            except (ValueError, RecursionError) as error:
-                raise StoreError(f"{path} is damaged: {error}") from error
-            if not isinstance(summary, dict):
-                raise StoreError(f"{path} is damaged: not a JSON object")
-            self._summary = summary
+            self._summary = read_json_object(self.directory / "summary.json")
         return self._summary
 
     def __getattr__(self, name: str) -> Any:
@@ -103,7 +98,7 @@ class Result:
     @property
     def scene_text(self) -> str:
         """The scene with every default filled in, as TOML."""
-        return _text(self.directory / "scene.toml")
+        return read_text(self.directory / "scene.toml", SCENE_LIMIT)
 
     def times(self, domain: str = "particle") -> NDArray[np.float64]:
         """Times of the stored steps of a domain, (steps,), s; empty if nothing of it was written yet."""
@@ -138,15 +133,16 @@ class Result:
         KeyError for an unknown column.
         """
         path = self.directory / "history.csv"
-        text = _text(path)
+        text = read_text(path)
+        require_memory(_CSV_MEMORY * len(text), f"to read {path}")
         whole = text[: text.rfind("\n") + 1]  # a line without its end is not whole
-        rows = list(csv.reader(whole.splitlines()))
-        names = rows[0] if rows else []
         try:
+            rows = list(csv.reader(whole.splitlines()))
+            names = rows[0] if rows else []
             if any(len(row) != len(names) for row in rows):
                 raise ValueError("lines of different length")
             values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(names))
-        except ValueError as error:
+        except (ValueError, csv.Error) as error:
             raise StoreError(f"{path} is damaged: {error}") from error
         table = {name: values[:, number] for number, name in enumerate(names)}
         if column is None:
@@ -164,40 +160,25 @@ class Result:
         return self.directory / f"{domain}.vtkhdf"
 
 
-def _text(path: Path) -> str:
-    try:
-        if path.stat().st_size > TEXT_LIMIT:
-            raise StoreError(f"{path} is larger than {TEXT_LIMIT // 1024**2} MiB: not a file of ours")
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise StoreError(f"{path} is missing") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise StoreError(f"cannot read {path}: {error}") from error
-
-
-def _no_constant(name: str) -> None:
-    raise ValueError(f"{name} is not a number")
-
-
 @contextmanager
 def _opened(path: Path) -> Iterator[_Root]:
     """The VTKHDF group of a file; whatever is wrong with the file comes out as a StoreError."""
+    check_regular(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
-            limit = DEFLATE_LIMIT * path.stat().st_size + 2**20
-            yield _Root(_child(file, "VTKHDF", h5py.Group), limit)
-    except IndexError:
+            yield _Root(_child(file, "VTKHDF", h5py.Group), path)
+    except (IndexError, ColdsprayError, MemoryError):
         raise
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+    except Exception as error:  # h5py raises whatever comes up on a damaged file
         raise StoreError(f"{path} is damaged or not a file of ours: {error}") from error
 
 
 @dataclass(frozen=True)
 class _Root:
-    """The VTKHDF group, and how many bytes one reading may ask for."""
+    """The VTKHDF group of a file. What a data set claims is held against what is stored of it, and against the free memory."""
 
     group: h5py.Group
-    limit: int
+    path: Path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
         """Rows start..start+count of a plain numeric data set (all without count)."""
@@ -214,8 +195,10 @@ class _Root:
         if start < 0 or count < 0 or start + count > len(data):
             raise ValueError(f"{name} has {len(data)} rows, rows {start} to {start + count} are asked for")
         width = data.shape[1] if data.ndim == 2 else 1
-        if count * width * data.dtype.itemsize > self.limit:
+        chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
+        if max(count * width * data.dtype.itemsize, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
             raise ValueError(f"{name} claims more data than the file can hold")
+        require_memory(3 * count * width * data.dtype.itemsize + chunk, f"to read {name} of {self.path}")
         return data[start : start + count]
 
     def number(self, name: str, row: int) -> int:
@@ -236,11 +219,17 @@ def _child(group: h5py.Group, name: str, kind: type) -> Any:
 
 
 def _times(root: _Root) -> NDArray[np.float64]:
-    count = int(_child(root.group, "Steps", h5py.Group).attrs["NSteps"])
+    attributes = _child(root.group, "Steps", h5py.Group).attrs
+    if attributes.get_id("NSteps").shape not in ((), (1,)):
+        raise ValueError("NSteps is not a number")
+    count = int(np.ravel(attributes["NSteps"])[0])
     if count == 0:  # a run that died before its first step
         return np.zeros(0)
     # One that died at the wrong moment has counted a step and not yet given it a time.
-    return root.rows("Steps/Values")[:count].astype(np.float64)
+    times = root.rows("Steps/Values")[: max(count, 0)].astype(np.float64)
+    if times.ndim != 1 or not np.isfinite(times).all():
+        raise ValueError("a time is not a number")
+    return times
 
 
 def _read_step(root: _Root, step: int, times: NDArray[np.float64]) -> Fields:
@@ -252,6 +241,8 @@ def _read_step(root: _Root, step: int, times: NDArray[np.float64]) -> Fields:
     kind = int(types[0]) if cell_count else 1
     if points.ndim != 2 or points.shape[1] != 3 or kind not in CELL_COLUMNS or (types != kind).any():
         raise ValueError("points or cell types are not what they should be")
+    if (np.abs(points) > FARTHEST).any():
+        raise ValueError(f"points lie more than {FARTHEST:g} m from the origin")
     columns = CELL_COLUMNS[kind]
     if id_count != columns * cell_count:
         raise ValueError("connectivity does not fit the cells")

@@ -16,7 +16,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Mapping
+from array import array
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO
@@ -26,6 +27,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import StoreError
 from . import checkpoint
+from .outputs import RUN_FILES, check_folder, claim_folder
 from .vtkhdf import VtkHdfWriter
 
 DOMAINS = ("particle", "surface", "target")
@@ -44,18 +46,18 @@ class Store:
         self._writers: dict[str, VtkHdfWriter] = {}
         self._history: TextIO | None = None
         self._columns: list[str] = []
-        self._rows = 0
+        self._rows = array("d")  # all values of the history, row by row: a checkpoint keeps them
 
     @classmethod
     def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False) -> Store:
         """Make the folder, or empty it of an earlier run, and put the scene in it.
 
-        Only files with the names of this module are ever removed, and a finished run only with `force`.
-        Raises StoreError: a finished run is there, another run writes there, or the folder is not writable.
+        Only files with the names of this module are ever removed; a finished run, or files of these names that no run has
+        written, only with `force`. Raises StoreError: such files are there, another run writes there, or the folder is not writable.
         """
         directory = Path(out_dir)
         try:
-            directory.mkdir(parents=True, exist_ok=True)
+            check_folder(directory)
             if (directory / SUMMARY).exists() and not force:
                 raise StoreError(
                     f"{directory} holds a finished run; add --force to replace it, or choose another folder with --out"
@@ -65,6 +67,7 @@ class Store:
                     f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add --force to replace it,"
                     " or choose another folder with --out"
                 )
+            claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
@@ -89,8 +92,12 @@ class Store:
             raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
 
     def state(self) -> dict[str, Any]:
-        """How much of each file is written: what `go_on` goes on from."""
-        return {"rows": self._rows, "steps": {domain: writer.steps for domain, writer in self._writers.items()}}
+        """The history, and how many steps of each domain are written: what `go_on` goes on from."""
+        return {
+            "columns": list(self._columns),
+            "history": np.array(self._rows).reshape(-1, max(len(self._columns), 1)),
+            "steps": {domain: writer.steps for domain, writer in self._writers.items()},
+        }
 
     def go_on(self, state: Mapping[str, Any] | None, log: Any) -> None:
         """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
@@ -108,12 +115,10 @@ class Store:
                     path.unlink(missing_ok=True)
         path = self.directory / HISTORY
         with _named(path):
-            lines = path.read_text(encoding="ascii").splitlines(keepends=True) if path.exists() else []
-            kept = lines[: int(state["rows"]) + 1] if state and int(state["rows"]) else []
-            if kept:
-                _replace(path, "".join(kept))
-                self._columns = kept[0].strip().split(",")
-                self._rows = len(kept) - 1
+            if state and len(state["history"]):
+                self._columns = list(state["columns"])
+                self._rows = array("d", np.asarray(state["history"], float).ravel().tobytes())
+                _replace(path, "".join([_line(self._columns), *map(_numbers, state["history"])]))
                 self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
             else:
                 path.unlink(missing_ok=True)
@@ -125,7 +130,7 @@ class Store:
                 writer.close()
             if self._history is not None:
                 self._history.close()
-        self._writers, self._history, self._rows = {}, None, 0
+        self._writers, self._history, self._rows = {}, None, array("d")
         self.go_on(state, log)
 
     def _copy_steps(self, domain: str, path: Path, steps: int, log: Any) -> None:
@@ -178,12 +183,13 @@ class Store:
             if self._history is None:
                 self._columns = list(row)
                 self._history = open(path, "w", encoding="ascii")  # noqa: SIM115  (closed by close)
-                self._history.write(",".join(self._columns) + "\n")
+                self._history.write(_line(self._columns))
             if row.keys() != set(self._columns):
                 raise ValueError(f"history has the columns {self._columns}, got {list(row)}")
-            self._history.write(",".join(f"{float(row[name]):.10g}" for name in self._columns) + "\n")
+            values = [float(row[name]) for name in self._columns]
+            self._history.write(_numbers(values))
             self._history.flush()
-            self._rows += 1
+            self._rows.extend(values)
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Write summary.json whole or not at all. Numbers that are not finite become null."""
@@ -212,6 +218,15 @@ class Store:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _line(cells: Iterable[str]) -> str:
+    return ",".join(cells) + "\n"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """A line of the history."""
+    return _line(f"{value:.10g}" for value in values)
 
 
 def _lock(directory: Path) -> int | None:

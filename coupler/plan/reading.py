@@ -1,13 +1,13 @@
 """Reading a scene as a whole: coating and gas give what they give, and every problem is reported at once."""
 
 import copy
-import tomllib
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ..errors import SceneError
+from ..files.inputs import SCENE_LIMIT, InputError, parse_toml, read_text
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, safe_name
@@ -17,8 +17,6 @@ from .check import problems_of
 from .coating import expand
 from .derived import Derived
 from .gas import fill
-
-_LARGEST_FILE = 1_000_000  # bytes; a scene is a page of text
 
 
 class Scene(SceneData):
@@ -32,18 +30,10 @@ class Scene(SceneData):
     @classmethod
     def load(cls, path: str | Path) -> "Scene":
         """Read a scene file. Raises SceneError with every problem of it."""
-        path = Path(path)
         try:
-            with path.open("rb") as file:
-                raw = file.read(_LARGEST_FILE + 1)
-        except OSError as error:
-            raise SceneError([f"cannot be read: {error.strerror}"], str(path)) from None
-        if len(raw) > _LARGEST_FILE:
-            raise SceneError(["is larger than 1 MB: not a scene"], str(path))
-        try:
-            text = raw.decode("utf-8")
-        except UnicodeDecodeError:
-            raise SceneError(["is not text in UTF-8: not a scene"], str(path)) from None
+            text = read_text(path, SCENE_LIMIT)
+        except InputError as error:
+            raise SceneError([error.reason], str(path)) from None
         return cls.from_text(text, str(path))
 
     @classmethod
@@ -53,8 +43,8 @@ class Scene(SceneData):
         source: what to call it in messages; its stem is the scene's name unless the scene has one.
         """
         try:
-            data = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # ValueError: also a number of thousands of digits
+            data = parse_toml(text)
+        except ValueError as error:  # also a number of thousands of digits
             raise SceneError([f"is not valid TOML: {error}"], source) from None
         return cls.from_dict(data, source)
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import StoreError
+from ..files.outputs import MARK, replacing
 from ..files.result import Result
 from .picture import beyond, colour_range, cut, drawable, panels, stage, stored_steps, window
 from .words import title
@@ -46,10 +47,8 @@ def animate(result: Result, path: str | Path | None = None, field: str = "T", fp
     count = stored_steps(result)
     rate = fps or float(np.clip(count / SECONDS, *RATES))
     write = _mp4 if path.suffix.lower() == ".mp4" else _gif
-    try:
-        write(path, frames(result, field), rate, round(REST * rate))
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    with replacing(path) as part:
+        write(part, frames(result, field), rate, round(REST * rate))
     return path
 
 
@@ -78,7 +77,14 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
     size = (first.shape[1], first.shape[0])
     try:
         film = imageio_ffmpeg.write_frames(
-            str(path), size, fps=rate, codec="libx264", quality=8, macro_block_size=2, ffmpeg_log_level="error"
+            str(path),
+            size,
+            fps=rate,
+            codec="libx264",
+            quality=8,
+            macro_block_size=2,
+            ffmpeg_log_level="error",
+            output_params=["-metadata", f"comment={MARK}"],
         )
         film.send(None)
         picture = first
@@ -101,7 +107,9 @@ def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
     pause = round(1000 / rate)
     pauses = [pause] * (len(small) - 1) + [pause * (1 + rest)]
-    small[0].save(path, save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=False)
+    small[0].save(
+        path, save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=False, comment=MARK.encode()
+    )
 
 
 def _mosaic(images: Sequence[Image.Image]) -> Image.Image:

@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import math
-import os
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 
 from ..errors import StoreError
+from ..files.outputs import replacing
 from ..files.result import Result
 from . import charts, parts
 from .fields import FIELDS
@@ -150,13 +150,8 @@ def picks(result: Result, most: int = PICTURES) -> list[int]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file whole or not at all. Raises StoreError if that is impossible."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def embedded(figure: Figure) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from ..errors import ColdsprayError, StoreError
+from ..files.inputs import parse_toml
 from ..files.result import Result
 from .words import bands, columns, grouped, impacts, shown, words
 
@@ -104,7 +104,7 @@ def each_impact(summary: Mapping[str, object]) -> str:
 def scene_of(result: Result) -> dict[str, object]:
     """The scene as nested dicts of its own words; empty if there is none that can be read."""
     try:
-        return tomllib.loads(result.scene_text)
+        return parse_toml(result.scene_text)
     except (StoreError, ValueError, RecursionError):
         return {}
 

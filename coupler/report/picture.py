@@ -19,6 +19,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from ..errors import StoreError
+from ..files.outputs import MARK, replacing
 from ..files.result import DOMAINS, Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces
@@ -296,7 +297,5 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG. Raises StoreError if it cannot be written."""
-    try:
-        figure.savefig(path, format="png")
-    except OSError as error:
-        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    with replacing(path) as part:
+        figure.savefig(part, format="png", metadata={"Software": MARK})

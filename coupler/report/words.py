@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 
 from rich.table import Table
 from rich.text import Text
 
 from ..errors import StoreError
+from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..measures import GROUPS, measure
 
@@ -94,7 +94,7 @@ def impacts(summary: Mapping[str, object]) -> list[dict[str, object]]:
 def title(result: Result) -> str:
     """Material, size and speed in the scene's own words; what the scene does not say is left out."""
     try:
-        scene = tomllib.loads(result.scene_text)
+        scene = parse_toml(result.scene_text)
         particles, substrate = scene["particle"], scene["substrate"]
         bodies = particles if isinstance(particles, list) else [particles]
         whats = [_short(one["diameter"]) + " " + _short(one["material"]) for one in bodies]
@@ -103,7 +103,7 @@ def title(result: Result) -> str:
         angles = [str(one.get("angle", "0 deg")) for one in bodies]
         if any(float(angle.split()[0]) != 0.0 for angle in angles):
             said += ["and", _alike(angles).replace(" deg", "°")]
-    except (StoreError, tomllib.TOMLDecodeError, LookupError, TypeError, ValueError, AttributeError):
+    except (StoreError, LookupError, TypeError, ValueError, AttributeError):
         return result.directory.resolve().name
     return " ".join(said).replace(" um ", " µm ")
 

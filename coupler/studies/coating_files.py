@@ -18,6 +18,7 @@ from ..report.picture import beyond as beyond_of
 from .coating import CoatingMeasures, Splats
 from .table import write_rows
 
+NAMES = ("coating.json", "coating_depth.csv", "section.png", "coating.vtu", "splats/splat_*.stl")
 _DRAWN = ("eps_p", "T", "von_mises")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress")
 MICRO = 1e6

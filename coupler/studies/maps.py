@@ -7,9 +7,7 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 from __future__ import annotations
 
 import contextlib
-import json
 import math
-import tomllib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import units
 from ..errors import ColdsprayError, SceneError, StoreError
+from ..files.inputs import read_json_object, read_toml
 from ..files.result import Result
 from ..physics.adhesion import critical_velocity
 from ..plan.reading import Scene
@@ -43,6 +42,7 @@ COLUMNS = (
     "bonded",
 )
 LEAST_POINTS = 6  # of which a map is drawn
+LARGEST = 1e30  # a measure beyond it is damage
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
 Row = dict[str, Any]
 
@@ -87,9 +87,9 @@ def _row(folder: Path, name: str) -> Row:
         return row | {"status": "failed", "reason": str(error)}
     if not summary or scene is None:
         return row
-    row |= {"status": "done"} | {key: summary.get(key) for key in MEASURES}
+    row |= {"status": "done"} | {key: _number(summary.get(key)) for key in MEASURES}
     p, law = scene.particle, scene.derived.adhesion_law
-    rebound = summary.get("rebound_velocity_m_s")
+    rebound = row["rebound_velocity_m_s"]
     row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
     if law.kind != "none" and "rebounded" in summary:  # without adhesion everything rebounds, which tells nothing
         row["bonded"] = not summary["rebounded"]
@@ -97,6 +97,11 @@ def _row(folder: Path, name: str) -> Row:
     with contextlib.suppress(ColdsprayError):  # a metal without tensile strength has no critical velocity
         row["velocity_ratio"] = p.velocity / critical_velocity(scene.derived.material(p.material), p.temperature)
     return row
+
+
+def _number(value: object) -> float | None:
+    """A measure; None where a summary has no number, or one that no run gives."""
+    return value if isinstance(value, int | float) and abs(value) < LARGEST else None
 
 
 def _scene(folder: Path, name: str, row: Row) -> Scene | None:
@@ -117,21 +122,20 @@ def _scene(folder: Path, name: str, row: Row) -> Scene | None:
 
 def _is_scene(path: Path) -> bool:
     try:
-        return "particle" in tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return "particle" in read_toml(path)
+    except StoreError:
         return False
 
 
 def _as_written(path: Path) -> Row:
     """Material and axes of a scene that cannot be computed, as far as they can be read."""
-
     found: Row = {}
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-        found["material"], found["substrate"] = data["particle"]["material"], data["substrate"]["material"]
+        data: Any = read_toml(path)
+        found["material"], found["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
         for axis, (key, dimension) in zip(AXES, _WRITTEN, strict=True):
             found[axis] = units.parse(data["particle"][key], dimension)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (StoreError, ValueError, KeyError, TypeError):
         pass
     return found
 
@@ -141,10 +145,9 @@ _WRITTEN = (("velocity", "velocity"), ("diameter", "length"), ("temperature", "t
 
 def _ended(path: Path) -> Mapping[str, object]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json_object(path)
+    except StoreError:
         return {}
-    return found if isinstance(found, dict) else {}
 
 
 def write_table(rows: Iterable[Row], path: Path, about: str = "") -> None:

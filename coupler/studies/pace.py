@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, StoreError
+from ..files.inputs import read_json_object
 from ..plan import cost
 from ..plan.planning import Plan
 
@@ -89,13 +90,12 @@ def _pace(entry: Mapping[str, Any]) -> Pace:
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """The entries of the cache by machine; none if the file is missing or damaged."""
     try:
-        known = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        known = read_json_object(path)
+    except StoreError:
         return {}
-    sound = known.items() if isinstance(known, dict) else ()
     low, high = FACTORS
     return {
-        k: v for k, v in sound
+        k: v for k, v in known.items()
         if isinstance(v, dict) and all(isinstance(v.get(n), float) and low <= v[n] <= high for n in ("steps", "points"))
     }  # fmt: skip
 

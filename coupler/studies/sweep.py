@@ -14,7 +14,6 @@ import re
 import signal
 import subprocess
 import sys
-import tomllib
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,7 +21,9 @@ from pathlib import Path
 from types import FrameType
 
 from .. import units
-from ..errors import SceneError, StoreError
+from ..errors import SceneError
+from ..files.inputs import InputError, read_json_object, read_text, read_toml
+from ..files.outputs import claim_folder, replacing
 from ..plan.reading import Scene
 from ..scene.model import safe_name
 
@@ -56,11 +57,9 @@ class Sweep:
         """Read a sweep's file (TOML, as workflows/map_ni.toml). Raises SceneError with every problem of it."""
         path = Path(path)
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise SceneError([f"cannot be read: {error.strerror}"], str(path)) from None
-        except (ValueError, RecursionError) as error:
-            raise SceneError([f"is not valid TOML: {error}"], str(path)) from None
+            data = read_toml(path)
+        except InputError as error:
+            raise SceneError([error.reason], str(path)) from None
         return cls.from_dict(data, str(path))
 
     @classmethod
@@ -107,12 +106,10 @@ class Sweep:
     def write(self, out: str | Path, point: str) -> Path:
         """Write the scene of a point into `out`, unless it is there. Returns its path. Raises StoreError."""
         path = Path(out) / f"{point}.toml"
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if not path.is_file() or path.read_text(encoding="utf-8") != self.points[point]:
-                path.write_text(self.points[point], encoding="utf-8")
-        except OSError as error:
-            raise StoreError(f"cannot write {path}: {error.strerror}") from error
+        if not path.is_file() or read_text(path) != self.points[point]:
+            claim_folder(path.parent, "sweep", [path.name])
+            with replacing(path) as part:
+                part.write_text(self.points[point], encoding="utf-8")
         return path
 
     def run(self, out: str | Path | None = None, jobs: int = 1, log: Callable[[str], None] = print) -> Path:
@@ -126,7 +123,8 @@ class Sweep:
         def run_point(point: str) -> None:
             known, scene = folder / f"{point}.json", self.write(folder, point)
             fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
-            ended = json.loads(known.read_text(encoding="utf-8")) if fresh else compute(scene, known)
+            ended = _ended(known) if fresh else None
+            ended = compute(scene, known) if ended is None else ended
             log(f"{next(done)}/{len(self.points)} {point}: {_said(ended)}")
 
         with ThreadPoolExecutor(max(jobs, 1)) as pool:
@@ -288,8 +286,8 @@ def _wait_for(folder: Path) -> None:
 def _begun(scene: Path, folder: Path) -> bool:
     """Whether the folder holds a run of this very scene."""
     try:
-        return (folder / "scene.toml").read_text(encoding="utf-8") == Scene.load(scene).to_toml()
-    except (OSError, SceneError):
+        return read_text(folder / "scene.toml") == Scene.load(scene).to_toml()
+    except (InputError, SceneError):
         return False
 
 
@@ -302,6 +300,15 @@ def _reason(code: int, errors: str) -> str:
     at = errors.rfind("coldspray: ")
     text = errors[at + len("coldspray: ") :] if at >= 0 else (errors.strip().splitlines() or [f"exit code {code}"])[-1]
     return " ".join(text.split())
+
+
+def _ended(path: Path) -> dict[str, object] | None:
+    """How a point ended; None if its file is damaged."""
+    try:
+        ended = read_json_object(path)
+    except InputError:
+        return None
+    return ended if isinstance(ended.get("status"), str) else None
 
 
 def _said(ended: Mapping[str, object]) -> str:

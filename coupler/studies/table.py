@@ -6,6 +6,8 @@ from pathlib import Path
 
 from .. import __version__
 from ..errors import StoreError
+from ..files.inputs import read_text
+from ..files.outputs import replacing
 
 Row = dict[str, str]
 
@@ -57,23 +59,21 @@ def cell(value: object) -> str:
 
 def read_rows(path: Path) -> list[Row]:
     """The rows of a CSV file, lines that begin with # left out. Raises StoreError if it cannot be read."""
+    text = read_text(path)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise StoreError(f"cannot read {path}: {error}") from None
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+        return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    except csv.Error as error:
+        raise StoreError(f"{path} is damaged: {error}") from None
 
 
 def write_rows(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]], about: str = "") -> None:
     """Write a CSV file as a whole. about: lines above the header, each after "# ". Raises StoreError."""
-    part = path.with_suffix(".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("w", newline="", encoding="utf-8") as file:
-            file.writelines(f"# {line}\n" for line in about.splitlines())
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows([cell(row.get(name)) for name in columns] for row in rows)
-        part.replace(path)
     except OSError as error:
         raise StoreError(f"cannot write {path}: {error.strerror}") from error
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        file.writelines(f"# {line}\n" for line in about.splitlines())
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows([cell(row.get(name)) for name in columns] for row in rows)

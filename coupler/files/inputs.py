@@ -1,0 +1,274 @@
+"""Reading what a user or a stranger gives: regular files only, limits before parsing, numbers that a float can hold.
+
+Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and held against the free memory.
+"""
+
+import json
+import math
+import os
+import re
+import resource
+import stat
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from ..errors import StoreError
+
+SCENE_LIMIT = 1_000_000  # bytes of a TOML file
+TEXT_LIMIT = 256 * 1024**2  # bytes of any other text
+DEPTH_LIMIT = 32  # tables within tables
+INTEGER_LIMIT = 2**63
+_LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
+_LEAST_DESCRIPTORS = 64
+# tomllib keeps a copy of every prefix of a dotted key: the memory grows with the square of its length
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
+
+
+class InputError(StoreError):
+    """A file that cannot be read. reason: why, without the name of the file."""
+
+    def __init__(self, path: str | Path, reason: str):
+        self.path, self.reason = path, reason
+        super().__init__(f"{path} {reason}")
+
+    def __reduce__(self) -> tuple[type["InputError"], tuple[str | Path, str]]:
+        return type(self), (self.path, self.reason)
+
+
+class LimitError(StoreError):
+    """Not enough memory, address space or file descriptors for what is asked for."""
+
+
+def check_regular(path: str | Path) -> int:
+    """Size in bytes of a regular file. Raises InputError: it is missing, a folder, a pipe, a device or a circle of links."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        raise InputError(path, "is missing") from None
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        raise InputError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError(path, "cannot be read: it is a folder, a file is expected")
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(path, "cannot be read: it is a pipe or a device, a regular file is expected")
+    return status.st_size
+
+
+def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:
+    """Open a regular file for reading. limit: bytes at most. Raises InputError."""
+    size = check_regular(path)
+    if limit is not None and size > limit:
+        raise InputError(path, f"is larger than {_bytes(limit)}: not a file for this program")
+    try:
+        return os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    except OSError as error:
+        raise InputError(path, f"cannot be read: {error.strerror or error}") from None
+
+
+def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
+    """The text of a file in UTF-8, a byte-order mark left out. limit: bytes at most. Raises InputError."""
+    require_memory(2 * min(check_regular(path), limit), f"to read {path}")
+    with open_input(path, limit) as stream:
+        try:
+            raw = stream.read(limit + 1)  # files below /proc have no size
+        except OSError as error:
+            raise InputError(path, f"cannot be read: {error.strerror or error}") from None
+    if len(raw) > limit:
+        raise InputError(path, f"is larger than {_bytes(limit)}: not a file for this program")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(path, f"is not text in UTF-8 (byte {error.start}): not a file for this program") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Tables of a TOML text. Raises ValueError: not TOML, nested too deeply, or an integer beyond 64 bits."""
+    if _DEEP_KEY.search(text):
+        raise ValueError(f"tables are nested more than {DEPTH_LIMIT} deep")
+    try:
+        data = tomllib.loads(text.removeprefix("\ufeff"))
+    except RecursionError:
+        raise ValueError(f"tables are nested more than {DEPTH_LIMIT} deep") from None
+    check_nesting(data)
+    return data
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Tables of a TOML file of at most SCENE_LIMIT bytes. Raises InputError."""
+    try:
+        return parse_toml(read_text(path, SCENE_LIMIT))
+    except ValueError as error:
+        raise InputError(path, f"is not valid TOML: {error}") from None
+
+
+def parse_json(text: str) -> object:
+    """A JSON text whose numbers a float can hold. Raises ValueError: damaged, nested too deeply, nan, 1e999, 400 digits."""
+    try:
+        data = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
+    except RecursionError:
+        raise ValueError(f"it is nested more than {DEPTH_LIMIT} deep") from None
+    check_nesting(data)
+    return data
+
+
+def read_json_object(path: str | Path) -> dict[str, object]:
+    """The object in a JSON file. Raises InputError."""
+    try:
+        data = parse_json(read_text(path))
+    except ValueError as error:
+        raise InputError(path, f"is damaged: {error}") from None
+    if not isinstance(data, dict):
+        raise InputError(path, "is damaged: not a JSON object")
+    return data
+
+
+def check_nesting(data: object) -> None:
+    """Refuse dicts and lists nested more than DEPTH_LIMIT deep, and integers beyond 64 bits. Raises ValueError."""
+    level = [data]
+    for _ in range(DEPTH_LIMIT + 1):
+        below: list[object] = []
+        for item in level:
+            if isinstance(item, dict):
+                below += item.values()
+            elif isinstance(item, list):
+                below += item
+            elif isinstance(item, int) and abs(item) >= INTEGER_LIMIT:
+                raise ValueError("an integer has more than 64 bits")
+        if not below:
+            return
+        level = below
+    raise ValueError(f"it is nested more than {DEPTH_LIMIT} deep")
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"{name} is not a number")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is too large for a number")
+    return value
+
+
+# --- limits of the machine
+
+
+def free_memory() -> int:
+    """Bytes that this process can still use: free on the machine, left of its cgroup, and left of its own limits."""
+    return min(_available(), _cgroup(), _own_limits())
+
+
+def require_memory(needed: float, purpose: str) -> None:
+    """Raise LimitError if `needed` bytes are not free. purpose: what for, as "to read cloud.npz"."""
+    if needed > 2**20 and needed > (free := free_memory()):
+        raise LimitError(
+            f"not enough memory {purpose}: about {_bytes(needed)} are needed, {_bytes(free)} are free;"
+            " use a machine with more memory, raise the limit (ulimit -v, cgroup), or take a smaller file"
+        )
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    """Within it, an allocation beyond the free memory fails (MemoryError) instead of having processes killed.
+
+    Sets the soft RLIMIT_DATA, which counts private writable memory, and puts it back. Raises LimitError where the limits that
+    the process was started with are too tight for the libraries.
+    """
+    _check_own_limits()
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    used = _status("VmData") + _status("VmStk")
+    bound = used + free_memory()
+    if used and (hard == resource.RLIM_INFINITY or bound < hard):
+        if soft != resource.RLIM_INFINITY:
+            bound = min(bound, soft)
+        resource.setrlimit(resource.RLIMIT_DATA, (bound, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _check_own_limits() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= soft < _LEAST_DESCRIPTORS:
+        wanted = _LEAST_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_LEAST_DESCRIPTORS, hard)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+        if wanted < _LEAST_DESCRIPTORS:
+            raise LimitError(f"only {hard} open files are allowed, {_LEAST_DESCRIPTORS} are needed: raise ulimit -n")
+    space = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if 0 <= space < _LEAST_ADDRESS_SPACE:
+        raise LimitError(
+            f"the address space is limited to {_bytes(space)}, {_bytes(_LEAST_ADDRESS_SPACE)} are needed: raise ulimit -v"
+        )
+
+
+def _available() -> int:
+    return _field("/proc/meminfo", "MemAvailable") or 2**62
+
+
+def _cgroup() -> int:
+    """Bytes left of the tightest memory limit of this process's cgroups, version 2 or 1."""
+    left = 2**62
+    try:
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return left
+    for line in lines:
+        _, controllers, name = line.split(":", 2)
+        if controllers == "":
+            root, limit, usage = Path("/sys/fs/cgroup"), "memory.max", "memory.current"
+        elif "memory" in controllers.split(","):
+            root, limit, usage = Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes"
+        else:
+            continue
+        folder = root / name.lstrip("/")
+        for level in (folder, *folder.parents):
+            if root not in (level, *level.parents):
+                break
+            bound, used = _number(level / limit), _number(level / usage)
+            if bound is not None and used is not None:
+                # pages of files are given back when memory is short
+                cached = _field(level / "memory.stat", "inactive_file", unit=1)
+                left = min(left, max(bound - used + cached, 0))
+    return left
+
+
+def _own_limits() -> int:
+    left = 2**62
+    for limit, used in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
+        soft = resource.getrlimit(limit)[0]
+        if soft != resource.RLIM_INFINITY:
+            left = min(left, max(soft - _status(used), 0))
+    return left
+
+
+def _status(name: str) -> int:
+    return _field("/proc/self/status", name)
+
+
+def _field(path: str | Path, name: str, unit: int = 1024) -> int:
+    """A number of a file of lines "name: number kB" or "name number", bytes; 0 if it is not there."""
+    try:
+        with open(path) as stream:
+            for line in stream:
+                words = line.replace(":", " ").split()
+                if words and words[0] == name:
+                    return int(words[1]) * unit
+    except (OSError, ValueError, IndexError):
+        pass
+    return 0
+
+
+def _number(path: Path) -> int | None:
+    try:
+        return int(path.read_text())
+    except (OSError, ValueError):  # "max": no limit
+        return None
+
+
+def _bytes(count: float) -> str:
+    return f"{count / 1e9:.3g} GB" if count >= 1e8 else f"{count / 1e6:.3g} MB"

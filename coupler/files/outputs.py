@@ -1,0 +1,135 @@
+"""Before a command writes: nothing that this program did not write is replaced without --force, an input never.
+
+A file of ours carries MARK in its first or last bytes; a folder of ours holds a file MARKER that names what the folder is for.
+"""
+
+import contextlib
+import os
+import stat
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from ..errors import StoreError
+
+MARK = "written by coldspray"
+MARKER = ".coldspray"
+RUN_FILES = (
+    "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf",
+    "section.png", "log.lammps",
+)  # fmt: skip
+_ENDS = 8192  # bytes at both ends of a file in which MARK is looked for
+
+
+def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (), force: bool = False) -> Path:
+    """Whether a command may write a file; called before its work. Returns the path.
+
+    suffixes: those that the command writes, in lower case. inputs: files and folders of runs that it reads; none of their files is
+    ever replaced. force: replace a file that this program did not write. Raises StoreError.
+    """
+    if path.suffix.lower() not in suffixes:
+        raise StoreError(f"cannot write {path}: its name ends in {path.suffix!r}, use {' or '.join(suffixes)}")
+    if not path.parent.exists():
+        raise StoreError(f"cannot write {path}: there is no folder {path.parent}")
+    check_folder(path.parent)
+    _refuse_inputs(path, inputs)
+    if path.name in RUN_FILES and kind_of(path.parent) == "run":
+        raise StoreError(f"cannot write {path}: it is a file of the run in {path.parent}; choose another name")
+    if path.exists() and not path.is_file():
+        raise StoreError(f"cannot write {path}: it is a folder, a pipe or a device; choose another name")
+    if (path.is_symlink() or path.exists()) and not force and not is_ours(path):
+        raise StoreError(f"{path} was not {MARK}: add --force to replace it, or choose another name")
+    return path
+
+
+def claim_folder(
+    folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool = False
+) -> None:
+    """Whether a command may write files of these names into a folder; made if it is missing, and marked as of this kind.
+
+    names: of the files that may be replaced there, "*" for any text in a name. inputs: files that are never replaced. force:
+    replace files of these names in a folder that is not marked so. Raises StoreError.
+    """
+    check_folder(folder)
+    present = [path for name in names for path in sorted(folder.glob(name))] if folder.is_dir() else []
+    keep_inputs(folder, names, inputs)
+    for path in present:
+        if path.is_dir() and not path.is_symlink():
+            raise StoreError(f"cannot write {path}: there is a folder of this name; choose another folder with --out")
+    if present and not force and kind_of(folder) != kind:
+        raise StoreError(
+            f"{folder} holds {present[0].name}, which was not {MARK} as part of a {kind}:"
+            " choose another folder with --out, or add --force to replace it"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if kind_of(folder) != kind:
+            (folder / MARKER).write_text(f"{MARK}: {kind}\n", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"cannot write to the folder {folder}: {error.strerror or error}") from None
+
+
+def keep_inputs(folder: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
+    """Raise StoreError if a file of one of these names in a folder is an input."""
+    given = list(inputs)
+    for path in [path for name in names for path in folder.glob(name)]:
+        _refuse_inputs(path, given)
+
+
+def check_folder(folder: Path) -> None:
+    """Raise StoreError unless files can be written into a folder, which may be missing where it can be made."""
+    try:
+        mode = folder.stat().st_mode
+    except FileNotFoundError:
+        if folder.parent != folder:
+            check_folder(folder.parent)
+        return
+    except OSError as error:
+        raise StoreError(f"cannot write to the folder {folder}: {error.strerror}") from None
+    if not stat.S_ISDIR(mode):
+        raise StoreError(f"cannot write to the folder {folder}: it is not a folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise StoreError(f"cannot write to the folder {folder}: no permission, or a read-only disk")
+
+
+def kind_of(folder: Path) -> str:
+    """What a folder of ours is for, as its marker says; "" for any other folder."""
+    with contextlib.suppress(OSError, ValueError):
+        with open(os.open(folder / MARKER, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as stream:
+            text = stream.read(200).decode("utf-8")
+        if text.startswith(f"{MARK}: "):
+            return text.removeprefix(f"{MARK}: ").strip()
+    return ""
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a file carries MARK near its beginning or its end."""
+    with contextlib.suppress(OSError):
+        if stat.S_ISREG(path.stat().st_mode):
+            with path.open("rb") as stream:
+                ends = stream.read(_ENDS)
+                stream.seek(max(path.stat().st_size - _ENDS, 0))
+                return MARK.encode() in ends + stream.read(_ENDS)
+    return False
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A new file beside `path`, of the same suffix, that takes its place once it is whole. Raises StoreError."""
+    part = path.with_name(f".part-{os.getpid()}-{path.name}")
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise StoreError(f"cannot write {path}: {error.strerror or error}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
+    """Raise StoreError if a path is an input, by whatever link, or a file of a run that is read."""
+    for given in inputs:
+        for source in [given / name for name in RUN_FILES] if given.is_dir() else [given]:
+            with contextlib.suppress(OSError):
+                if path.samefile(source):
+                    raise StoreError(f"cannot write {path}: it is the same file as {source}, which is read here")
