@@ -97,6 +97,7 @@ def same_scene(scene: "Scene", out: Path) -> None:
         if read_toml(path) != parse_toml(text):
             raise StoreError(f"{out} holds the ladder of another scene: name another folder with --out, or remove it")
         return
+    out.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
 
 
