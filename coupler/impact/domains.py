@@ -149,7 +149,7 @@ def build_particle(
     p, body = plan.impacts[i], body_of(plan, i)
     law = law_record(p.material, {row.name: row.on for row in plan.effects.rows}, p.rate_filter)
     knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
-    return ENGINES["machdyn"](
+    return ENGINES[plan.engine](
         body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
         comm=ranks.sph_comm, log=log_file, shares=ranks.shares,
     )  # fmt: skip

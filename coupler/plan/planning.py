@@ -65,7 +65,7 @@ class TargetPlan:
 class Plan:
     """What will be computed and at what cost. Times in s, lengths in m. impacts: one after another. dt_estimate: the
     smallest of all impacts; steps, wall time and memory are those of all; home_load: cost of the target and the contact
-    over that of the particles."""
+    over that of the particles; engine: of the particles (`coupler.sph.engine`)."""
 
     scene: Scene
     impacts: tuple[ImpactPlan, ...]
@@ -82,6 +82,7 @@ class Plan:
     cost: estimates.Cost
     home_load: float
     preset: str
+    engine: str
     warnings: tuple[str, ...]
 
     @property
@@ -151,6 +152,7 @@ def plan(scene: Scene) -> Plan:
         ),
         home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
+        engine=scene.resolution.engine,
         warnings=tuple(_warnings(scene, impacts, base, decided)),
     )
 

@@ -32,7 +32,7 @@ def describe(plan: Plan, outlook: str = "") -> str:
         *_window(plan),
         _ends(plan),
         "",
-        f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}",
+        f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}, engine {plan.engine}",
         f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
         f" within {show(target.refined_radius, 'um')}{middle}",
         f"  dt         about {show(plan.dt_estimate, 'ps')}",

@@ -273,11 +273,12 @@ class SplatTable(Section):
 
 class Resolution(Section):
     """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
-    of distance away from the impact."""
+    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.sph.engine`)."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
     growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = GROWTH
+    engine: Literal["compiled", "machdyn"] = "compiled"
 
 
 class End(Section):

@@ -78,7 +78,8 @@ def scene_at(scene: Scene, point: LadderPoint) -> Scene:
     data = tomllib.loads(scene.to_toml())
     spacing = cost.spacing(max(p.volume for p in scene.particles), point.points)
     old = data.get("resolution", {})
-    data["resolution"] = {"spacing": f"{spacing * 1e6!r} um", **({"growth": old["growth"]} if "growth" in old else {})}
+    kept = {key: old[key] for key in ("growth", "engine") if key in old}
+    data["resolution"] = {"spacing": f"{spacing * 1e6!r} um", **kept}
     if point.element is not None:
         data["resolution"]["element_size"] = f"{point.element * spacing * 1e6!r} um"
     if point.effects is not None:
