@@ -138,7 +138,7 @@ if MPI.COMM_WORLD.rank == {rank}:
 sys.exit(cli.main(sys.argv[1:]))
 """
 LAW_FAILS = """
-    from coupler.sph.machdyn import MachdynParticle as Particle
+    from coupler.sph.compiled import CompiledParticle as Particle
     good = Particle._update_stress
     def bad(self):
         good(self)
