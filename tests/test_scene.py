@@ -313,6 +313,34 @@ def test_each_impact_has_its_own_times():
     assert scene.derived.end_time_of(slow) == pytest.approx(2 * scene.derived.end_time_of(fast))
 
 
+def test_a_flight_past_the_edge_is_refused():
+    """25 um at 80 degrees drift 25 tan(80) = 142 um; the target of 200 um has room for 75."""
+    (problem,) = problems_with(particle=NI | {"angle": "80 deg", "gap": "25 um"})
+    assert "drifts 142 um" in problem
+    assert "at most 75 um" in problem
+    assert scene_with(particle=NI | {"angle": "70 deg", "gap": "25 um"}).particle.gap == 25e-6
+
+
+def test_an_end_before_the_flight_is_over_is_refused():
+    """10 um at 500 m/s take 20 ns."""
+    (problem,) = problems_with(particle=NI | {"gap": "10 um"}, end__time="19 ns")
+    assert "takes 20 ns" in problem
+    assert scene_with(particle=NI | {"gap": "10 um"}, end__time="21 ns").end.time == 21e-9
+
+
+@pytest.mark.parametrize("direction", ["", "shear_"])
+def test_a_bond_of_less_energy_than_its_springs_hold_is_refused(direction):
+    """sigma^2 / 2k with k = K / spacing: what the solver would refuse at the greatest deformation."""
+    law = {"kind": "cohesive", "strength": "800 MPa", "energy": "1000 J/m2"}
+    scene = scene_with(adhesion=law)
+    K = min(scene.derived.material(name).K for name in ("Ni", "SS304"))
+    least = 8e8**2 * scene.derived.spacing / (2.0 * K)
+    (problem,) = problems_with(adhesion=law | {f"{direction}energy": f"{0.99 * least:.6g} J/m2"})
+    assert problem.startswith(f"adhesion.{direction}energy")
+    scene_with(adhesion=law | {f"{direction}energy": f"{1.01 * least:.6g} J/m2"})
+    scene_with(adhesion=law | {f"{direction}energy": "0 J/m2"})
+
+
 def test_missing_tables():
     with pytest.raises(SceneError, match="particle: missing") as caught:
         Scene.from_text("")

@@ -7,7 +7,6 @@ import numpy as np
 from .bond import Bond
 from .surfaces import Interface, Surfaces
 
-STIFFNESS = 1.0  # bulk moduli per spacing, as the contact's
 REACH = 0.1  # spacings before the surface: points that lie so near have come to it, and chatter
 SAFETY = 0.9  # of the step that the bound on the frequency allows
 

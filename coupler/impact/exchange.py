@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.hold import REACH, STIFFNESS, Hold
+from ..contact.hold import REACH, Hold
 from ..geometry.triangles import vertex_areas
-from ..physics.adhesion import Adhesion
+from ..physics.adhesion import HELD_STIFFNESS, Adhesion
 from .domains import Domains
 from .ledger import Ledger
 
@@ -142,7 +142,7 @@ class Impact:
         if len(rows) == 0:
             return
         strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
-        stiffness = STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
+        stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]
         pressure = self.contact.stiffness * self.contact.depth[rows] / area
         chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)

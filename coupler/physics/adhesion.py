@@ -14,6 +14,9 @@ Criterion = Literal["all", "plastic_strain", "pressure", "velocity"]
 
 ROOM = 293.0  # K, at which the tensile strength of Schmidt's formula is taken
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
+HELD_STIFFNESS = (
+    1.0  # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
+)
 
 
 def critical_velocity(material: Material, temperature: float) -> float:
@@ -50,6 +53,12 @@ def _tensile_strength(material: Material) -> float:
             f'give it under [materials.{material.name}], as in sigma_TS = "400 MPa"'
         )
     return material.sigma_TS
+
+
+def stored_at_strength(strength: float, stiffness: float) -> float:
+    """Energy (J/m2) that a cohesive spring holds at its strength (Pa), at a stiffness in Pa/m: a bond's fracture energy cannot be less,
+    unless it is 0 (brittle)."""
+    return strength**2 / (2.0 * stiffness)
 
 
 @dataclass(frozen=True)

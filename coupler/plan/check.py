@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from ..physics import materials
-from ..physics.adhesion import critical_velocity
+from ..physics.adhesion import HELD_STIFFNESS, Adhesion, critical_velocity, stored_at_strength
 from ..physics.materials import Material
 from ..scene.messages import shown, text_of
 from ..scene.model import SceneData
@@ -86,7 +86,7 @@ def _room(d: Derived) -> Iterator[Problem]:
             f" at least {units.rounded(least, 'um')} is needed, and twice the diameter is of use",
         )
     for where, particle in zip(scene.labels, scene.particles, strict=True):
-        D = particle.diameter
+        D, gap = particle.diameter, d.gap_of(particle)
         away = math.hypot(*particle.offset)
         room = (substrate.diameter - D - max(D, particle.width)) / 2
         if away and away > room:
@@ -95,8 +95,24 @@ def _room(d: Derived) -> Iterator[Problem]:
                 f"{where}.offset: {units.rounded(away, 'um')} off the axis takes {_size(particle)} and its crater"
                 f" to the target's edge; at most {units.rounded(max(room, 0.0), 'um')}",
             )
-        if d.gap_of(particle) > D:
+        if gap > D:
             yield (f"{where}.gap", f"{where}.diameter"), f"{where}.gap: more than the diameter of {_size(particle)}"
+        drift = gap * math.tan(particle.angle)  # along x, while the particle flies over the gap
+        landing = math.hypot(particle.offset[0] + drift, particle.offset[1])
+        if away <= room < landing:
+            yield (
+                (*(f"{where}.{name}" for name in (*_EXTENT, "offset", "angle", "gap")), "substrate.diameter"),
+                f"{where}.gap = {text_of(gap, 'um')}: at {math.degrees(particle.angle):.3g} degrees the particle drifts"
+                f" {units.rounded(drift, 'um')} over the gap and lands {units.rounded(landing, 'um')} off the axis, over the"
+                f" target's edge; at most {units.rounded(max(room, 0.0), 'um')}: take a smaller gap or a wider target",
+            )
+        flight, said = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
+        if said is not None and flight >= said:
+            yield (
+                (f"{where}.gap", f"{where}.velocity", f"{where}.angle", "end.time"),
+                f"end.time = {text_of(said, 'ns')}: shorter than the flight over the gap of {units.rounded(gap, 'um')}, which takes"
+                f" {units.rounded(flight, 'ns')}: {where} would not touch the target",
+            )
 
 
 def _resolution(d: Derived) -> Iterator[Problem]:
@@ -158,9 +174,10 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
             field = f"adhesion.{problem.split()[0]}"
             yield (field, "adhesion.kind", "adhesion.criterion"), f"adhesion.{problem}"
         return
+    scene = d.scene
+    yield from _bond_energy(d, law, catalogue)
     if law.criterion != "velocity" or law.kind == "none":
         return
-    scene = d.scene
     hits = {p.material: (label, p.temperature) for label, p in zip(scene.labels, scene.particles, strict=True)}
     for name, (label, temperature) in hits.items():
         try:
@@ -168,3 +185,25 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
                 critical_velocity(catalogue[name], temperature)
         except ColdsprayError as error:
             yield ("adhesion.criterion", f"{label}.material"), f'adhesion.criterion = "velocity": {error}'
+
+
+def _bond_energy(d: Derived, law: Adhesion, catalogue: Mapping[str, Material]) -> Iterator[Problem]:
+    """Whether the fracture energy of a bond is at least what its springs hold at their strength (`contact.bond.Bond`)."""
+    names = [d.scene.substrate.material, *(particle.material for particle in d.scene.particles)]
+    metals = [catalogue[name] for name in names if name in catalogue]
+    if law.kind != "cohesive" or not metals:
+        return
+    stiffness = HELD_STIFFNESS * min(metal.K for metal in metals) / d.spacing
+    directions = {"": (law.strength, law.energy), "shear_": (law.shear_strength, law.shear_energy)}
+    for prefix, (strength, energy) in directions.items():
+        strength, energy = strength or law.strength, law.energy if energy is None else energy
+        if strength is None or not energy or (prefix and law.shear_strength is None and law.shear_energy is None):
+            continue
+        least = stored_at_strength(strength, stiffness)
+        if energy < least:
+            yield (
+                (f"adhesion.{prefix}energy", f"adhesion.{prefix}strength", "resolution.spacing", "preset"),
+                f"adhesion.{prefix}energy = {text_of(energy, 'J/m2')}: less than the {least:.3g} J/m2 that the springs of a bond"
+                f" hold at {text_of(strength, 'MPa')} with this spacing: give more energy, 0 for a brittle bond, less"
+                " strength, or a finer preset",
+            )
