@@ -1,6 +1,7 @@
 """Blocks of finite elements that meet in one target: what the tests of contact and bonds between bodies share."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,21 @@ from coupler.physics.constitutive import law_record
 Place = tuple[tuple[float, float, float], float, tuple[float, float, float]]  # edges, element size, lowest corner
 
 
+def join(bodies: dict[str, meshes.TetMesh]) -> tuple[meshes.TetMesh, np.ndarray]:
+    """One mesh of prepared bodies, which share no node, and the body (m,) of each element; sets are "name.top" and so on."""
+    first = np.cumsum([0, *(len(mesh.points) for mesh in bodies.values())])
+    mesh, _, element = meshes.prepare_ordered(
+        np.concatenate([part.points for part in bodies.values()]),
+        np.concatenate([part.conn + at for part, at in zip(bodies.values(), first, strict=False)]),
+    )
+    body = np.repeat(np.arange(len(bodies), dtype=np.int32), [len(part.conn) for part in bodies.values()])[element]
+    sets = {}
+    for b, name in enumerate(bodies):
+        own = np.flatnonzero(body[mesh.facet_element] == b)
+        sets |= {f"{name}.{side}": own[ids] for side, ids in meshes.name_sides(mesh.points, mesh.facets[own]).items()}
+    return replace(mesh, sets=sets), body
+
+
 class Blocks:
     """Elastic blocks a, b, c ... in one target, stepped together with their contact and bonds."""
 
@@ -28,7 +44,7 @@ class Blocks:
         for name, (lengths, size, corner) in zip("abcdef", places, strict=False):
             points, tets = meshes.box(lengths, size)
             parts[name] = meshes.prepare((points + corner) @ turn.T, tets)
-        mesh, self.body = meshes.join(parts)
+        mesh, self.body = join(parts)
         self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, sleeping=False)
         self.surfaces = Surfaces.of(mesh.facets, mesh.facet_element, self.body)
         self.body_of_node = np.zeros(len(t.x), int)
@@ -37,8 +53,8 @@ class Blocks:
         self.contact: BodyContact | None = None
         self.bond: Bond | None = None
 
-    def touch(self, friction: float = 0.0, **more: Any) -> BodyContact:
-        self.contact = BodyContact(self.surfaces, self.target.x, [self.K] * self.surfaces.bodies, friction, **more)
+    def touch(self, friction: float = 0.0) -> BodyContact:
+        self.contact = BodyContact(self.surfaces, self.target.x, [self.K] * self.surfaces.bodies, friction)
         return self.contact
 
     def tie(self, **law: float) -> Bond:

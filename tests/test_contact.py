@@ -18,15 +18,15 @@ def sheet(rng: np.random.Generator, n: int = 12, bumps: float = 0.0) -> tuple[np
     return x, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
 
 
-def make(points: int, facets: np.ndarray, friction: float = 0.5, reach: float = 0.0) -> PointContact:
-    return PointContact(points, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=friction, reach=reach)
+def make(points: int, facets: np.ndarray, friction: float = 0.5) -> PointContact:
+    return PointContact(points, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=friction)
 
 
 def test_forces_and_moments_of_both_sides_cancel(rng: np.random.Generator) -> None:
     x, facets = sheet(rng, bumps=0.03)
-    xp = rng.uniform(-0.9, 0.9, (200, 3)) * [1, 1, 0.06]
+    xp = rng.uniform(-0.9, 0.9, (200, 3)) * [1, 1, 0.06] - [0, 0, 0.03]
     vp, v = rng.standard_normal(xp.shape), rng.standard_normal(x.shape)
-    c = make(len(xp), facets, reach=0.03)
+    c = make(len(xp), facets)
     c.search(xp, x, 0.0)
     for _ in range(3):  # the friction springs have something to remember
         fp, fn = np.zeros_like(xp), np.zeros_like(x)
@@ -42,9 +42,9 @@ def test_forces_and_moments_of_both_sides_cancel(rng: np.random.Generator) -> No
 
 def test_rigid_motion_of_both_sides_is_no_slip(rng: np.random.Generator) -> None:
     x, facets = sheet(rng, bumps=0.02)
-    xp = rng.uniform(-0.8, 0.8, (100, 3)) * [1, 1, 0.03]
+    xp = rng.uniform(-0.8, 0.8, (100, 3)) * [1, 1, 0.03] - [0, 0, 0.05]
     spin = rng.standard_normal(3)
-    c = make(len(xp), facets, reach=0.05)
+    c = make(len(xp), facets)
     c.search(xp, x, 0.0)
     fp, fn = np.zeros_like(xp), np.zeros_like(x)
     c.forces(1e-3, xp, np.cross(spin, xp) + 3.0, x, np.cross(spin, x) + 3.0, fp, fn)

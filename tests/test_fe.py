@@ -280,24 +280,6 @@ def test_an_inverted_element_of_a_splat_asks_for_another_method(block: mesh.TetM
         t.advance(1e-5)
 
 
-def test_threads_change_no_bit(block: mesh.TetMesh, rng: np.random.Generator) -> None:
-    v = 200 * rng.standard_normal(block.points.shape)
-    bodies = [
-        Target(block, law_record(material("SS304")), 300.0, fixed=(), sleeping=False, threads=n) for n in (1, 2, 3)
-    ]
-    for t in bodies:
-        t.v[:] = v
-        for _ in range(20):
-            t.advance(1e-6)
-            t.finish()
-    for t in bodies[1:]:
-        assert np.array_equal(t.x, bodies[0].x)
-        assert np.array_equal(t.s, bodies[0].s)
-        assert np.array_equal(t.T, bodies[0].T)
-        assert t.sums == pytest.approx(bodies[0].sums, rel=1e-12)
-    assert bodies[0].eps_p.max() > 0
-
-
 def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh, rng: np.random.Generator) -> None:
     """The whole range, odd pieces, and pieces smaller than a block: every number the same to the last bit."""
     t = Target(block, law_record(material("SS304")), 300.0, fixed=(), sleeping=False)

@@ -4,6 +4,7 @@ from math import erf, sqrt
 
 import numpy as np
 import pytest
+from blocks import join
 from conftest import elastic
 
 from coupler.errors import SolverError
@@ -237,7 +238,7 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     for at, size in zip(places, (0.3, 0.25), strict=True):
         points, tets = mesh.box((1.0, 1.0, 1.0), size)
         parts.append(mesh.prepare(points + np.array([at, 0.0, 0.0]), tets))
-    both, body = mesh.join({"copper": parts[0], "steel": parts[1]})
+    both, body = join({"copper": parts[0], "steel": parts[1]})
     assert np.all(np.diff(both.reach_node) >= 0)
     assert np.all(np.diff(both.reach_element) >= 0)
 

@@ -1,6 +1,6 @@
 """What a step costs, part by part: python workflows/bench.py [--out docs/tables/bench.csv]
 
-Elements elastic and plastic, on one and two threads; scikit-fem's own forms for the same forces; points in plain LAMMPS and with our
+Elements elastic and plastic; scikit-fem's own forms for the same forces; points in plain LAMMPS and with our
 law and contact in its step. Elements: the fastest of several repeats; points: medians. Machines differ, ratios within a table compare.
 """
 
@@ -28,7 +28,7 @@ from coupler.plan.reading import Scene
 
 STEPS, REPEATS = 40, 7
 
-#: Time that this process has run: other work on the machine does not count. Where threads share the work: wall time.
+#: Time that this process has run: other work on the machine does not count.
 clock = time.process_time
 
 
@@ -43,12 +43,10 @@ def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[]
     return min(times)
 
 
-def block(size: float, threads: int, plastic: bool) -> Target:
+def block(size: float, plastic: bool) -> Target:
     """A cube of SS304 of about 20 000 tetrahedra that twists, slowly or fast."""
     m = mesh.prepare(*mesh.box((1e-4, 1e-4, 1e-4), size))
-    target = Target(
-        m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), sleeping=False, threads=threads
-    )
+    target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), sleeping=False)
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01
     target.v[:] = speed * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0.3 * np.sin(3 * x[:, 0])], axis=1)
@@ -67,17 +65,14 @@ def step(target: Target, dt: float) -> None:
 def elements(rows: list[tuple[str, float, str]]) -> None:
     """Microseconds per element and step."""
     for plastic in (False, True):
-        for threads in (1, 2):
-            target = block(4.2e-6, threads, plastic)
-            dt = 0.3 * target.stable_dt()[0]
-            now = time.perf_counter if threads > 1 else clock
-            seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS, now) / STEPS
-            share = float(np.mean(target.rate > 0)) if plastic else 0.0
-            name = f"tet4 {'plastic' if plastic else 'elastic'}, {threads} thread{'s' if threads > 1 else ''}"
-            rows.append((name, seconds / len(target.mesh.conn) * 1e6, "us per element and step"))
-            if plastic and threads == 1:
-                rows.append(("share of elements that flow", share, ""))
-    rows.append(("scikit-fem forms for the same forces", forms(block(4.2e-6, 1, False)), "us per element and step"))
+        target = block(4.2e-6, plastic)
+        dt = 0.3 * target.stable_dt()[0]
+        seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS) / STEPS
+        name = f"tet4 {'plastic' if plastic else 'elastic'}"
+        rows.append((name, seconds / len(target.mesh.conn) * 1e6, "us per element and step"))
+        if plastic:
+            rows.append(("share of elements that flow", float(np.mean(target.rate > 0)), ""))
+    rows.append(("scikit-fem forms for the same forces", forms(block(4.2e-6, False)), "us per element and step"))
 
 
 def forms(target: Target) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import SolverError
 from . import broad
 from .bond import Bond
-from .penalty import STIFFNESS, PointContact
+from .penalty import PointContact
 from .surfaces import Surfaces
 
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
@@ -43,19 +43,12 @@ class BodyContact:
         x: np.ndarray,
         bulk_modulus: Sequence[float],
         friction: float,
-        share: Sequence[float] | None = None,
-        factor: float = STIFFNESS,
-        both: bool = False,
     ):
-        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; share (bodies,): of the heat
-        of friction that a body's nodes get (default a half). both: nodes of every body but the base against the facets of
-        all others, later ones too; catches corners that a coarser, later body straddles, but may begin with an overlap.
-        """
-        self.surfaces, self.friction, self.factor, self.both = surfaces, friction, factor, both
-        self.bulk_modulus = list(bulk_modulus)
-        self.share = [0.5] * surfaces.bodies if share is None else list(share)
-        if not len(self.bulk_modulus) == len(self.share) == surfaces.bodies:
-            raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli and shares of heat")
+        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError where the number
+        of bulk moduli is not that of the bodies."""
+        self.surfaces, self.friction, self.bulk_modulus = surfaces, friction, list(bulk_modulus)
+        if len(self.bulk_modulus) != surfaces.bodies:
+            raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
         self._held = np.zeros(len(x), bool)
         count = len(surfaces.facets)
@@ -68,13 +61,12 @@ class BodyContact:
 
     def _side(self, body: int, x: np.ndarray) -> _Side:
         s = self.surfaces
-        partners = [b for b in range(s.bodies if self.both else body) if b != body]
+        partners = range(body)
         nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, body)
         area = float(np.linalg.norm(s.vectors(x, s.facets_of(body)), axis=1).sum()) / len(nodes)
         softer = min(self.bulk_modulus[b] for b in (body, *partners))
         contact = PointContact(
-            len(nodes), s.facets[ids], spacing, area, softer, self.friction, self.share[body], self.factor, ids,
-            jump=JUMP,
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, facet_ids=ids, jump=JUMP,
         )  # fmt: skip
         return _Side(nodes, ids, contact, ids[:0])
 

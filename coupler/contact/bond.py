@@ -9,18 +9,18 @@ from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
 
 # bulk moduli per spacing: as soft as a quarter of a layer of elements, so that waves notice it no more than a change of mesh
-STIFFNESS = 4.0
-LOOSE = 0.5  # spacings: a bond opened further has slid too far for its triangle to be what the node is pressed against
-SAFETY = 0.9  # of the step the bound on the frequency allows
+BOND_STIFFNESS = 4.0
+MAX_SLIDE = 0.5  # spacings: a bond opened further no longer lies on its triangle, and compression passes to the contact
+BOND_SAFETY = 0.9  # of the step the bound on the frequency allows
 
 _ROWS = (
     "nodes", "triangles", "weights", "gap", "area", "stiffness", "strength", "energy", "loose", "damage", "opening", "traction",
 )  # fmt: skip
 
 
-def penalty(bulk_modulus: float, spacing: float, factor: float = STIFFNESS) -> float:
-    """Stiffness of a bond in Pa/m: factor K / h, K (Pa) the softer bulk modulus, h (m) the spacing of the tied nodes."""
-    return factor * bulk_modulus / spacing
+def penalty(bulk_modulus: float, spacing: float) -> float:
+    """Stiffness of a bond in Pa/m: BOND_STIFFNESS K / h, K (Pa) the softer bulk modulus, h (m) the spacing of the tied nodes."""
+    return BOND_STIFFNESS * bulk_modulus / spacing
 
 
 class Bond:
@@ -131,7 +131,7 @@ class Bond:
         if len(self) == 0:
             return alone
         omega2 = float(np.max(self.load(len(mass)) / mass))
-        return float(1.0 / np.sqrt(omega2 / (4.0 * SAFETY**2) + 1.0 / alone**2))
+        return float(1.0 / np.sqrt(omega2 / (4.0 * BOND_SAFETY**2) + 1.0 / alone**2))
 
     @property
     def held(self) -> np.ndarray:
@@ -146,7 +146,7 @@ class Bond:
         if len(self) == 0:
             return 0.0
         broken = self.broken
-        far = np.einsum("ij,ij->i", self.opening, self.opening) > LOOSE**2 * self.area
+        far = np.einsum("ij,ij->i", self.opening, self.opening) > MAX_SLIDE**2 * self.area
         given = (broken | far) & ~self.loose
         squeezed = np.minimum(self.traction[given, 0], 0.0)
         energy = float(np.sum(0.5 * self.area[given] * squeezed**2 / self.stiffness[given]))

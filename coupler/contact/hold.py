@@ -7,8 +7,8 @@ import numpy as np
 from .bond import Bond
 from .surfaces import Interface, Surfaces
 
-REACH = 0.1  # spacings before the surface: points that lie so near have come to it, and chatter
-SAFETY = 0.9  # of the step that the bound on the frequency allows
+CONTACT_RANGE = 0.1  # spacings: points that lie closer to the surface count as touching (contact chatters)
+HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
 
 
 class Hold:
@@ -49,7 +49,7 @@ class Hold:
         n = len(self.rows)
         load = self.bond.load(n + len(self.nodes))
         omega2 = max(float(load[:n].max()) * softness, float((load[n:] / mass[self.nodes]).max()))
-        return SAFETY * 2.0 / np.sqrt(omega2)
+        return HOLD_SAFETY * 2.0 / np.sqrt(omega2)
 
     @property
     def whole(self) -> np.ndarray:

@@ -157,14 +157,14 @@ def closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, ga
 
 @njit(cache=True, nogil=True)
 def contact_forces(
-    dt, reach, tiny, stiffness, tangential, mu, xp, vp, rows, boxes, facet_ids, nearest, foot, gaps, facets, x, v,
+    dt, tiny, stiffness, tangential, mu, xp, vp, rows, boxes, facet_ids, nearest, foot, gaps, facets, x, v,
     f_point, f_node, spring, heat_point, heat_facet, share, sums, depth,
 ):  # fmt: skip
     """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
 
     xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (indices into facet_ids) with
     nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; facets (k,3) nodes
-    with outward normals; x, v (N,3) nodes. penetration = reach - signed distance to the closest point of the surface,
+    with outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface,
     force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal). spring (n,3):
     friction force each point remembers, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet
     (k,) J receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the
@@ -181,7 +181,7 @@ def contact_forces(
             continue
         fid = facet_ids[boxes[nearest[i]]]
         gap = gaps[i]
-        pen = reach - gap
+        pen = -gap
         if pen <= 0.0:
             depth[i] = 0.0
             lost = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2

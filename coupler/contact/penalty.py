@@ -6,7 +6,7 @@ from ..errors import SolverError
 from . import broad
 from . import kernels as k
 
-STIFFNESS = 1.0
+CONTACT_STIFFNESS = 1.0  # K a / h
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
@@ -28,19 +28,18 @@ class PointContact:
         bulk_modulus: float,
         friction: float,
         share: float = 0.5,
-        factor: float = STIFFNESS,
+        factor: float = CONTACT_STIFFNESS,
         facet_ids: np.ndarray | None = None,
-        reach: float = 0.0,
         jump: float = np.inf,
     ):
-        """facets (k,3) node indices, outward; facet_ids (k,): what the target calls them; spacing m of the
-        particle; area m2 of a point; bulk_modulus Pa; share of friction heat that the points' side gets; reach m:
-        how far before the surface a point is held; jump: spacings that a point may come in from one step to the next: one
-        that is found deeper has not come in through this surface, and meets nothing until it is outside again.
+        """facets (k,3) node indices, outward; facet_ids (k,): their numbers in the target; spacing m of the particle;
+        area m2 of a point; bulk_modulus Pa; share: of the friction heat, for the side of the points; factor: of the stiffness;
+        jump: spacings that a point may move inwards in one step. A point found deeper did not enter through this surface: it
+        has no contact until it is outside again.
         """
         self.facets = np.ascontiguousarray(facets, np.int64)
         self.facet_ids = np.arange(len(facets)) if facet_ids is None else facet_ids
-        self.spacing, self.reach = spacing, reach
+        self.spacing = spacing
         self.stiffness = factor * bulk_modulus * area / spacing
         self.tangential = 0.5 * self.stiffness
         self.friction, self.share = friction, share
@@ -92,7 +91,7 @@ class PointContact:
         ids = np.arange(len(self.facets)) if among is None else among
         if not (np.isfinite(xp).all() and np.isfinite(x[self.facets[ids]]).all()):
             raise SolverError("positions are no longer numbers: try a smaller time step or more points")
-        margin = self.reach + 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
+        margin = 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
         self._margin = margin
         broad.facet_boxes(x, self.facets, ids, self._corners, self._low, self._high)
         least, most = broad.bounds(xp, xp)
@@ -112,7 +111,7 @@ class PointContact:
         self._searched[: len(self._ids)] = self._corners[: len(self._ids)]
         self._look(xp, rows)
         # a tenth of a spacing for what the surfaces gain in speed
-        close = (self._nearest[rows] >= 0) & (self._gap[rows] < self.reach + travel + 0.1 * self.spacing)
+        close = (self._nearest[rows] >= 0) & (self._gap[rows] < travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
         touched = self.depth[self.rows]
         self.depth[:] = 0.0
@@ -125,14 +124,14 @@ class PointContact:
         """
         if within > 0.0:
             rows = self.rows[self.rows < first]
-            rows = rows[self._gap[rows] < self.reach + within]
+            rows = rows[self._gap[rows] < within]
         else:
             rows = np.flatnonzero(self.depth[:first] > 0.0)
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
     def _look(self, xp: np.ndarray, rows: np.ndarray) -> None:
-        """Find the closest facet of those `rows` that may be within reach; the others keep what they had, which is out of it."""
+        """Find the closest facet of those `rows` that may touch; the others keep theirs, which they cannot touch."""
         count = len(self._ids)
         shift = k.moved(self._corners[:count], self._searched[:count])
         rows = k.due(rows, xp, self._seen, self._room, shift)
@@ -140,9 +139,9 @@ class PointContact:
             xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self._gap
         )  # fmt: skip
         # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
-        deepest = np.minimum(self._margin, self.depth[rows] + self._jump - self.reach)
+        deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
         self._nearest[rows[self._gap[rows] < -deepest]] = -1
-        k.note(rows, xp, self._gap, self.reach + shift, self._seen, self._room)
+        k.note(rows, xp, self._gap, shift, self._seen, self._room)
 
     def forces(self, dt: float, xp, vp, x, v, f_point, f_node) -> None:
         """Add the contact forces of this instant to f_point (n,3) and f_node (N,3), N; friction moves on by dt s.
@@ -152,7 +151,7 @@ class PointContact:
         broad.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
         self._look(xp, self.rows)
         k.contact_forces(
-            dt, self.reach, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
+            dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
             self._boxes, self._ids, self._nearest, self._foot, self._gap, self.facets, x, v, f_point, f_node,
             self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip

@@ -13,8 +13,8 @@ from ..fe.explicit import Target
 from ..fe.stability import HighestFrequency, masses_for
 from ..impact.bodies import Bodies
 
-STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
-SAFETY = 0.9
+RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
+RELAX_SAFETY = 0.9
 SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
@@ -57,7 +57,7 @@ def _held(bodies: Bodies) -> float:
 def _relax(bodies: Bodies, enough: float) -> dict[str, float]:
     """Steps of dynamic relaxation until what may still be set free is below `enough`, J."""
     t = bodies.target
-    _search(bodies, STEP)
+    _search(bodies, RELAX_STEP)
     own = t.mass, t.inv_mass, t.dt_last
     free = own[1] > 0.0
     try:
@@ -88,13 +88,13 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
     """Give the nodes the masses with which elements and all springs between bodies bear one step; that step, s.
 
     The elements' bound is safe but short (`fe.stability`): the step is the one that the elements really bear with the masses for
-    STEP, and the springs, whose bound is sharp, get theirs for that.
+    RELAX_STEP, and the springs, whose bound is sharp, get theirs for that.
     """
     t = bodies.target
     n, m = len(t.x), len(t.mesh.conn)
-    mass = masses_for(t, STEP)
+    mass = masses_for(t, RELAX_STEP)
     t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
-    dt = SAFETY * HighestFrequency(n, m).longest_step(t, STEP, n, m)
+    dt = RELAX_SAFETY * HighestFrequency(n, m).longest_step(t, RELAX_STEP, n, m)
     for springs in (bodies.bond, bodies.contact):
         if springs is not None:
             mass += 0.25 * dt * dt * springs.load(n)

@@ -19,24 +19,20 @@ from ..errors import SolverError
 from ..physics.constitutive import conductivities
 from .heat import gains, means, shares, take_heat
 
-GROWTH = 1.1  # of the step
-FIRST = 0.1  # first step, in the shortest time that heat takes through an element
-PERFECT = 0.01  # elements that a link of perfect contact resists like
-TOLERANCE = 1e-11  # of the linear solver
+STEP_GROWTH = 1.1  # of the step
+FIRST_STEP = 0.1  # first step, in the shortest time that heat takes through an element
+LINK_RESISTANCE = 0.01  # of a link of perfect contact, in that of an element
+CG_TOLERANCE = 1e-11  # of the linear solver
 
 
 @dataclass(frozen=True)
 class Links:
-    """Where heat crosses between bodies: nodes (k,) to places on triangles (k,3) with weights (k,3), each for an area (k,) m2.
-
-    conductance: W/m2K, infinite for perfect contact.
-    """
+    """Perfect thermal contact between bodies: nodes (k,), each with a place on a triangle (k,3), weights (k,3), and area (k,) m2."""
 
     nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
     weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     area: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    conductance: float = np.inf
 
 
 def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
@@ -68,7 +64,7 @@ def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
             K, known = assemble(k) + _across(links, laws, law_of, t, n, k), T.copy()
         rate = k * grad2 / (4.0 * share / V0)
-        dt = min(left, GROWTH * dt if steps else FIRST / float(rate.max()))
+        dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
         own[:] = (t.T - T_mean) * -np.expm1(-dt * rate)
         source = capacity * nodal(own)
@@ -76,7 +72,7 @@ def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links
         fixed = np.where(free == 0.0, held_T - T, 0.0)
         A = diags(free) @ (diags(capacity) + dt * K) @ diags(free) + diags(1.0 - free)
         b = free * (source - dt * (K @ (T + fixed))) + fixed
-        change, failed = cg(A, b, x0=fixed, rtol=TOLERANCE, maxiter=5000, M=diags(1.0 / A.diagonal()))
+        change, failed = cg(A, b, x0=fixed, rtol=CG_TOLERANCE, maxiter=5000, M=diags(1.0 / A.diagonal()))
         if failed:
             raise SolverError("the pause's heat conduction found no end: give a shorter dwell or a finer preset")
         # each element gets what its nodes gained, and gives what it had above them
@@ -114,7 +110,7 @@ def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Any, n: int, 
     if count == 0:
         return csr_matrix((n, n))
     size = np.sqrt(links.area)
-    h = 1.0 / (PERFECT * size / float(k.min()) + 1.0 / links.conductance)
+    h = 1.0 / (LINK_RESISTANCE * size / float(k.min()))
     rows = np.repeat(np.arange(count), 4)
     columns = np.concatenate([links.nodes[:, None], links.triangles], axis=1).ravel()
     d = csr_matrix(
@@ -128,11 +124,11 @@ def _extremes(t: Any) -> tuple[float, float]:
 
 
 def together(links: Sequence[Links]) -> Links:
-    """Several sets of links of one conductance as one."""
+    """Several sets of links as one."""
     if not links:
         return Links()
     parts = {
         name: np.concatenate([getattr(link, name) for link in links])
         for name in ("nodes", "triangles", "weights", "area")
     }
-    return Links(**parts, conductance=links[0].conductance)
+    return Links(**parts)

@@ -8,8 +8,7 @@ be computed once from the positions of both domains at n+1:
     target.finish()             boundary forces, work of all forces over the step
 """
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -49,7 +48,7 @@ class Target:
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
     equation of state (Gamma0 = 0) does not expand, nor do laws without `expansion`. Bodies of different materials do
-    not share nodes (`mesh.join`): a nodal pressure belongs to one material.
+    not share nodes: a nodal pressure belongs to one material.
     """
 
     def __init__(
@@ -62,18 +61,14 @@ class Target:
         absorbing: tuple[str, ...] = (),
         sleeping: bool = True,
         conduction: bool = False,
-        threads: int = 1,
     ):
         """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
 
         temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
         sleeping: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
-        threads: how many share the elements; every number but the sums of the ledger is the same to the last bit.
         Raises SolverError where elements of different laws share a node.
         """
         n, m = len(mesh.points), len(mesh.conn)
-        self._threads = threads
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
         self._laws_of_pressure, self._laws_of_flow = specialised(self.laws, PRESSURE), specialised(self.laws, FLOW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
@@ -219,45 +214,28 @@ class Target:
         n, m = self.active_nodes, self.active_elements
         motion.drift(0, n, dt, self.v, self.x)
         mesh = self.mesh
-        smallest = self._share(m, lambda lo, hi: k.volumes(lo, hi, self.x, mesh.conn, self.volume))
-        if min(smallest) <= 0.0:
+        if k.volumes(0, m, self.x, mesh.conn, self.volume) <= 0.0:
             raise SolverError(self._inverted())
-        self._share(
-            n,
-            lambda lo, hi: k.nodal_pressure(
-                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure,
-                self.law_of_node, self.J, self.p, self.energy,
-            ),
+        k.nodal_pressure(
+            0, n, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node,
+            self.J, self.p, self.energy,
         )  # fmt: skip
         self.f, self.f_old = self.f_old, self.f
 
         b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
-
-        def forces(lo: int, hi: int) -> np.ndarray:
-            sums = np.zeros(3)
-            k.element_forces(
-                lo, hi, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0,
-                self.volume, self.p, self.J, self._laws_of_flow, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate,
-                self.T, self.heat, self.fe, sums,
-            )  # fmt: skip
-            return sums
-
-        for sums in self._share(m, forces):
-            self.sums += sums
-        self._share(n, lambda lo, hi: k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f))
+        sums = np.zeros(3)
+        k.element_forces(
+            0, m, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow,
+            self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, sums,
+        )  # fmt: skip
+        self.sums += sums
+        k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
         self.f_ext[:] = 0.0
         if self.conduction is not None:
             supplied = self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
             self.sums[2] += float(self.laws["expansion"][0]) * supplied
         self.dt_last = dt
         self.time += dt
-
-    def _share(self, count: int, work: Callable[[int, int], Any]) -> list[Any]:
-        """Do work(lo, hi) over [0, count), split among the threads; what each part returned."""
-        if self._pool is None:
-            return [work(0, count)]
-        cuts = [count * i // self._threads for i in range(self._threads + 1)]
-        return list(self._pool.map(work, cuts[:-1], cuts[1:]))
 
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""

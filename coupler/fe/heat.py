@@ -20,7 +20,7 @@ from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .mesh import TetMesh
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
-SAFETY = 0.9
+CONDUCTION_SAFETY = 0.9
 _STATE = ("last", "capacity", "T", "known", "held", "held_T")
 
 
@@ -84,7 +84,7 @@ class Conduction:
         supplied, left = self._hear(nodes, elements, T, heat, sigma_y), time
         while left > 0.0:
             fastest = self._flows(elements, x, volume)
-            dt = left / ceil(left * fastest / (2.0 * SAFETY)) if fastest > 0.0 else left
+            dt = left / ceil(left * fastest / (2.0 * CONDUCTION_SAFETY)) if fastest > 0.0 else left
             supplied += self._step(dt, nodes, elements, T, heat, sigma_y)
             left = left - dt if left > 1.5 * dt else 0.0
         return supplied

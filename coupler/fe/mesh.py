@@ -125,7 +125,7 @@ def prepare_ordered(
     inside = points[tets[element]].mean(axis=1)
     flip = np.einsum("ij,ij->i", area_vectors(points, corners), points[corners[:, 0]] - inside) < 0
     corners[flip] = corners[flip][:, [0, 2, 1]]
-    sets = _name_sides(points, corners)
+    sets = name_sides(points, corners)
     prepared = TetMesh(
         points,
         np.ascontiguousarray(tets, np.int32),
@@ -141,59 +141,10 @@ def prepare_ordered(
     return prepared, order, by_reach
 
 
-def join(bodies: dict[str, TetMesh]) -> tuple[TetMesh, np.ndarray]:
-    """One mesh of several bodies, which share nothing: (mesh, body (m,)), body the position in `bodies` of each element's.
-
-    bodies: prepared meshes with one origin, by name. Nodes and elements are numbered outwards as `prepare` does; those
-    of one body keep their order, and their numbers to the last bit. Sets are "name.top" and so on.
-    """
-    parts = list(bodies.values())
-    points, tets, facets = ([len(array) for array in arrays] for arrays in zip(
-        *((part.points, part.conn, part.facets) for part in parts), strict=True))  # fmt: skip
-
-    def outwards(reach: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        order = np.argsort(np.concatenate(reach), kind="stable")
-        rank = np.empty(len(order), np.int64)
-        rank[order] = np.arange(len(order))
-        return order, rank
-
-    by_node, node_rank = outwards([part.reach_node for part in parts])
-    by_element, element_rank = outwards([part.reach_element for part in parts])
-    node_0, element_0, facet_0 = (np.cumsum([0, *counts[:-1]]) for counts in (points, tets, facets))
-
-    def nodes(arrays: list[np.ndarray]) -> np.ndarray:
-        return node_rank[np.concatenate([a + at for a, at in zip(arrays, node_0, strict=True)])].astype(np.int32)
-
-    def of_element(name: str) -> np.ndarray:
-        return np.ascontiguousarray(np.concatenate([getattr(part, name) for part in parts])[by_element])
-
-    def of_node(name: str) -> np.ndarray:
-        return np.ascontiguousarray(np.concatenate([getattr(part, name) for part in parts])[by_node])
-
-    facet_element = np.concatenate([part.facet_element + at for part, at in zip(parts, element_0, strict=True)])
-    mesh = TetMesh(
-        points=of_node("points"),
-        conn=np.ascontiguousarray(nodes([part.conn for part in parts])[by_element]),
-        B=of_element("B"),
-        V0=of_element("V0"),
-        node_volume=of_node("node_volume"),
-        facets=nodes([part.facets for part in parts]),
-        facet_element=element_rank[facet_element].astype(np.int32),
-        sets={
-            f"{name}.{side}": ids + at
-            for (name, part), at in zip(bodies.items(), facet_0, strict=True)
-            for side, ids in part.sets.items()
-        },
-        reach_node=of_node("reach_node"),
-        reach_element=of_element("reach_element"),
-    )
-    return mesh, np.repeat(np.arange(len(parts), dtype=np.int32), tets)[by_element]
-
-
-def _name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
+def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:
     """Facets of a cylinder or box by where they lie: top (highest z), bottom (lowest z), sides (the rest)."""
     z = points[corners][:, :, 2]
-    low, high = points[:, 2].min(), points[:, 2].max()
+    low, high = z.min(), z.max()
     close = 1e-6 * (high - low)
     top = np.all(z > high - close, axis=1)
     bottom = np.all(z < low + close, axis=1)

@@ -18,7 +18,7 @@ from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, sta
 if TYPE_CHECKING:
     from .explicit import Target
 
-SAFETY = 0.85
+FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
 STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
@@ -163,4 +163,4 @@ class HighestFrequency:
             omega2 = np.sqrt(after / before)
             w *= 1.0 / np.sqrt(after / t.mass[:n].sum())
         self._warm = True
-        return float(min(max(SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))
+        return float(min(max(FREQUENCY_SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.penalty import JUMP, STIFFNESS, PointContact
+from ..contact.penalty import CONTACT_STIFFNESS, JUMP, PointContact
 from ..fe import mesh as meshes
 from ..fe.explicit import Target
 from ..physics.constitutive import law_record
@@ -116,7 +116,7 @@ def build_domains(
         min(impact_plan.material.K, float(bodies.target.laws["K"].min())),
         plan.friction,
         share=_heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature),
-        factor=dict(numerics or {}).get("contact_stiffness", STIFFNESS),
+        factor=dict(numerics or {}).get("contact_stiffness", CONTACT_STIFFNESS),
         facet_ids=facets,
         jump=JUMP,
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.hold import REACH, Hold
+from ..contact.hold import CONTACT_RANGE, Hold
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, Adhesion
 from .domains import Domains
@@ -138,7 +138,7 @@ class Impact:
         strength and energy make no bond.
         """
         p, t, s = self.particle, self.target, self.surface
-        rows, facets = self.contact.touching(s.weights.shape[0], REACH * p.spacing)
+        rows, facets = self.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
         if len(rows) == 0:
             return
         strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
