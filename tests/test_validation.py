@@ -1,27 +1,14 @@
-"""The page that sets ours beside the paper (workflows/validate.py): its arithmetic, and that it says what its tables say."""
-
-import sys
-from pathlib import Path
-from types import ModuleType
+"""The comparison with the paper (workflows/validate.py): its arithmetic and its scenes."""
 
 import numpy as np
 import pytest
+import validate
+import validation_figures
+import validation_page
 
 from coupler.fe import mesh as meshes
 from coupler.geometry.tetrahedra import boundary_faces
 from coupler.plan.reading import Scene
-
-WORKFLOWS = Path(__file__).parents[1] / "workflows"
-
-
-@pytest.fixture(scope="module")
-def study() -> ModuleType:
-    sys.path.insert(0, str(WORKFLOWS))
-    try:
-        import validate
-    finally:
-        sys.path.remove(str(WORKFLOWS))
-    return validate
 
 
 def rows(flattening: dict[str, list[float]]) -> list[dict[str, str]]:
@@ -38,39 +25,39 @@ def rows(flattening: dict[str, list[float]]) -> list[dict[str, str]]:
     ]
 
 
-def test_the_papers_own_errors_come_out(study: ModuleType) -> None:
-    case = study.page.PAPER["case"]
+def test_the_papers_own_errors_come_out() -> None:
+    case = validation_page.PAPER["case"]
     as_experiment = rows({letter: entry["flattening"]["experiment"] for letter, entry in case.items()})
-    lines = study.page.errors(as_experiment)
+    lines = validation_page.errors(as_experiment)
     assert "7 particles" in lines[0]
     assert "| 0.101 |" in lines[2]
     assert "| 0.086 |" in lines[3]
-    assert all("0.000" in line for line in lines[4:])
+    assert all("0.000" in line for line in lines[4:10])
     as_hybrid = rows({letter: entry["flattening"]["hybrid"] for letter, entry in case.items()})
-    assert all("0.101" in line for line in study.page.errors(as_hybrid)[4:])
+    assert all("0.101" in line for line in validation_page.errors(as_hybrid)[4:10])
 
 
-def test_ringing_is_heard_with_its_amplitude(study: ModuleType) -> None:
+def test_ringing_is_heard_with_its_amplitude() -> None:
     time = np.linspace(0.0, 150.0, 400)
     y = 380 - 0.4 * time + 100 * np.sin(2 * np.pi * 0.050 * time)
-    frequency, amplitude = study.page.figures.ringing(time, y, 60.0, 150.0)
+    frequency, amplitude = validation_figures.ringing(time, y, 60.0, 150.0)
     assert frequency == pytest.approx(50.0, abs=1.0)
     assert amplitude == pytest.approx(100.0, rel=0.1)
 
 
-def test_thickness_on_the_axis_of_a_block_of_tetrahedra(study: ModuleType) -> None:
+def test_thickness_on_the_axis_of_a_block_of_tetrahedra() -> None:
     points, tets = meshes.box((20e-6, 20e-6, 6e-6), 3e-6)
     faces = boundary_faces(tets)[0]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
-    assert study.axial(points, faces) == pytest.approx(6e-6, rel=1e-9)
+    assert validate.axial(points, faces) == pytest.approx(6e-6, rel=1e-9)
     hollow = np.concatenate([faces, boundary_faces(tets)[0][:, ::-1] + len(points)])
     inside = points.mean(axis=0) + 0.5 * (points - points.mean(axis=0))
-    assert study.axial(np.concatenate([points, inside]), hollow) == pytest.approx(3e-6, rel=1e-9)
+    assert validate.axial(np.concatenate([points, inside]), hollow) == pytest.approx(3e-6, rel=1e-9)
 
 
-def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds(study: ModuleType) -> None:
-    parts = (study.cases, study.drafts, study.spread, study.trends, study.shapes)
+def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds() -> None:
+    parts = (validate.cases, validate.drafts, validate.spread, validate.trends, validate.shapes)
     wanted = [case for part in parts for case in part()]
     assert len({case.name for case in wanted}) == len(wanted)
     for case in wanted:
@@ -78,14 +65,4 @@ def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds(study: ModuleTyp
         first = scene.particles[0] if hasattr(scene, "particles") else scene.particle
         assert first.temperature == case.start
     with pytest.raises(SystemExit, match="no line colour"):
-        study.scene_of("single_ni", colour="red")
-
-
-def test_the_page_says_what_its_tables_say(study: ModuleType) -> None:
-    page = study.page
-    text = (Path(__file__).parents[1] / page.PAGE).read_text()
-    given = page.read(Path(__file__).parents[1] / page.TABLES / "validation.csv")
-    for name in ("errors", "flattening", "shape", "heat", "cost", "spread"):
-        begin, end = page.BEGIN.format(name), page.END.format(name)
-        inside = text.partition(begin)[2].partition(end)[0].strip().splitlines()
-        assert inside == page.BLOCKS[name](given), f"{page.PAGE} is older than its table: make validate"
+        validate.scene_of("single_ni", colour="red")

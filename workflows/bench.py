@@ -1,20 +1,19 @@
-"""What a step costs, part by part: python workflows/bench.py [--out docs/tables/bench.csv]
+"""What a step costs, part by part: python workflows/bench.py   # docs/tables/bench.csv
 
 Elements elastic and plastic; scikit-fem's own forms for the same forces; points in plain LAMMPS and with our
 law and contact in its step. Elements: the fastest of several repeats; points: medians. Machines differ, ratios within a table compare.
 """
 
 import argparse
-import csv
 import os
 import platform
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pages import TABLES, write_table
 
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
@@ -181,19 +180,15 @@ def main() -> None:
     """Measure, print, record."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--points", type=int, default=5000)
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/bench.csv"))
     a = parser.parse_args()
     rows: list[tuple[str, float, str]] = []
     elements(rows)
     points(rows, a.points)
     for name, value, unit in rows:
         print(f"{name:45s} {value:10.4g} {unit}")
-    a.out.parent.mkdir(parents=True, exist_ok=True)
-    with a.out.open("w", newline="") as file:
-        file.write(
-            f"# remake: make bench; {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}\n"
-        )
-        csv.writer(file).writerows([("what", "value", "unit"), *((n, f"{v:.4g}", u) for n, v, u in rows)])
+    machine = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    table = [{"part": name, "value": f"{value:.4g}", "unit": unit} for name, value, unit in rows]
+    write_table(TABLES / "bench.csv", table, f"remake: make bench; {machine}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What ranks gain: python workflows/bench_ranks.py [--repeats 3] [--out docs/tables/ranks.csv]
+"""What ranks gain: python workflows/bench_ranks.py [--repeats 3]   # docs/tables/ranks.csv
 
 The first 22 ns of two scenes, `single_ni` at `standard`, whose particle costs several times its target, and one whose particle and
 target cost the same, in one process (one thread; two) and under mpiexec on two and three ranks, both placements: wall time of the
@@ -7,7 +7,6 @@ waits inside LAMMPS is not in it). The runs of a round follow one another; the m
 """
 
 import argparse
-import csv
 import json
 import os
 import platform
@@ -16,6 +15,8 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from pages import TABLES, write_table
 
 WAYS = {
     "one process, one thread": (1, None, 1), "one process, two threads": (1, None, 2), "two ranks, split": (2, "split", 1),
@@ -38,8 +39,8 @@ PROGRAM = """
 import sys
 from coupler import run
 warm, scene, out, placement, threads = sys.argv[1:]
-for one in (warm, scene):
-    run(one, out, force=True, placement=placement or None, threads=int(threads))
+for path in (warm, scene):
+    run(path, out, force=True, placement=placement or None, threads=int(threads))
 """  # the first loads compiled kernels, which takes as long as a hundred steps
 
 
@@ -47,16 +48,15 @@ def main() -> None:
     """Measure, print, record."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/ranks.csv"))
     a = parser.parse_args()
     standard = (Path(__file__).parent / "single_ni.toml").read_text()
     scenes = {"single_ni": standard.replace('[end]\nat = "rest"\n', END), "equal loads": EQUAL + END}
     rows = [row for name, text in scenes.items() for row in measured(name, text, a.repeats)]
-    with a.out.open("w", newline="") as file:
-        file.write(
-            f"# remake: make bench; {os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}\n"
-        )
-        csv.writer(file).writerows([["scene", "how", "seconds", "of one process", "waiting, by rank"], *rows])
+    machine = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+    names = ["scene", "placement", "seconds", "of one process", "waiting, by rank"]
+    write_table(
+        TABLES / "ranks.csv", [dict(zip(names, row, strict=True)) for row in rows], f"remake: make bench; {machine}"
+    )
 
 
 def measured(scene: str, text: str, repeats: int) -> list[list[str]]:

@@ -11,7 +11,6 @@ processor time that numba takes for the kernels without it when those with all e
 """
 
 import argparse
-import csv
 import re
 import time
 from collections.abc import Callable
@@ -22,7 +21,8 @@ from typing import Any
 
 import numpy as np
 from bench import block
-from effects_study import COSTS, CROSSINGS, KERNELS, SCENES, least_of
+from effects_study import CROSSINGS, SCENES, Effects, least_of
+from pages import TABLES, write_table
 
 from coupler.fe import blocks, kernels
 from coupler.fe.explicit import LINEAR_VISCOSITY, QUADRATIC_VISCOSITY, Target
@@ -49,9 +49,9 @@ clock = time.process_time
 
 def impacts(rounds: int) -> list[dict[str, Any]]:
     """A row for each choice of effects: ms per step, and the share of it that everything on would save."""
-    asked: dict[str, Any] = {"everything on": "all", "auto": "auto", "none": "none"}
-    asked |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in ("adhesion", "cooling")}
-    least = least_of(rounds, SCENES[SCENE], asked, CROSSINGS)
+    choices: dict[str, Effects] = {"everything on": "all", "auto": "auto", "none": "none"}
+    choices |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in ("adhesion", "cooling")}
+    least = least_of(rounds, SCENES[SCENE], choices, CROSSINGS)
     step = {name: sum(costs) / (WINDOW * len(costs)) for name, costs in least.items()}
     whole = step["everything on"]
     return [
@@ -163,18 +163,8 @@ def in_kernels() -> None:
     for effect, seconds in compiling.items():
         row = {column: f"{1e9 * found:.4g}" for (of_effect, column), found in least.items() if of_effect == effect}
         rows.append({"effect": effect, **row, "compile_s": f"{seconds:.2f}"})
-        record(KERNELS, rows, "python workflows/effects_costs.py --kernels")
-
-
-def record(path: Path, rows: list[dict[str, Any]], remake: str) -> None:
-    """Write a table and print its last row."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        file.write(f"# remake: {remake}\n")
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    print(rows[-1], flush=True)
+        write_table(TABLES / "effects_kernels.csv", rows, "remake: python workflows/effects_costs.py --kernels")
+        print(rows[-1], flush=True)
 
 
 def main() -> None:
@@ -186,7 +176,9 @@ def main() -> None:
     only.add_argument("--kernels", action="store_true", help="only the second table")
     a = parser.parse_args()
     if not a.kernels:
-        record(COSTS, impacts(a.rounds), "python workflows/effects_costs.py --impacts")
+        write_table(
+            TABLES / "effects_costs.csv", impacts(a.rounds), "remake: python workflows/effects_costs.py --impacts"
+        )
     if not a.impacts:
         in_kernels()
 

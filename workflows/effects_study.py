@@ -2,21 +2,21 @@
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --docs     # runs nothing: writes docs/evidence/effects.md and coupler/plan/effects_study.csv
+    python workflows/effects_study.py --docs     # runs nothing: writes the page and coupler/plan/effects_study.csv
 
-Rows that are there are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
+Rows in the tables are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
 of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.
 """
 
 import argparse
-import csv
 import json
 import tempfile
 import time
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pages import PAGES, ROOT, markdown, marked, study_table, table_rows, versions, write_parts
 
 from coupler import Scene, run
 from coupler.errors import ColdsprayError
@@ -26,15 +26,17 @@ from coupler.impact.loop import advance_window
 from coupler.plan.effects import LEFT_OUT, THRESHOLDS, largest_threshold, worst_change
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
+from coupler.studies.table import Row, StudyTable, write_rows
 
-STUDY, PROOF = Path("docs/tables/effects_study.csv"), Path("docs/tables/effects_proof.csv")
-COSTS, KERNELS = Path("docs/tables/effects_costs.csv"), Path("docs/tables/effects_kernels.csv")
-PACKAGED, DOCS = Path("coupler/plan/effects_study.csv"), Path("docs/evidence/effects.md")
+Effects = str | list[str]
+PACKAGED = ROOT / "coupler" / "plan" / "effects_study.csv"
 PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "diameter", "T_mean", "T_p99", "cost_share"]
 MEASURES = {
     "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",
     "T_p99": "T_p99_K",
 }  # fmt: skip
+STUDY_COLUMNS = ("scene", "effect", "number", *MEASURES, "steps", "drift", "failed")
+PROOF_COLUMNS = ("scene", *MEASURES, "cpu_all_s", "cpu_auto_s", "ratio", "steps", "left_out")
 BASE = ["all", "-ahead_of_waves"]  # what is left out of: the waves' elements change nothing (tests/test_fe.py)
 NEVER = (
     "ahead_of_waves",
@@ -106,29 +108,29 @@ PROOFS = {name: text for name, text in SCENES.items() if not name.startswith("tw
 }  # fmt: skip
 
 
-def compute(text: str, effects: Any) -> dict[str, float]:
+def compute(text: str, effects: Effects) -> dict[str, float]:
     """Run a scene with these effects; its measures and the processor time of all of it (s)."""
-    made = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
-    begun = time.process_time()
+    checked = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
+    start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        summary = run(made, Path(folder) / "run", threads=1).summary
-    found = {name: float(summary[key]) for name, key in MEASURES.items()}
-    cpu = time.process_time() - begun
-    return found | {"cpu_s": cpu, "steps": float(summary["steps"]), "drift": float(summary["energy_drift"])}
+        result = run(checked, Path(folder) / "run", threads=1)
+    values = {name: float(getattr(result, key)) for name, key in MEASURES.items()}
+    cpu = time.process_time() - start
+    return values | {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
 
 
-def in_turn(text: str, asked: dict[str, Any], crossings: float) -> dict[str, list[float]]:
+def in_turn(text: str, choices: Mapping[str, Effects], crossings: float) -> dict[str, list[float]]:
     """Processor time (s) of each ten steps of impacts of one scene that differ in their effects, until crossings x D/v.
 
     They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
     """
-    made, end = {}, 0.0
-    for name, effects in asked.items():
-        what = plan(Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study"))
-        made[name] = Impact(build_domains(what))
-        end = crossings * what.impact.diameter / float(np.linalg.norm(what.impact.velocity))
-    costs: dict[str, list[float]] = {name: [] for name in made}
-    going = dict(made)
+    impacts, end = {}, 0.0
+    for name, effects in choices.items():
+        planned = plan(Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study"))
+        impacts[name] = Impact(build_domains(planned))
+        end = crossings * planned.impact.diameter / float(np.linalg.norm(planned.impact.velocity))
+    costs: dict[str, list[float]] = {name: [] for name in impacts}
+    going = dict(impacts)
     while going:
         for name, impact in list(going.items()):
             start = time.process_time()
@@ -136,67 +138,46 @@ def in_turn(text: str, asked: dict[str, Any], crossings: float) -> dict[str, lis
             costs[name].append(time.process_time() - start)
             if impact.time >= end:
                 del going[name]
-    for impact in made.values():
+    for impact in impacts.values():
         impact.particle.close()
         impact.close()
-    return {name: found[1:] for name, found in costs.items()}
+    return {name: seconds[1:] for name, seconds in costs.items()}
 
 
-def least_of(rounds: int, text: str, asked: dict[str, Any], crossings: float) -> dict[str, list[float]]:
+def least_of(rounds: int, text: str, choices: Mapping[str, Effects], crossings: float) -> dict[str, list[float]]:
     """`in_turn` several times: of each ten steps the least."""
     least: dict[str, list[float]] = {}
     for _ in range(rounds):
-        for name, costs in in_turn(text, asked, crossings).items():
+        for name, costs in in_turn(text, choices, crossings).items():
             least[name] = [min(pair) for pair in zip(least.get(name, costs), costs, strict=True)]
     return least
 
 
-def changes(found: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
+def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
     """Change of each measure in percent of what it is with everything on."""
-    return {name: 100.0 * (found[name] / whole[name] - 1.0) for name in MEASURES}
+    return {name: 100.0 * (values[name] / whole[name] - 1.0) for name in MEASURES}
 
 
-class Table:
-    """A CSV file that grows row by row. key: the columns that tell a row from others."""
-
-    def __init__(self, path: Path, key: tuple[str, ...], remake: str):
-        self.path, self.key, self.remake = path, key, remake
-        self.rows: list[dict[str, str]] = []
-        if path.exists():
-            with path.open() as file:
-                self.rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-
-    def has(self, *key: str) -> bool:
-        return any(tuple(row[name] for name in self.key) == key for row in self.rows)
-
-    def add(self, row: dict[str, Any]) -> None:
-        self.rows.append({k: f"{v:.4g}" if isinstance(v, float) else str(v) for k, v in row.items()})
-        print(self.rows[-1], flush=True)
-        columns = list(dict.fromkeys(name for one in self.rows for name in one))
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("w", newline="") as file:
-            file.write(f"# remake: {self.remake} (rows that are here are kept)\n")
-            writer = csv.DictWriter(file, columns, restval="")
-            writer.writeheader()
-            writer.writerows(self.rows)
-
-
-def study(table: Table) -> None:
+def study(table: StudyTable) -> None:
     """Leave out one effect at a time."""
     for name, text in SCENES.items():
-        wanted = [effect for effect in _asked(name) if not table.has(name, effect)]
+        wanted = [effect for effect in _asked(name) if (name, effect) not in table]
         if not wanted:
             continue
         numbers = _numbers(text)
         whole = compute(text, BASE)
         for effect in wanted:
             try:
-                found = compute(text, [*BASE, f"-{effect}"])
+                values = compute(text, [*BASE, f"-{effect}"])
             except ColdsprayError as problem:
-                table.add({"scene": name, "effect": effect, "number": numbers[effect], "failed": str(problem)[:100]})
+                print(
+                    table.add(
+                        {"scene": name, "effect": effect, "number": numbers[effect], "failed": str(problem)[:100]}
+                    )
+                )
                 continue
-            row = {"scene": name, "effect": effect, "number": numbers[effect], **changes(found, whole)}
-            table.add({**row, "steps": found["steps"], "drift": found["drift"], "failed": ""})
+            row = {"scene": name, "effect": effect, "number": numbers[effect], **changes(values, whole)}
+            print(table.add({**row, "steps": values["steps"], "drift": values["drift"]}), flush=True)
 
 
 def _numbers(text: str) -> dict[str, float]:
@@ -210,28 +191,30 @@ def _asked(scene_name: str) -> list[str]:
     return [effect for effect in NAMES if effect not in NEVER]
 
 
-def proof(table: Table, rounds: int) -> None:
+def proof(table: StudyTable, rounds: int) -> None:
     """Everything on against auto."""
-    asked = {"all": "all", "auto": "auto"}
+    choices = {"all": "all", "auto": "auto"}
     for name, text in PROOFS.items():
-        if table.has(name):
+        if (name,) in table:
             continue
         scene = Scene.from_text(text, "effects_study")
         left_out = " ".join(effect for effect in NAMES if effect not in plan(scene).effects.active)
         single = len(scene.particles) == 1
-        runs = [{which: compute(text, which) for which in asked} for _ in range(1 if single else max(rounds, 2))]
+        runs = [{which: compute(text, which) for which in choices} for _ in range(1 if single else max(rounds, 2))]
         if single:
-            cpu = {which: sum(costs) for which, costs in least_of(rounds, text, asked, CROSSINGS).items()}
+            cpu = {which: sum(costs) for which, costs in least_of(rounds, text, choices, CROSSINGS).items()}
         else:  # pauses and splats are a part of it
-            cpu = {which: min(one[which]["cpu_s"] for one in runs) for which in asked}
-        found = runs[0]
+            cpu = {which: min(times[which]["cpu_s"] for times in runs) for which in choices}
+        first = runs[0]
         row = {
             "scene": name,
-            **changes(found["auto"], found["all"]),
+            **changes(first["auto"], first["all"]),
             "cpu_all_s": cpu["all"],
             "cpu_auto_s": cpu["auto"],
         }
-        table.add({**row, "ratio": cpu["all"] / cpu["auto"], "steps": found["auto"]["steps"], "left_out": left_out})
+        print(
+            table.add({**row, "ratio": cpu["all"] / cpu["auto"], "steps": first["auto"]["steps"], "left_out": left_out})
+        )
 
 
 def main() -> None:
@@ -239,59 +222,40 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--proof", action="store_true", help="everything on against auto")
     parser.add_argument("--rounds", type=int, default=1, help="of the proof's time measurement")
-    parser.add_argument("--docs", action="store_true", help="write the tables that are there into the documents")
+    parser.add_argument("--docs", action="store_true", help="run nothing: write the tables into the page")
     a = parser.parse_args()
-    influence = Table(STUDY, ("scene", "effect"), "python workflows/effects_study.py")
-    against = Table(PROOF, ("scene",), "python workflows/effects_study.py --proof")
-    if a.docs:
-        write(influence, against)
-    elif a.proof:
+    command = "python workflows/effects_study.py"
+    influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
+    against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
+    if a.proof and not a.docs:
         proof(against, a.rounds)
-        write(influence, against)
-    else:
+    elif not a.docs:
         study(influence)
-        write(influence, against)
+    write(influence, against)
 
 
-def write(influence: Table, against: Table) -> None:
-    """Put the tables into docs/evidence/effects.md between their marks, and what `coldspray check` shows into the package."""
-    now = {name: _numbers(text) for name, text in SCENES.items()}  # as they are defined today
+def write(influence: StudyTable, against: StudyTable) -> None:
+    """Write the tables into the page, and the one that `coldspray check` reads into the package."""
+    now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
-    costs = {row["effects"].removeprefix("without "): row["saves"] for row in _rows(COSTS)}
-    with PACKAGED.open("w", newline="") as file:
-        file.write("# remake: python workflows/effects_study.py --docs\n")
-        writer = csv.DictWriter(file, PACKAGED_COLUMNS, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows({**row, "cost_share": costs.get(row["effect"], "")} for row in known)
-    text = DOCS.read_text()
-    for mark, lines in (
-        ("thresholds", _threshold_lines(known)),
-        ("study", _study_lines(known)),
-        ("costs", _cost_lines(_rows(COSTS))),
-        ("kernels", _kernel_lines(_rows(KERNELS))),
-        ("proof", _proof_lines(against.rows)),
-    ):
-        before, _, rest = text.partition(f"<!-- {mark}: written by workflows/effects_study.py -->")
-        _, found, after = rest.partition(f"<!-- end of {mark} -->")
-        if not found:
-            raise SystemExit(f"{DOCS} has no place for the table: it needs marks for {mark}")
-        text = f"{before}<!-- {mark}: written by workflows/effects_study.py -->\n\n" + "\n".join(lines)
-        text += f"\n\n<!-- end of {mark} -->{after}"
-    DOCS.write_text(text)
+    costs, kernels = table_rows("effects_costs"), table_rows("effects_kernels")
+    saves = {row["effects"].removeprefix("without "): row["saves"] for row in costs}
+    rows = [{**row, "cost_share": saves.get(row["effect"], "")} for row in known]
+    write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
+    write_parts(PAGES["effects"], {
+        "thresholds": thresholds_part(known),
+        "study": [*study_part(known), "", versions(known)],
+        "costs": markdown(["effects", "ms per step", "saves"], (
+            [marked(row["effects"], row), f"{float(row['ms_per_step']):.2f}", f"{100 * float(row['saves']):.1f} %"] for row in costs
+        )),
+        "kernels": kernels_part(kernels),
+        "proof": proof_part(against.rows),
+    })  # fmt: skip
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
-    if not path.exists():
-        return []
-    with path.open() as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
-
-
-def _threshold_lines(rows: list[dict[str, str]]) -> list[str]:
-    lines = [
-        "| effect | threshold | allowed by the line | the case that asks for most | its number | its largest change, % |",
-        "|---" * 6 + "|",
-    ]
+def thresholds_part(rows: list[Row]) -> list[str]:
+    """Each threshold beside the largest one that the study allows."""
+    lines = []
     for effect in NAMES:
         cases = [row for row in rows if row["effect"] == effect and float(row["number"]) > 0.0]
         if not cases or effect in (*EITHER, *CAUSAL):
@@ -301,62 +265,57 @@ def _threshold_lines(rows: list[dict[str, str]]) -> list[str]:
         near = [row for row in far if float(row["number"]) <= 2.0 * least] or cases
         most = max(near, key=lambda row: worst_change(row) / float(row["number"]))
         allowed = largest_threshold(effect) or 0.0
-        lines.append(
-            f"| {effect} | {THRESHOLDS[effect][1]:g} | {allowed:.2g} | {most['scene']} | {most['number']} | {worst_change(most):.2f} |"
-        )
-    return lines
+        case = [most["scene"], most["number"], f"{worst_change(most):.2f}"]
+        lines.append([effect, f"{THRESHOLDS[effect][1]:g}", f"{allowed:.2g}", *case])
+    head = [
+        "effect",
+        "threshold",
+        "allowed by the line",
+        "the case that asks for most",
+        "its number",
+        "its largest change, %",
+    ]
+    return markdown(head, lines)
 
 
-def _study_lines(rows: list[dict[str, str]]) -> list[str]:
+def study_part(rows: list[Row]) -> list[str]:
+    """The change of each measure, in percent, by effect and its number."""
+    effects = list(dict.fromkeys(row["effect"] for row in rows))
+    ordered = sorted(rows, key=lambda row: (effects.index(row["effect"]), float(row["number"])))
     lines = [
-        "| effect left out | scene | number | " + " | ".join(MEASURES) + " |",
-        "|---" * (len(MEASURES) + 3) + "|",
+        [row["effect"], marked(row["scene"], row), row["number"], *(f"{float(row[name]):+.2f}" for name in MEASURES)]
+        for row in ordered
     ]
-    for effect in dict.fromkeys(row["effect"] for row in rows):
-        for row in sorted((r for r in rows if r["effect"] == effect), key=lambda r: float(r["number"])):
-            cells = [f"{float(row[name]):+.2f}" for name in MEASURES]
-            lines.append(f"| {effect} | {row['scene']} | {row['number']} | {' | '.join(cells)} |")
-    return lines
+    return markdown(["effect left out", "scene", "number", *MEASURES], lines)
 
 
-def _cost_lines(rows: list[dict[str, str]]) -> list[str]:
-    lines = ["| effects | ms per step | saves |", "|---|---|---|"]
-    return lines + [
-        f"| {row['effects']} | {float(row['ms_per_step']):.2f} | {100 * float(row['saves']):.1f} % |" for row in rows
-    ]
-
-
-def _kernel_lines(rows: list[dict[str, str]]) -> list[str]:
-    columns = [f"{what}_{name}_ns" for what in ("element", "point") for name in ("off", "zero", "cannot")]
-    heads = [f"{what}, {name}" for what in ("element", "point") for name in ("off", "as a zero", "cannot be on")]
-    lines = ["| ns per step, left out | " + " | ".join(heads) + " | compiling, s |", "|---" * (len(heads) + 2) + "|"]
-    return lines + [
-        f"| {row['effect']} | "
-        + " | ".join(f"{float(row[name]):.0f}" for name in columns)
-        + f" | {float(row['compile_s']):.1f} |"
+def kernels_part(rows: list[Row]) -> list[str]:
+    """Time of the kernels without each effect."""
+    columns = [f"{part}_{name}_ns" for part in ("element", "point") for name in ("off", "zero", "cannot")]
+    heads = [f"{part}, {name}" for part in ("element", "point") for name in ("off", "as a zero", "cannot be on")]
+    lines = [
+        [marked(row["effect"], row), *(f"{float(row[name]):.0f}" for name in columns), f"{float(row['compile_s']):.1f}"]
         for row in rows
     ]
+    return markdown(["ns per step, left out", *heads, "compiling, s"], lines)
 
 
-def _proof_lines(rows: list[dict[str, str]]) -> list[str]:
-    head = "| scene | " + " | ".join(MEASURES) + " | CPU all, s | CPU auto, s | ratio | left out |"
-    lines = [head, "|---" * (len(MEASURES) + 5) + "|"]
+def proof_part(rows: list[Row]) -> list[str]:
+    """Everything on against auto: changes in percent and processor time."""
+    lines = []
     for row in rows:
-        cells = [f"{float(row[name]):+.2f}" for name in MEASURES]
-        cells += [f"{float(row[name]):.1f}" for name in ("cpu_all_s", "cpu_auto_s")] + [
-            f"{float(row['ratio']):.2f}",
-            row["left_out"],
+        cells = [
+            *(f"{float(row[name]):+.2f}" for name in MEASURES),
+            *(f"{float(row[c]):.1f}" for c in ("cpu_all_s", "cpu_auto_s")),
         ]
-        lines.append(f"| {row['scene']} | {' | '.join(cells)} |")
-    if rows:
-        worst = max(abs(float(row[name])) for row in rows for name in MEASURES)
-        ratios = sorted(float(row["ratio"]) for row in rows)
-        median = ratios[len(ratios) // 2] if len(ratios) % 2 else 0.5 * sum(ratios[len(ratios) // 2 - 1 :][:2])
-        lines += [
-            "",
-            f"Largest change {worst:.2f} %; median ratio {median:.2f}, from {ratios[0]:.2f} to {ratios[-1]:.2f}.",
-        ]
-    return lines
+        lines.append([marked(row["scene"], row), *cells, f"{float(row['ratio']):.2f}", row["left_out"]])
+    table = markdown(["scene", *MEASURES, "CPU all, s", "CPU auto, s", "ratio", "left out"], lines)
+    if not rows:
+        return table
+    worst = max(abs(float(row[name])) for row in rows for name in MEASURES)
+    ratios = [float(row["ratio"]) for row in rows]
+    spread = f"median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}"
+    return [*table, "", f"Largest change {worst:.2f} %; {spread}."]
 
 
 if __name__ == "__main__":

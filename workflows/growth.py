@@ -1,4 +1,4 @@
-"""How the cost of an impact grows with the splats before it: python workflows/growth.py [--impacts 10] [--out docs/tables/growth.csv]
+"""How the cost of an impact grows with the splats before it: python workflows/growth.py [--impacts 10]   # docs/tables/growth.csv
 
 Nickel particles of 20 um at 550 m/s on steel, coarse (700 points), at places drawn from a seed within 12 um of the axis. One line for
 each impact, written when it is over: elements, steps, processor time (one thread) of the steps, of what comes before them (the splat
@@ -6,14 +6,15 @@ before becomes a body, joins, comes to rest; building), who set dt.
 """
 
 import argparse
-import csv
 import random
 import resource
 import tempfile
 from pathlib import Path
-from typing import Any
+
+from pages import TABLES, write_table
 
 from coupler import Scene, run
+from coupler.impact.exchange import Impact
 from coupler.progress import Progress
 
 HEAD = """
@@ -51,15 +52,15 @@ def used() -> float:
 class Clock:
     """A probe: the table's row of each impact, written anew after every chunk of steps."""
 
-    def __init__(self, out: Path):
-        self.out, self.rows = out, list[list[str]]()
-        self._books: Any = None
+    def __init__(self) -> None:
+        self.rows = list[list[str]]()
+        self._ledger: object = None
         self._began = self._last = used()
 
-    def __call__(self, impact: Any) -> None:
+    def __call__(self, impact: Impact) -> None:
         now, before = used(), 0.0
-        if impact.ledger.before != self._books:  # a rescue makes a new one of the same books
-            self._books, self._began, before = impact.ledger.before, now, now - self._last
+        if impact.ledger.before != self._ledger:  # a retry makes a new ledger with the same start
+            self._ledger, self._began, before = impact.ledger.before, now, now - self._last
             self.rows.append(["0"] * 3 + [f"{before:.1f}"])
         self._last = now
         spent, steps = now - self._began, impact.particle.steps
@@ -73,9 +74,8 @@ class Clock:
             self.write()
 
     def write(self) -> None:
-        with self.out.open("w", newline="") as file:
-            file.write("# remake: python workflows/growth.py\n")
-            csv.writer(file).writerows([COLUMNS, *self.rows])
+        rows = [dict(zip(COLUMNS, row + [""] * (len(COLUMNS) - len(row)), strict=True)) for row in self.rows]
+        write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
 
 
 def main() -> None:
@@ -84,9 +84,8 @@ def main() -> None:
     parser.add_argument("--impacts", type=int, default=10)
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for the run's files (default: a temporary one)")
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/growth.csv"))
     a = parser.parse_args()
-    clock = Clock(a.out)
+    clock = Clock()
     with tempfile.TemporaryDirectory() as place:
         out = a.keep or Path(place) / "run"
         run(scene(a.impacts, a.seed), out, force=True, progress=Progress(), threads=1, probe=clock)

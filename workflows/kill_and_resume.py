@@ -1,11 +1,10 @@
-"""Kill a run at random moments and go on: python workflows/kill_and_resume.py [--kills 20] [--out docs/tables/kills.csv]
+"""Kill a run at random moments and go on: python workflows/kill_and_resume.py [--kills 20]   # docs/tables/kills.csv
 
 Each run is killed by SIGKILL at a random share of the wall time an undisturbed one takes (some while they start, some while they
 write a checkpoint, which happens every 0.1 s here), then resumed, and its summary compared with the undisturbed one's.
 """
 
 import argparse
-import csv
 import json
 import os
 import random
@@ -15,7 +14,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+
+from pages import TABLES, write_table
 
 SCENE = """
 [particle]
@@ -30,15 +30,15 @@ spacing = "2.6 um"
 OF_THE_MACHINE = {"wall_s", "wall_loop_s", "placement", "ranks", "idle_share", "memory_peak_bytes"}
 
 
-def numbers(tree: dict[str, Any], prefix: str = "") -> dict[str, float]:
+def numbers(tree: dict[str, object], prefix: str = "") -> dict[str, float]:
     """All numbers of a summary that are physics, by their path."""
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, value in tree.items():
         if isinstance(value, dict):
-            found |= numbers(value, f"{prefix}{name}.")
+            values |= numbers(value, f"{prefix}{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool) and name not in OF_THE_MACHINE:
-            found[prefix + name] = float(value)
-    return found
+            values[prefix + name] = float(value)
+    return values
 
 
 def command(*arguments: str) -> list[str]:
@@ -51,7 +51,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/kills.csv"))
     a = parser.parse_args()
     dice = random.Random(a.seed)
     rows: list[list[str]] = []
@@ -88,17 +87,9 @@ def main() -> None:
             print(*rows[-1], done.stderr.strip(), flush=True)
     ended = sum(row[4] == "0" and float(row[5]) < 1e-6 for row in rows)
     print(f"{ended} of {len(rows)} ended with the undisturbed summary to 1e-6")
-    with a.out.open("w", newline="") as file:
-        file.write("# remake: python workflows/kill_and_resume.py\n")
-        names = [
-            "kill",
-            "reached ns",
-            "checkpoints",
-            "half-written",
-            "exit code of resume",
-            "largest relative difference",
-        ]
-        csv.writer(file).writerows([names, *rows])
+    names = ["kill", "reached ns", "checkpoints", "half-written", "exit code of resume", "largest relative difference"]
+    rows_by_name = [dict(zip(names, row, strict=True)) for row in rows]
+    write_table(TABLES / "kills.csv", rows_by_name, "remake: python workflows/kill_and_resume.py")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The source paper's own resolution beside `standard`: python workflows/paper_resolution.py [--out docs/tables/paper_resolution.csv]
+"""The source paper's own resolution beside `standard`: python workflows/paper_resolution.py   # docs/tables/paper_resolution.csv
 
 Runs workflows/paper_resolution.toml (89,324 points, 189,228 elements) and single_ni.toml on two ranks, spread, and writes what
 both gave and what they cost. Finished runs that lie in runs/ are taken as they are; the finer one takes 24 minutes of two cores
@@ -6,12 +6,13 @@ and 13 GB.
 """
 
 import argparse
-import csv
-import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+
+from pages import ROOT, TABLES, write_table
+
+from coupler import Result
 
 RUNS = {
     "standard": ("single_ni", "single_ni_two_ranks"),
@@ -26,34 +27,32 @@ WHOLE = {
 UNITS = {"dt_mean_s": "ps", "wall_s": "s", "memory_peak_bytes": "GB", "crater_depth_m": "um", "splat_diameter_m": "um"}
 
 
-def summary(scene: str, folder: str) -> dict[str, Any]:
-    """What a run gave; it is made first where it is not there."""
-    here, out = Path(__file__).parent, Path("runs") / folder
-    path = out / "summary.json"
-    if not path.exists():
+def result_of(scene: str, folder: str) -> Result:
+    """The result of a run, which is computed first where it does not exist."""
+    out = ROOT / "runs" / folder
+    if not (out / "summary.json").exists():
         mpiexec = Path(sys.executable).parent / "mpiexec"
-        program = [sys.executable, "-m", "coupler", "run", str(here / f"{scene}.toml"), "--out", str(out), "--force"]
+        scene_path = ROOT / "workflows" / f"{scene}.toml"
+        program = [sys.executable, "-m", "coupler", "run", str(scene_path), "--out", str(out), "--force"]
         subprocess.run([str(mpiexec), "-n", "2", *program, "--placement", "spread"], check=True)
-    found: dict[str, Any] = json.loads(path.read_text())
-    return found
+    return Result(out)
 
 
 def main() -> None:
     """Run what is missing; write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/paper_resolution.csv"))
-    a = parser.parse_args()
-    found = {name: summary(*where) for name, where in RUNS.items()}
-    with a.out.open("w", newline="") as file:
-        file.write("# remake: python workflows/paper_resolution.py; 25 um Ni on SS304 at 500 m/s, two ranks\n")
-        table = csv.writer(file)
-        table.writerow(["measure", "unit", *found])
-        for name, factor in WHOLE.items():
-            unit = UNITS.get(
-                name, "%" if factor == 100.0 else "m/s" if name.endswith("m_s") else "K" if name.endswith("_K") else ""
-            )
-            table.writerow([name, unit, *(f"{factor * float(one[name]):.5g}" for one in found.values())])
-    print(a.out.read_text())
+    parser.parse_args()
+    results = {name: result_of(*where) for name, where in RUNS.items()}
+    rows = []
+    for name, factor in WHOLE.items():
+        unit = "%" if factor == 100.0 else "m/s" if name.endswith("m_s") else "K" if name.endswith("_K") else ""
+        values = {which: f"{factor * float(getattr(result, name)):.5g}" for which, result in results.items()}
+        rows.append({"measure": name, "unit": UNITS.get(name, unit), **values})
+    write_table(
+        TABLES / "paper_resolution.csv",
+        rows,
+        "remake: python workflows/paper_resolution.py; 25 um Ni on SS304 at 500 m/s, two ranks",
+    )
 
 
 if __name__ == "__main__":

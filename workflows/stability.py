@@ -1,19 +1,32 @@
-"""Hard scenes, one after another: python workflows/stability.py [--only TEXT] [--anew] [--out CSV] [--docs MD]
+"""Hard scenes, one after another: python workflows/stability.py [--only TEXT] [--docs]
 
-Coarse (300 to 600 points), so that all of them take minutes. Rows that are in the table are kept, and the battery goes on where it
-was stopped; --anew begins again. What each scene is judged by is in CHECKS; a scene that fails stays in the table with its cause.
+Coarse (300 to 600 points), so that all of them take minutes. Rows in the table are not computed again, so that the battery goes on
+where it was stopped. What each scene is judged by is in CHECKS; a scene that fails is a row with its cause.
 """
 
 import argparse
-import csv
 import tempfile
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pages import PAGES, markdown, marked, study_table, versions, write_parts
+
+from coupler import Scene, run
+from coupler.deposition.joining import cloud_of
+from coupler.deposition.run import resume
+from coupler.errors import ColdsprayError
+from coupler.fe.assemble import BodyState, domain_of
+from coupler.fe.explicit import Target
+from coupler.impact.domains import build_domains
+from coupler.impact.exchange import Impact
+from coupler.impact.loop import advance_window
+from coupler.plan.planning import plan
+from coupler.progress import Progress
+from coupler.splat.convert import convert
+from coupler.studies.table import Row
 
 POINTS = 400
 DRIFT, MOMENTUM = 0.01, 1e-6
@@ -21,7 +34,7 @@ DISSIPATION = (-0.01, 0.20)  # of the initial kinetic energy, both schemes toget
 PENETRATION = 0.5  # spacings
 PATIENCE = 180.0  # s of processor time for one scene
 COLUMNS = (
-    "scene", "verdict", "points", "steps", "end ns", "flattening", "drift", "momentum", "eaten", "penetration", "stretch",
+    "scene", "verdict", "points", "steps", "end ns", "flattening", "drift", "momentum", "dissipated", "penetration", "stretch",
     "eps_p max", "T max over T_m", "rescues", "cpu s", "why",
 )  # fmt: skip
 
@@ -42,15 +55,15 @@ class Slow(Exception):
 
 @dataclass
 class Watching:
-    """What is seen from chunk to chunk; called with the `Impact`. lowest: the smallest stretch; fallen: by how much a plastic
-    strain fell at most."""
+    """A probe of an `Impact`, called after each window of steps. lowest: the smallest stretch; fallen: the largest fall of a
+    plastic strain."""
 
     lowest: float = 1.0
     fallen: float = 0.0
     started: float = field(default_factory=clock.process_time)
-    _before: tuple[Any, float, list[np.ndarray]] | None = None
+    _before: tuple[Impact, float, list[np.ndarray]] | None = None
 
-    def __call__(self, impact: Any) -> None:
+    def __call__(self, impact: Impact) -> None:
         strains = [np.array(impact.particle.eps_p), np.array(impact.target.eps_p)]
         if self._before is not None and self._before[0] is impact and self._before[1] < impact.time:
             self.fallen = max(
@@ -66,7 +79,7 @@ class Watching:
 def particle(
     material: str = "Ni", diameter: float = 25.0, velocity: float = 500.0, *, T: float = 300.0, angle: float = 0.0,
     offset: tuple[float, float] = (0.0, 0.0), shape: str = "sphere", tilt: float = 0.0,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, object]:  # fmt: skip
     """A table [particle]; um, m/s, K, degrees."""
     return {
         "material": {"Cu": "OFHC_Cu"}.get(material, material), "diameter": f"{diameter} um", "velocity": f"{velocity} m/s",
@@ -76,8 +89,8 @@ def particle(
 
 
 def scene(
-    *particles: dict[str, Any], on: str = "SS304", points: int = POINTS, **more: dict[str, Any]
-) -> dict[str, Any]:
+    *particles: dict[str, object], on: str = "SS304", points: int = POINTS, **more: dict[str, object]
+) -> dict[str, object]:
     """A scene with so many points in its largest particle, on a target four diameters wide."""
     largest = max(float(p["diameter"].split()[0]) for p in particles)
     far = max(np.hypot(*(float(x.split()[0]) for x in p["offset"])) for p in particles)
@@ -94,7 +107,7 @@ def scene(
     }  # fmt: skip
 
 
-def battery() -> dict[str, dict[str, Any]]:
+def battery() -> dict[str, dict[str, object]]:
     """Scenes by name."""
     p, found = particle, {}
     for material in ("Ni", "Ti", "Al", "Cu", "SS304"):
@@ -152,22 +165,24 @@ def battery() -> dict[str, dict[str, Any]]:
     return found
 
 
-def judged(summary: dict[str, Any], seen: Watching, melting: dict[str, float]) -> tuple[dict[str, Any], list[str]]:
+def judged(
+    summary: dict[str, object], seen: Watching, melting: dict[str, float]
+) -> tuple[dict[str, object], list[str]]:
     """Row of the table and what is wrong. melting: K by material, "substrate" among them."""
     wrong = []
     impacts = summary["impacts"]
     worst = {
         "drift": max((i["energy_drift"] for i in impacts), key=abs),
         "momentum": max(i["momentum_error"] for i in impacts),
-        "eaten": max((i["numerical_dissipation"] for i in impacts), key=lambda e: abs(e - 0.05)),
+        "dissipated": max((i["numerical_dissipation"] for i in impacts), key=lambda e: abs(e - 0.05)),
         "penetration": max(i["penetration_max_m"] / i["spacing_m"] for i in impacts),
     }
     if not abs(worst["drift"]) <= DRIFT:
         wrong.append(f"ledger open by {worst['drift']:+.2%}")
     if not worst["momentum"] <= MOMENTUM:
         wrong.append(f"momentum off by {worst['momentum']:.1e}")
-    if not DISSIPATION[0] <= worst["eaten"] <= DISSIPATION[1]:
-        wrong.append(f"schemes eat {worst['eaten']:.1%}")
+    if not DISSIPATION[0] <= worst["dissipated"] <= DISSIPATION[1]:
+        wrong.append(f"schemes dissipate {worst['dissipated']:.1%}")
     if not worst["penetration"] < PENETRATION:
         wrong.append(f"surfaces {worst['penetration']:.2f} spacings deep in each other")
     if seen.fallen > 0.0:
@@ -184,58 +199,55 @@ def judged(summary: dict[str, Any], seen: Watching, melting: dict[str, float]) -
         "why": "; ".join([*wrong, *dict.fromkeys(rescued)]),
         "points": impacts[0]["points"], "steps": summary["steps"], "end ns": f"{summary['sim_time_s'] * 1e9:.1f}",
         "flattening": f"{summary['flattening_ratio']:.3f}", "drift": f"{worst['drift']:+.2%}",
-        "momentum": f"{worst['momentum']:.0e}", "eaten": f"{worst['eaten']:.1%}", "penetration": f"{worst['penetration']:.2f}",
+        "momentum": f"{worst['momentum']:.0e}", "dissipated": f"{worst['dissipated']:.1%}",
+        "penetration": f"{worst['penetration']:.2f}",
         "stretch": f"{seen.lowest:.2f}", "eps_p max": f"{max(max(i['eps_p_max'], i['target_eps_p_max']) for i in impacts):.1f}",
         "T max over T_m": f"{hottest:.2f}", "rescues": len(summary["retries"]),
     }  # fmt: skip
     return row, wrong
 
 
-def play(name: str, said: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Compute a scene and judge it. Never raises what a scene can do wrong: it is in the row."""
-    from coupler import Scene, run
-    from coupler.errors import ColdsprayError
-
+def play(name: str, said: dict[str, object], folder: Path) -> tuple[dict[str, object], list[str]]:
+    """Compute a scene and judge it. Its errors are in the row, not raised."""
     seen = Watching()
     try:
         checked = Scene.from_dict(said, "hard")
-        result = run(checked, folder / "run", force=True, progress=Silent(), threads=1, probe=seen)
+        result = run(checked, folder / "run", force=True, progress=Progress(quiet=True), threads=1, probe=seen)
     except (ColdsprayError, Slow) as error:
         return {"stretch": f"{seen.lowest:.2f}"}, [f"{type(error).__name__}: {error}"]
     return judged(result.summary, seen, melting_of(checked))
 
 
-def melting_of(checked: Any) -> dict[str, float]:
+def melting_of(checked: Scene) -> dict[str, float]:
     names = {p.material for p in checked.particles}
     points = {name: checked.derived.material(name).T_m for name in names}
     return points | {"substrate": checked.derived.material(checked.substrate.material).T_m}
 
 
-class Silent:
-    """A progress that says nothing."""
-
-    def __getattr__(self, name: str) -> Callable[..., None]:
-        return lambda *_: None
-
-
-def restarted(folder: Path) -> tuple[dict[str, Any], list[str]]:
+def restarted(folder: Path) -> tuple[dict[str, object], list[str]]:
     """1000 m/s at 45 degrees, broken off and resumed from a checkpoint in the middle: the same end to 1e-9."""
-    from coupler import Scene, run
-    from coupler.deposition.run import resume
 
     class Enough(Exception):
         pass
 
-    def probe(impact: Any) -> None:
+    def probe(impact: Impact) -> None:
         if impact.time > 9e-9:
             raise Enough
 
     checked, seen = Scene.from_dict(scene(particle(velocity=1000, angle=45)), "hard"), Watching()
-    whole = run(checked, folder / "whole", force=True, progress=Silent(), threads=1, probe=seen).summary
+    whole = run(checked, folder / "whole", force=True, progress=Progress(quiet=True), threads=1, probe=seen).summary
     try:
-        run(checked, folder / "run", force=True, progress=Silent(), threads=1, probe=probe, checkpoint_every=0.0)
+        run(
+            checked,
+            folder / "run",
+            force=True,
+            progress=Progress(quiet=True),
+            threads=1,
+            probe=probe,
+            checkpoint_every=0.0,
+        )
     except Enough:
-        again = resume(folder / "run", progress=Silent(), threads=1).summary
+        again = resume(folder / "run", progress=Progress(quiet=True), threads=1).summary
     row, wrong = judged(again, seen, melting_of(checked))
     for key in ("flattening_ratio", "steps", "eps_p_mean", "T_max_K", "crater_depth_m", "energy_drift"):
         if not np.isclose(again[key], whole[key], rtol=1e-9, atol=1e-12):
@@ -246,21 +258,11 @@ def restarted(folder: Path) -> tuple[dict[str, Any], list[str]]:
 TURN = 1e-6  # s: at the rim 105 m/s, rho v^2 a quarter of the yield stress; in 0.1 us the same splat flies apart
 
 
-def flying(folder: Path) -> tuple[dict[str, Any], list[str]]:
+def flying(folder: Path) -> tuple[dict[str, object], list[str]]:
     """A splat as finite elements, alone, 500 m/s and one turn: no plastic strain at all, and energy, momentum and shape as before.
 
     Its own turning strains it by about rho v_rim^2 / E; that stays elastic as long as rho v_rim^2 is below the yield stress.
     """
-    from coupler import Scene
-    from coupler.deposition.joining import cloud_of
-    from coupler.fe.assemble import BodyState, domain_of
-    from coupler.fe.explicit import Target
-    from coupler.impact.domains import build_domains
-    from coupler.impact.exchange import Impact
-    from coupler.impact.loop import advance_window
-    from coupler.plan.planning import plan
-    from coupler.splat.convert import convert
-
     what = plan(Scene.from_dict(scene(particle()), "hard"))
     domains = build_domains(what)
     impact = Impact(domains)
@@ -290,8 +292,8 @@ def flying(folder: Path) -> tuple[dict[str, Any], list[str]]:
             splat.advance(dt)
             splat.finish()
         steps += 10
-    books = splat.kinetic() + splat.elastic() - elastic + float(splat.sums[0] + splat.sums[1])
-    drift = books / kinetic - 1.0
+    energy = splat.kinetic() + splat.elastic() - elastic + float(splat.sums[0] + splat.sums[1])
+    drift = energy / kinetic - 1.0
     error = float(np.linalg.norm(splat.momentum() - momentum) / np.linalg.norm(momentum))
     wrong = []
     if abs(drift) > 1e-6:
@@ -319,86 +321,56 @@ def radius_change(now: np.ndarray, before: np.ndarray) -> float:
     return float(away.max() / np.linalg.norm(before, axis=1).max())
 
 
-def spin_of(splat: Any) -> np.ndarray:
+def spin_of(splat: Target) -> np.ndarray:
     """Angular momentum (3,) about the centre of mass, kg m2/s."""
     centre = splat.mass @ splat.x / splat.mass.sum()
     return splat.mass @ np.cross(splat.x - centre, splat.velocity())
 
 
-SPECIAL: dict[str, Callable[[Path], tuple[dict[str, Any], list[str]]]] = {
+SPECIAL: dict[str, Callable[[Path], tuple[dict[str, object], list[str]]]] = {
     "Ni 1000 m/s at 45 degrees, restarted in the middle": restarted,
     "a splat in rigid motion": flying,
 }
 
 
-def written(rows: list[dict[str, str]], out: Path) -> None:
-    """Write the table."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("w", newline="") as file:
-        file.write("# remake: make stability (rows that are here are kept; --anew begins again)\n")
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-BEGIN, END = "<!-- table: written by workflows/stability.py -->", "<!-- end of the table -->"
-
-
-def document(rows: list[dict[str, str]], docs: Path) -> None:
-    """Put the table into the document between its two marks; what is around it is kept."""
-    passed = sum(row["verdict"] == "passes" for row in rows)
-    rescued = sum(bool(int(row["rescues"] or 0)) for row in rows)
+def page_part(rows: list[Row]) -> list[str]:
+    """Checks, counts, the table, and the rows that failed or needed a retry."""
+    passed = [row for row in rows if row["verdict"] == "passes"]
+    retried = sum(bool(int(row["rescues"] or 0)) for row in rows)
     shown = [name for name in COLUMNS if name not in ("why", "cpu s")]
-    lines = [
-        BEGIN, "", CHECKS, f"**{passed} of {len(rows)} pass**, {rescued} of all had to be rescued.", "",
-        "| " + " | ".join(shown) + " |", "|" + "---|" * len(shown),
-        *("| " + " | ".join(row[name] for name in shown) + " |" for row in rows), "",
-    ]  # fmt: skip
-    failed = [f"- **{row['scene']}**: {row['why']}" for row in rows if row["verdict"] != "passes"]
-    lines += ["What fails, in the words of the check:", "", *failed, ""] if failed else []
-    saved = [f"- **{row['scene']}**: {row['why']}" for row in rows if row["verdict"] == "passes" and row["why"]]
-    lines += ["What passes, but had to be rescued:", "", *saved, ""] if saved else []
-    before, _, rest = (docs.read_text() if docs.exists() else "# Hard cases\n\n").partition(BEGIN)
-    docs.write_text(before + "\n".join([*lines, END]) + (rest.partition(END)[2] or "\n"))
+    lines = [CHECKS, f"**{len(passed)} of {len(rows)} pass**, {retried} of all had to be rescued. {versions(rows)}", ""]
+    lines += markdown(shown, ([marked(row["scene"], row), *(row[name] for name in shown[1:])] for row in rows))
+    for heading, chosen in (
+        ("What fails, in the words of the check:", [row for row in rows if row not in passed]),
+        ("What passes, but had to be rescued:", [row for row in passed if row["why"]]),
+    ):
+        lines += ["", heading, "", *(f"- **{row['scene']}**: {row['why']}" for row in chosen)] if chosen else []
+    return lines
 
 
 def main() -> None:
-    """Play what is not in the table yet."""
+    """Compute the scenes that the table lacks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/stability.csv"))
-    parser.add_argument("--docs", type=Path, default=Path("docs/evidence/stability.md"))
-    parser.add_argument("--only", default="", help="scenes with this text in their names, made anew")
-    parser.add_argument("--anew", action="store_true", help="forget the rows of the table")
+    parser.add_argument("--only", default="", help="scenes with this text in their names, computed again")
+    parser.add_argument("--docs", action="store_true", help="run nothing: write the page")
     a = parser.parse_args()
-    done: dict[str, dict[str, str]] = {}
-    if a.out.exists() and not a.anew:
-        with a.out.open() as file:
-            done = {r["scene"]: r for r in csv.DictReader(line for line in file if not line.startswith("#"))}
     scenes = battery()
-    for name in [*scenes, *SPECIAL]:
-        if a.only not in name or (name in done and not a.only):
+    names = [*scenes, *SPECIAL]
+    table = study_table("stability", COLUMNS, ("scene",), "make stability")
+    for name in names if not a.docs else ():
+        if a.only not in name or ((name,) in table and not a.only):
             continue
         started = clock.process_time()
-        with tempfile.TemporaryDirectory() as place:
-            if name in SPECIAL:
-                row, wrong = SPECIAL[name](Path(place))
-            else:
-                row, wrong = play(name, scenes[name], Path(place))
-        verdict = "fails" if wrong else "passes"
-        row = {
-            "scene": name,
-            "verdict": verdict,
-            **row,
-            "cpu s": f"{clock.process_time() - started:.0f}",
-            "why": str(row.get("why") or "; ".join(wrong)).replace("\n", " "),
-        }
-        done[name] = {column: str(row.get(column, "")) for column in COLUMNS}
-        print(*(f"{done[name][c]}" for c in COLUMNS if done[name][c]), sep=" | ", flush=True)
-        ordered = [done[name] for name in [*scenes, *SPECIAL] if name in done]
-        written(ordered, a.out)
-        document(ordered, a.docs)
-    failed = [name for name in [*scenes, *SPECIAL] if name in done and done[name]["verdict"] != "passes"]
-    print(f"{len(done) - len(failed)} of {len(done)} pass" + "".join(f"\n  fails: {name}" for name in failed))
+        with tempfile.TemporaryDirectory() as folder:
+            row, wrong = SPECIAL[name](Path(folder)) if name in SPECIAL else play(name, scenes[name], Path(folder))
+        why = str(row.get("why") or "; ".join(wrong)).replace("\n", " ")
+        verdict = {"scene": name, "verdict": "fails" if wrong else "passes"}
+        new = table.add({**row, **verdict, "cpu s": f"{clock.process_time() - started:.0f}", "why": why})
+        print(*filter(None, new.values()), sep=" | ", flush=True)
+    rows = sorted(table.rows, key=lambda row: names.index(row["scene"]) if row["scene"] in names else len(names))
+    write_parts(PAGES["stability"], {"table": page_part(rows)})
+    failed = [row["scene"] for row in rows if row["verdict"] != "passes"]
+    print(f"{len(rows) - len(failed)} of {len(rows)} pass" + "".join(f"\n  fails: {name}" for name in failed))
 
 
 if __name__ == "__main__":

@@ -4,23 +4,22 @@
     python workflows/validate.py --only cases      # of: cases, spread, draft, wave, trends, shapes
     python workflows/validate.py --docs            # runs nothing: the page and its figures from the tables
 
-A row for each impact of each run goes into docs/tables/validation.csv (cases) and validation_trends.csv; runs that are there are not
-computed again, and one that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py` writes
-docs/evidence/validation.md and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
+A row for each impact of each run goes into docs/tables/validation.csv (cases) and validation_trends.csv; rows in the tables are not
+computed again, and a run that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py` writes the page and
+its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
 """
 
 import argparse
-import csv
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
-from typing import Any
 
 import numpy as np
 import validation_page as page
 from numpy.typing import NDArray
+from pages import TABLES, study_table, write_table
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -28,12 +27,14 @@ from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
 from coupler.geometry.tetrahedra import boundary_faces, volumes
+from coupler.impact.exchange import Impact
 from coupler.impact.measure import contact_pressure
 from coupler.physics.constitutive import von_mises
 from coupler.report.picture import stage
 from coupler.report.profiles import on_vertical, profiles
 
-HERE, RUNS = Path(__file__).parent, Path("runs/validate")
+HERE, RUNS = Path(__file__).parent, Path(__file__).parents[1] / "runs" / "validate"
+REMAKE = "remake: make validate (rows in this table are not computed again)"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
 # What the measured spread of impact velocities makes of cases A and B (m/s).
@@ -114,7 +115,7 @@ def shapes() -> Iterator[Case]:
     yield from (Case(f"shape-{name}", scene_of(f"morphology_{name}", "draft")) for name in SHAPES)
 
 
-def compute(case: Case, probe: Any = None) -> Result:
+def compute(case: Case, probe: Callable[[Impact], None] | None = None) -> Result:
     """The finished run of a case, computed or gone on with where needed."""
     folder = RUNS / case.name
     scene = Scene.from_text(case.text, case.name)
@@ -157,7 +158,7 @@ def strained_radius(result: Result, least: float = 0.2) -> float:
     return float(np.hypot(middle[:, 0], middle[:, 1]).max()) if len(middle) else 0.0
 
 
-def rows_of(case: Case, result: Result) -> list[dict[str, Any]]:
+def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
     s, when, rows = result.summary, 0.0, []
     impacts = s["impacts"]
@@ -174,7 +175,7 @@ def rows_of(case: Case, result: Result) -> list[dict[str, Any]]:
         at_end[len(impacts) - 1] = own
         e, g = one["energies"], one["greatest_deformation"] or {}
         kinetic = e["kinetic_particle"] + e["kinetic_target"]
-        row: dict[str, Any] = {
+        row: dict[str, object] = {
             "run": case.name, "impact": k + 1, "preset": Scene.from_text(case.text, case.name).preset,
             "material": one["material"], "diameter_um": one["diameter_m"] * 1e6, "speed_m_s": one["speed_m_s"],
             "temperature_K": case.start, "crater_um": one["crater_depth_m"] * 1e6, "rebound_m_s": one["rebound_velocity_m_s"],
@@ -221,7 +222,7 @@ class WaveProbe:
         self.rows: list[dict[str, float]] = []
         self._points = self._elements = np.zeros(0, np.int64)
 
-    def __call__(self, impact: Any) -> None:
+    def __call__(self, impact: Impact) -> None:
         p, t = impact.particle, impact.target
         if not self.rows:
             lowest = p.x[p.x[:, 2].argmin()]
@@ -244,83 +245,55 @@ class WaveProbe:
 
 def wave() -> None:
     """Case A for 150 ns, watched closely: docs/tables/validation_wave.csv."""
-    path = page.TABLES / "validation_wave.csv"
+    path = TABLES / "validation_wave.csv"
     if path.exists():
         return
     probe = WaveProbe()
     text = scene_of("single_ni").replace('at = "rest"', 'time = "150 ns"')
     shutil.rmtree(RUNS / "A-150ns", ignore_errors=True)  # a part of it could not be watched again
     compute(Case("A-150ns", text), probe)
-    write(path, list(probe.rows[0]), probe.rows)
+    write_table(path, probe.rows, REMAKE)
     shutil.rmtree(RUNS / "A-150ns")
 
 
 def depth_profiles(result: Result) -> None:
     """Fields of case A along the axis, at its end: docs/tables/validation_profiles.csv."""
     names, rows = ("eps_p", "T", "von_mises", "stress"), []
-    for one in profiles(result, len(result.times("particle")) - 1, names, stage(result), 60e-6):
-        for k, depth in enumerate(one.depth):
-            if np.isfinite(one.values["T"][k]):
+    for profile in profiles(result, len(result.times("particle")) - 1, names, stage(result), 60e-6):
+        for k, depth in enumerate(profile.depth):
+            if np.isfinite(profile.values["T"][k]):
                 row = {
-                    "body": one.body,
+                    "body": profile.body,
                     "depth_um": depth * 1e6,
-                    "eps_p": one.values["eps_p"][k],
-                    "T_K": one.values["T"][k],
+                    "eps_p": profile.values["eps_p"][k],
+                    "T_K": profile.values["T"][k],
                 }
-                row["von_mises_MPa"] = one.values["von_mises"][k] / 1e6
-                stress = one.values["stress"][k] / 1e6
+                row["von_mises_MPa"] = profile.values["von_mises"][k] / 1e6
+                stress = profile.values["stress"][k] / 1e6
                 rows.append(row | dict(zip(("xx_MPa", "yy_MPa", "zz_MPa"), stress[:3], strict=True)))
-    write(page.TABLES / "validation_profiles.csv", list(rows[0]), rows)
+    write_table(TABLES / "validation_profiles.csv", rows, REMAKE)
 
 
-def write(path: Path, columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
-    """Write a table; numbers to five digits."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        file.write("# remake: make validate (rows that are here are kept)\n")
-        writer = csv.DictWriter(file, columns, restval="")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: f"{float(v):.5g}" if isinstance(v, float) else v for k, v in row.items()})
-
-
-def fill(path: Path, wanted: Sequence[Case]) -> None:
-    """Compute what a table does not have yet."""
-    rows: list[dict[str, Any]] = [dict(row) for row in page.read(path)]
-    have = {row["run"] for row in rows}
-    for case in wanted:
-        if case.name in have:
+def fill(name: str, cases: Sequence[Case]) -> None:
+    """Compute the runs that a table lacks."""
+    table = study_table(name, COLUMNS, ("run", "impact"), "make validate")
+    for case in cases:
+        if (case.name, "1") in table:
             continue
         try:
             started = process_time()
             result = compute(case)
-            # of both threads; what others have used of the machine is not in it
-            found = [row | {"run_cpu_s": process_time() - started} for row in rows_of(case, result)]
+            cpu = process_time() - started  # of both threads; not of other programs
+            rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
             if case.name == "A":
                 depth_profiles(result)
         except ColdsprayError as problem:
-            found = [
-                {
-                    "run": case.name,
-                    "impact": 1,
-                    "temperature_K": case.start,
-                    "failed": " ".join(str(problem).split())[:200],
-                }
-            ]
-        shown = (
-            "run",
-            "impact",
-            "flattening_own",
-            "flattening_total_own",
-            "flattening_end",
-            "axial_um_end",
-            "run_wall_s",
-            "failed",
-        )
-        for row in found:
-            print({name: row.get(name, "") for name in shown}, flush=True)
-        rows += found
-        write(path, COLUMNS, rows)
+            failed = " ".join(str(problem).split())[:200]
+            rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": failed}]
+        shown = ("run", "impact", "flattening_own", "flattening_end", "axial_um_end", "run_wall_s", "failed")
+        for row in rows:
+            new = table.add(row)
+            print({column: new[column] for column in shown}, flush=True)
         if not case.keep:
             shutil.rmtree(RUNS / case.name, ignore_errors=True)
 
@@ -332,14 +305,13 @@ def main() -> None:
     parser.add_argument("--docs", action="store_true", help="run nothing, write the page from the tables")
     a = parser.parse_args()
     parts = () if a.docs else a.only or ("cases", "wave", "draft", "spread", "trends", "shapes")
-    main_table, trend_table = (page.TABLES / f"{name}.csv" for name in ("validation", "validation_trends"))
     for part in parts:
         if part == "wave":
             wave()
         elif part in ("trends", "shapes"):
-            fill(trend_table, list(trends() if part == "trends" else shapes()))
+            fill("validation_trends", list(trends() if part == "trends" else shapes()))
         else:
-            fill(main_table, list({"cases": cases, "spread": spread, "draft": drafts}[part]()))
+            fill("validation", list({"cases": cases, "spread": spread, "draft": drafts}[part]()))
     page.write_page()
 
 

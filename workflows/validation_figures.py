@@ -1,13 +1,18 @@
-"""The figures of docs/evidence/validation.md, and what they are drawn from."""
+"""The figures of the validation page, and their data."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+import matplotlib
 import numpy as np
+from matplotlib import pyplot as plt
 from numpy.typing import NDArray
+from pages import figure_path, table_rows
 
-FIGURES = Path("docs/evidence")
+from coupler.studies.table import Row
+
+matplotlib.use("Agg")
+
 # Ours dark and full, the paper's grey or hatched by its marks: told apart without colour too.
 INK, BLUE, ORANGE, GREY = "#1a1a1a", "#1f5fa8", "#c7540a", "#8a8a8a"
 TREND_COLUMNS = (
@@ -98,8 +103,6 @@ def trend_lines(runs: dict[str, list[dict[str, str]]]) -> list[list[str]]:
 
 def draw_trends(rows: Sequence[dict[str, str]], path: Path) -> None:
     """Flattening, mean plastic strain and temperature over diameter, velocity and temperature, nine panels."""
-    import matplotlib.pyplot as plt
-
     runs = trend_rows(rows)
     figure, axes = plt.subplots(3, 3, figsize=(10.5, 8.6), dpi=130, sharex="col", sharey="row", layout="constrained")
     series = {
@@ -162,10 +165,8 @@ def draw_trends(rows: Sequence[dict[str, str]], path: Path) -> None:
     plt.close(figure)
 
 
-def draw_flattening(found: Sequence[tuple[str, Any, dict[str, float]]], path: Path) -> None:
+def draw_flattening(found: Sequence[tuple[str, Row, dict[str, float]]], path: Path) -> None:
     """Flattening of the seven particles: ours in two readings, the paper's two, the experiment's."""
-    import matplotlib.pyplot as plt
-
     figure, axis = plt.subplots(figsize=(9, 3.8), dpi=130, layout="constrained")
     y = np.arange(len(found))
     for mark, colour, name, who in (("s", GREY, "paper, hybrid", "hybrid"), ("D", GREY, "paper, ALE", "ale")):
@@ -188,8 +189,6 @@ def draw_flattening(found: Sequence[tuple[str, Any, dict[str, float]]], path: Pa
 
 def draw_depth(rows: Sequence[dict[str, str]], path: Path) -> None:
     """Plastic strain, temperature, von Mises stress and the stress components of case A along its axis."""
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(1, 4, figsize=(11.5, 3.9), dpi=130, sharey=True, layout="constrained")
     panels = [
         ("plastic strain", [("eps_p", INK, "-", "")]),
@@ -226,8 +225,6 @@ def draw_depth(rows: Sequence[dict[str, str]], path: Path) -> None:
 
 def draw_wave(rows: Sequence[dict[str, str]], path: Path) -> None:
     """Von Mises stress at the first point of contact, and mean contact pressure, over time."""
-    import matplotlib.pyplot as plt
-
     figure, axes = plt.subplots(1, 2, figsize=(10.5, 3.6), dpi=130, sharex=True, layout="constrained")
     time = column(rows, "time_ns")
     axes[0].plot(time, column(rows, "particle_MPa"), color=BLUE, lw=1.0, label="particle, at its lowest point")
@@ -248,15 +245,9 @@ def draw_wave(rows: Sequence[dict[str, str]], path: Path) -> None:
     plt.close(figure)
 
 
-def draw_all(found: Sequence[tuple[str, Any, dict[str, float]]], tables: Path) -> None:
-    """All figures whose tables are there, into docs."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from validation_page import read
-
-    draw_flattening(found, FIGURES / "validation_flattening.png")
+def draw_all(splats: Sequence[tuple[str, Row, dict[str, float]]]) -> None:
+    """All figures whose tables exist, beside the page."""
+    draw_flattening(splats, figure_path("validation", "validation_flattening.png"))
     for name, draw in (("trends", draw_trends), ("profiles", draw_depth), ("wave", draw_wave)):
-        rows = read(tables / f"validation_{name}.csv")
-        if rows:
-            draw(rows, FIGURES / f"validation_{name}.png")
+        if rows := table_rows(f"validation_{name}"):
+            draw(rows, figure_path("validation", f"validation_{name}.png"))

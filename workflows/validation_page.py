@@ -1,16 +1,16 @@
-"""The tables of docs/evidence/validation.md, from docs/tables/validation*.csv and paper_values.toml, between marks in its text."""
+"""The tables of the validation page, from docs/tables/validation*.csv and paper_values.toml."""
 
-import csv
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import validation_figures as figures
+from pages import PAGES, markdown, marked, table_rows, versions, write_parts
 
-TABLES, PAGE = Path("docs/tables"), Path("docs/evidence/validation.md")
+from coupler.studies.table import Row
+
 PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())
-BEGIN, END = "<!-- {}: written by workflows/validate.py -->", "<!-- end of {} -->"
 #: The readings of a splat's thickness, and of the instant, that a flattening ratio can be of: column, words.
 READINGS = (
     ("flattening_end", "height above the surface, end of the run"),
@@ -20,16 +20,6 @@ READINGS = (
     ("flattening_total_own", "whole thickness, after its own impact"),
     ("axial_end", "thickness on the axis, end of the run"),
 )
-
-Row = dict[str, str]
-
-
-def read(path: Path) -> list[Row]:
-    """Rows of a table; none if it is not there."""
-    if not path.exists():
-        return []
-    with path.open() as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))
 
 
 def number(row: Row, column: str) -> float:
@@ -42,11 +32,6 @@ def number(row: Row, column: str) -> float:
 def said(value: float, digits: int = 2) -> str:
     """A number for a table, a dash for none."""
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
-
-
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a Markdown table."""
-    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *rows)]
 
 
 def seven(rows: Sequence[Row], suffix: str = "") -> list[tuple[str, Row, dict[str, float]]]:
@@ -74,7 +59,8 @@ def errors(rows: Sequence[Row]) -> list[str]:
         for column, words in READINGS
     ]
     lines[2] = [f"**{cell}**" for cell in lines[2]]
-    return table(["", f"mean absolute error, {len(found)} particles", "mean error", "largest"], lines)
+    head = ["", f"mean absolute error, {len(found)} particles", "mean error", "largest"]
+    return [*markdown(head, lines), "", versions(rows)]
 
 
 def _error(values: np.ndarray, truth: np.ndarray) -> list[str]:
@@ -91,9 +77,9 @@ def flattening(rows: Sequence[Row]) -> list[str]:
         ours = [said(number(row, column)) for column, _ in READINGS]
         ours[0] = f"**{ours[0]}** ({said(coarse[0])})"
         ours[3] += f" ({said(coarse[3])})"
-        lines.append([name, *ours, *(f"{paper[who]:.2f}" for who in ("hybrid", "ale", "experiment"))])
+        lines.append([marked(name, row), *ours, *(f"{paper[who]:.2f}" for who in ("hybrid", "ale", "experiment"))])
     head = ["", "height: end (draft)", "own", "greatest", "whole: end (draft)", "own", "on the axis: end"]
-    return table([*head, "hybrid", "ALE", "experiment"], lines)
+    return markdown([*head, "hybrid", "ALE", "experiment"], lines)
 
 
 def spread(rows: Sequence[Row]) -> list[str]:
@@ -121,7 +107,7 @@ def spread(rows: Sequence[Row]) -> list[str]:
                 ]
             )
     head = ["", "m/s", "of the measured", "flattening, height", "whole", "crater µm", "diameter µm", "experiment"]
-    return table(head, lines)
+    return markdown(head, lines)
 
 
 def shape(rows: Sequence[Row]) -> list[str]:
@@ -148,12 +134,12 @@ def shape(rows: Sequence[Row]) -> list[str]:
             + [said(number(row, "crater_um")), said(number(row, "rebound_m_s"), 0)]
         )
     head = ["", "diameter µm", "height µm", "whole µm", "on the axis µm", "d / height", "d / whole", "d / axis"]
-    return table([*head, "hybrid", "ALE", "experiment", "crater µm", "leaves at m/s"], lines)
+    return markdown([*head, "hybrid", "ALE", "experiment", "crater µm", "leaves at m/s"], lines)
 
 
 def contact(rows: Sequence[Row]) -> list[str]:
     """Case A against the paper's table 3."""
-    row, wave = seven(rows)[0][1], read(TABLES / "validation_wave.csv")
+    row, wave = seven(rows)[0][1], table_rows("validation_wave")
     paper = PAPER["contact"]
 
     def line(what: str, ours: str, key: str) -> list[str]:
@@ -181,12 +167,12 @@ def contact(rows: Sequence[Row]) -> list[str]:
     lines.append(line("plastic radius, µm", radius, "plastic_radius_um"))
     depth = f"{number(row, 'crater_greatest_um'):.2f} greatest, {number(row, 'crater_um'):.2f} at the end"
     lines.append(line("largest penetration, crater, µm", depth, "max_penetration_um"))
-    return table(["25 µm Ni, 500 m/s", "ours", "hybrid", "ALE"], lines)
+    return markdown(["25 µm Ni, 500 m/s", "ours", "hybrid", "ALE"], lines)
 
 
 def wave(rows: Sequence[Row]) -> list[str]:
     """The stress over time at the first point of contact."""
-    given = read(TABLES / "validation_wave.csv")
+    given = table_rows("validation_wave")
     if not given:
         return ["Not computed."]
     paper, lines = PAPER["single_Ni_500"], []
@@ -207,7 +193,7 @@ def wave(rows: Sequence[Row]) -> list[str]:
         *paper["stress_wave"].values(),
     ]
     lines.append(["the paper", *(f"{value:.0f}" for value in known)])
-    return table(["von Mises stress, MPa", "peak", "120 to 150 ns, mean", "ringing MHz", "its amplitude"], lines)
+    return markdown(["von Mises stress, MPa", "peak", "120 to 150 ns, mean", "ringing MHz", "its amplitude"], lines)
 
 
 def heat(rows: Sequence[Row]) -> list[str]:
@@ -225,7 +211,7 @@ def heat(rows: Sequence[Row]) -> list[str]:
         )
         lines.append([name, *strain, *T, *target, *paper])
     head = ["", "eps_p mean", "99 %", "max", "T mean K", "99 %", "max", "target: eps_p max", "T max K"]
-    return table([*head, "hybrid: eps_p max", "ALE", "hybrid: T max K", "ALE"], lines)
+    return markdown([*head, "hybrid: eps_p max", "ALE", "hybrid: T max K", "ALE"], lines)
 
 
 def cost(rows: Sequence[Row]) -> list[str]:
@@ -256,19 +242,19 @@ def cost(rows: Sequence[Row]) -> list[str]:
         "hybrid: ps",
         "ALE: ps",
     ]
-    return table([*head, "hybrid: hours, times ours", "ALE: hours, times ours"], lines)
+    return markdown([*head, "hybrid: hours, times ours", "ALE: hours, times ours"], lines)
 
 
 def trends(rows: Sequence[Row]) -> list[str]:
     """What the paper says of its trends, and what ours do."""
-    runs = figures.trend_rows(read(TABLES / "validation_trends.csv"))
-    return table(["run", *(name for _, name in figures.TREND_COLUMNS)], figures.trend_lines(runs))
+    runs = figures.trend_rows(table_rows("validation_trends"))
+    return markdown(["run", *(name for _, name in figures.TREND_COLUMNS)], figures.trend_lines(runs))
 
 
 def shapes(rows: Sequence[Row]) -> list[str]:
     """Six shapes, three impacts each: strain of the particles."""
     lines = []
-    given = read(TABLES / "validation_trends.csv")
+    given = table_rows("validation_trends")
     for name, strain in PAPER["morphology"]["eps_max"].items():
         mine = [row for row in given if row["run"] == f"shape-{name}"]
         if not mine:
@@ -291,26 +277,19 @@ def shapes(rows: Sequence[Row]) -> list[str]:
         "leaves at m/s",
         "paper: eps_p max",
     ]
-    return table(head, lines)
+    return markdown(head, lines)
 
 
-BLOCKS: dict[str, Callable[[Sequence[Row]], list[str]]] = {
+PARTS: dict[str, Callable[[Sequence[Row]], list[str]]] = {
     "errors": errors, "flattening": flattening, "spread": spread, "shape": shape, "contact": contact, "wave": wave,
     "heat": heat, "cost": cost, "trends": trends, "shapes": shapes,
 }  # fmt: skip
 
 
 def write_page() -> None:
-    """Put the tables between their marks in docs/evidence/validation.md and draw its figures. A mark that is gone is an error."""
-    rows, text = read(TABLES / "validation.csv"), PAGE.read_text()
+    """Write the tables into the page and draw its figures."""
+    rows = table_rows("validation")
     if not seven(rows):
         raise SystemExit("docs/tables/validation.csv has none of the cases A to D yet: make validate")
-    for name, made in BLOCKS.items():
-        begin, end = BEGIN.format(name), END.format(name)
-        before, found, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
-        if not (found and closed):
-            raise SystemExit(f"{PAGE} has no place for {name}: it needs the lines {begin!r} and {end!r}")
-        text = "\n".join([before + begin, "", *made(rows), "", end]) + after
-    PAGE.write_text(text)
-    figures.draw_all(seven(rows), TABLES)
+    write_parts(PAGES["validation"], {name: part(rows) for name, part in PARTS.items()})
+    figures.draw_all(seven(rows))
