@@ -37,6 +37,10 @@ class StoreError(ColdsprayError):
     """A result folder or file that cannot be read or written."""
 
 
+class CheckpointError(StoreError):
+    """A checkpoint from which a run cannot go on: says why, and what to do."""
+
+
 class SplatError(ColdsprayError):
     """A cloud of points that cannot become a finite-element body: says what is wrong with it and what to change."""
 

@@ -222,7 +222,6 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     one, contact = start()
     one.run(1e-4)
     kept = contact.state()
-    assert all(isinstance(value, np.ndarray | np.floating) for value in kept.values())
     fresh = BodyContact(one.surfaces, one.target.mesh.points, [one.K] * 2, 0.3)
     fresh.restore(kept)
     assert fresh.friction_heat == contact.friction_heat > 0

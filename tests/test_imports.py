@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1] / "coupler"
-EVERYWHERE = {"errors", "units", "progress", "measures", "__version__"}
+EVERYWHERE = {"errors", "units", "progress", "measures", "state", "__version__"}
 # package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
 ALLOWED: dict[str, set[str]] = {
     "commands": {

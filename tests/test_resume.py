@@ -1,12 +1,16 @@
 """Nothing is lost: checkpoints, and runs that go on after being stopped or killed."""
 
+import hashlib
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -15,9 +19,9 @@ from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
-from coupler.errors import StoreError
+from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
-from coupler.files.checkpoint import CheckpointError
+from coupler.state.records import Rows, Shape
 
 
 @pytest.fixture
@@ -34,27 +38,94 @@ def assert_same(one: Result, other: Result) -> None:
     assert_same_files(one, other)
 
 
-def test_a_state_comes_back_exactly(tmp_path: Path, rng: np.random.Generator) -> None:
-    state = {
-        "a": {"x": rng.standard_normal((5, 3)), "n": 3, "f": 0.1 + 0.2, "none": None, "inf": np.inf, "yes": True},
-        "list": [1, {"deep": np.arange(3, dtype=np.int32)}],
-        "random": rng.bit_generator.state,
-    }
-    path = checkpoint.write(tmp_path, state, {"scene": "s"})
-    back, about = checkpoint.read(path)
-    np.testing.assert_array_equal(back["a"]["x"], state["a"]["x"])
-    assert back["list"][1]["deep"].dtype == np.int32
-    assert (back["a"]["f"], back["a"]["n"], back["a"]["none"], back["a"]["inf"]) == (0.1 + 0.2, 3, None, np.inf)
-    assert back["random"] == state["random"]
-    assert about == {"scene": "s"}
+@dataclass(frozen=True)
+class Part:
+    n: int
+    x: Annotated[np.ndarray, Rows(3)]
+    T: Annotated[np.ndarray, Rows()]
+
+
+@dataclass(frozen=True)
+class Kept:
+    part: Part | None
+    parts: list[Part]
+    f: float
+    none: float | None
+    infinite: float
+    yes: bool
+    said: dict[str, Any]
+    numbers: tuple[int, ...]
+    ids: Annotated[np.ndarray, Shape(-1, dtype=np.int32)]
+
+
+def kept(n: int = 3) -> Kept:
+    rng = np.random.default_rng(n)
+    part = Part(n, rng.standard_normal((5, 3)), rng.standard_normal(5))
+    return Kept(
+        part, [part, part], 0.1 + 0.2, None, np.inf, True, {"a": [1, {"b": "c"}]}, (1, 2), np.arange(3, dtype=np.int32)
+    )
+
+
+def test_a_state_comes_back_exactly(tmp_path: Path) -> None:
+    state = kept()
+    back = checkpoint.read(checkpoint.write(tmp_path, state, {"scene": "s"}), Kept, {"scene": "s"})
+    assert back.part is not None
+    assert state.part is not None
+    np.testing.assert_array_equal(back.part.x, state.part.x)
+    np.testing.assert_array_equal(back.parts[1].T, state.part.T)
+    assert back.ids.dtype == np.int32
+    assert replace(back, part=None, parts=[], ids=None) == replace(state, part=None, parts=[], ids=None)
     with pytest.raises(TypeError, match="cannot hold"):
-        checkpoint.write(tmp_path, {"a": object()}, {})
+        checkpoint.write(tmp_path, replace(state, said={"a": object()}), {})
+
+
+WRONG = {
+    "a number for an array": {"ids": 3},
+    "an array for a number": {"f": np.zeros(3)},
+    "a text for a number": {"f": "1.0"},
+    "a number for a truth": {"yes": 1},
+    "another type of array": {"ids": np.arange(3.0)},
+    "another shape": {"ids": np.zeros((3, 1), np.int32)},
+    "rows that do not match": {"part": Part(1, np.zeros((5, 3)), np.zeros(4))},
+    "rows of another width": {"part": Part(1, np.zeros((5, 2)), np.zeros(5))},
+    "a record of another class": {"part": replace(kept(), part=None)},
+    "a dict for a record": {"part": {"n": 1}},
+    "None for a list": {"parts": None},
+    "a list of something else": {"parts": [1.0]},
+    "a list for a dict": {"said": [1]},
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_checkpoint_of_the_wrong_types_is_refused(tmp_path: Path, wrong: str) -> None:
+    """Whole by its checksum, but not what the record says: one error, and never a traceback."""
+    path = checkpoint.write(tmp_path, replace(kept(), **WRONG[wrong]), {})
+    with pytest.raises(CheckpointError):
+        checkpoint.read(path, Kept)
+
+
+def test_a_crafted_header_is_refused(tmp_path: Path) -> None:
+    whole = checkpoint.write(tmp_path, kept(), {}).read_bytes()
+    _, line, content = whole.split(b"\n", 2)
+    header = json.loads(line)
+    tree = header["tree"]["record"]
+    crafted: list[Any] = [
+        [], 1, None, {}, {**header, "bytes": -1}, {**header, "bytes": "many"}, {**header, "tree": None}, {**header, "about": 3},
+        {**header, "tree": {"record": {**tree, "more": {"value": 1}}}}, {**header, "tree": {"array": "nowhere"}},
+        {**header, "tree": {"record": {**tree, "ids": {"array": ["a"]}}}}, {**header, "sha256": None},
+    ]  # fmt: skip
+    for i, made in enumerate(crafted):
+        text = json.dumps(made).encode() + b"\n"
+        path = tmp_path / f"checkpoint-{i:06d}.ckpt"
+        path.write_bytes(hashlib.sha256(text).hexdigest().encode() + b"\n" + text + content)
+        with pytest.raises(CheckpointError):
+            checkpoint.read(path, Kept)
 
 
 def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
     about = {"version": "1", "scene": "s"}
     for i in range(4):
-        checkpoint.write(tmp_path, {"i": i, "x": np.full(1000, float(i))}, about)
+        checkpoint.write(tmp_path, kept(i), about)
     assert [number for number, _ in checkpoint.found(tmp_path)] == [3, 4]
     last = checkpoint.found(tmp_path)[-1][1]
     content = bytearray(last.read_bytes())
@@ -66,32 +137,40 @@ def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
         elif damage == "header":
             bad[100] ^= 1
         last.write_bytes({"truncated": content[:-100], "empty": b""}.get(damage, bytes(bad)))
-        found = checkpoint.latest(tmp_path, about, lines.append)
+        found = checkpoint.latest(tmp_path, Kept, about, lines.append)
         assert found is not None
-        assert found[0]["i"] == 2, damage
+        assert found.parts[0].n == 2, damage
     assert len(lines) == 4
     assert all("damaged" in line and "one before" in line for line in lines)
     checkpoint.found(tmp_path)[0][1].write_bytes(b"nonsense")
     with pytest.raises(CheckpointError, match=r"no checkpoint .* is whole"):
-        checkpoint.latest(tmp_path, about, lines.append)
+        checkpoint.latest(tmp_path, Kept, about, lines.append)
 
 
 @pytest.mark.parametrize(("key", "what"), [("version", "another version"), ("scene", "another scene")])
 def test_what_belongs_elsewhere_is_refused(tmp_path: Path, key: str, what: str) -> None:
     about = {"version": "1", "scene": "s"}
-    checkpoint.write(tmp_path, {"i": 1}, about)
+    checkpoint.write(tmp_path, kept(), about)
     with pytest.raises(CheckpointError, match=what):
-        checkpoint.latest(tmp_path, about | {key: "2"})
+        checkpoint.latest(tmp_path, Kept, about | {key: "2"})
+
+
+def test_an_older_format_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkpoint, "FORMAT", 4)
+    checkpoint.write(tmp_path, kept(), {"version": "0.1.0"})
+    monkeypatch.undo()
+    with pytest.raises(CheckpointError, match=r"written by coldspray 0\.1\.0 in format 4, this version reads format 5"):
+        checkpoint.latest(tmp_path, Kept, {"version": "0.2.0"})
 
 
 def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    checkpoint.write(tmp_path, {"i": 1}, {})
+    checkpoint.write(tmp_path, kept(1), {})
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))  # type: ignore[attr-defined]
     with pytest.raises(StoreError, match="no space left on the disk; make room"):
-        checkpoint.write(tmp_path, {"i": 2}, {})
-    found = checkpoint.latest(tmp_path, {})
+        checkpoint.write(tmp_path, kept(2), {})
+    found = checkpoint.latest(tmp_path, Kept, {})
     assert found is not None
-    assert found[0]["i"] == 1
+    assert found.parts[0].n == 1
     assert not list(tmp_path.glob("*.part"))
 
 

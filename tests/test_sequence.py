@@ -53,22 +53,22 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
     law = law_record(material("Ni"), rate_filter=1e-9)
     body = block((-10e-6, -10e-6, 0.0), 50e6, 0.98, law)
     domain = domain_of(body, "splat1")
-    mesh, state = domain.mesh, domain.state
+    mesh = domain.mesh
     assert float(domain.laws["rho"][0] * mesh.V0.sum()) == pytest.approx(body.mass, rel=1e-12)
-    np.testing.assert_allclose(state["J"], 0.98, rtol=1e-12)
+    np.testing.assert_allclose(domain.nodes.J, 0.98, rtol=1e-12)
     eta = 0.02
     hugoniot = law["K"][0] * eta / (1 - law["s"][0] * eta) ** 2 * (1 - 0.5 * law["Gamma0"][0] * eta)
-    np.testing.assert_allclose(state["p"], hugoniot, rtol=1e-12)
+    np.testing.assert_allclose(domain.nodes.p, hugoniot, rtol=1e-12)
     F = np.einsum("eni,enj->eij", mesh.points[mesh.conn[:, 1:]] - mesh.points[mesh.conn[:, :1]], mesh.B)
     np.testing.assert_allclose(np.linalg.det(F), 0.98, rtol=1e-12)  # the reference shape is the present one, larger
-    np.testing.assert_allclose(state["s"][:, 0], 50e6)
+    np.testing.assert_allclose(domain.elements.s[:, 0], 50e6)
     # and the solver finds the same pressure after a step of no motion
-    target = Target(mesh, law, state["T"], fixed=(), sleeping=False)
-    target.take(state, target)
+    target = Target(mesh, law, domain.elements.T, fixed=(), sleeping=False)
+    target.take(domain.nodes, domain.elements, target)
     target.advance(1e-15)
     np.testing.assert_allclose(target.p, hugoniot, rtol=1e-9)
     heavier = domain_of(replace(body, mass=1.01 * body.mass), "splat1")
-    np.testing.assert_allclose(heavier.state["p"], state["p"], rtol=1e-12)
+    np.testing.assert_allclose(heavier.nodes.p, domain.nodes.p, rtol=1e-12)
     assert heavier.laws["rho"][0] == pytest.approx(1.01 * domain.laws["rho"][0])
 
 
@@ -79,13 +79,13 @@ def test_numbering_anew_changes_nothing() -> None:
     bodies.target.s[:] = 1e7 * rng.standard_normal(bodies.target.s.shape)
     before = domain_now(bodies.target, bodies.body)
     after, rank = merge([before], (20e-6, -10e-6, 0.0))
-    np.testing.assert_array_equal(after.state["x"][rank], before.state["x"])
-    volume = np.linalg.det(after.state["x"][after.mesh.conn[:, 1:]] - after.state["x"][after.mesh.conn[:, :1]]) / 6
+    np.testing.assert_array_equal(after.nodes.x[rank], before.nodes.x)
+    volume = np.linalg.det(after.nodes.x[after.mesh.conn[:, 1:]] - after.nodes.x[after.mesh.conn[:, :1]]) / 6
     assert volume.min() > 0
     assert np.all(np.diff(after.mesh.reach_node) >= 0)
     assert np.all(np.diff(after.mesh.reach_element) >= 0)
     assert {k: len(v) for k, v in after.mesh.sets.items()} == {k: len(v) for k, v in before.mesh.sets.items()}
-    np.testing.assert_allclose(sorted(after.state["s"][:, 0]), sorted(before.state["s"][:, 0]))
+    np.testing.assert_allclose(sorted(after.elements.s[:, 0]), sorted(before.elements.s[:, 0]))
 
 
 @pytest.mark.parametrize("kind", ["tied", "none"])

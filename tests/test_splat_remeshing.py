@@ -50,7 +50,7 @@ def hit(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def look(what: Any, i: int, domains: Domains, *_: Any) -> None:
-        found.update(what=what, whole=domains.bodies.whole())
+        found.update(what=what, whole=domains.bodies.state())
         raise Seen
 
     with pytest.MonkeyPatch.context() as patch:

@@ -277,8 +277,8 @@ def flying(folder: Path) -> tuple[dict[str, object], list[str]]:
         float(domains.particle.mass.sum()), domains.particle.law,
     )  # fmt: skip
     domain = domain_of(state, "splat1")
-    splat = Target(domain.mesh, domain.laws, domain.state["T"], fixed=(), sleeping=False)
-    splat.take(domain.state, splat)
+    splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), sleeping=False)
+    splat.take(domain.nodes, domain.elements, splat)
     arm = splat.x - splat.mass @ splat.x / splat.mass.sum()
     omega = np.array([0.0, 2.0 * np.pi / TURN, 0.0])
     splat.v[:] = np.array([0.0, 0.0, -500.0]) + np.cross(omega, arm)

@@ -2,13 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
+from ..state.records import Shape
 from . import broad
 from .bond import Bond
-from .penalty import PointContact
+from .penalty import ContactState, PointContact
 from .surfaces import Surfaces
 
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
@@ -26,6 +28,16 @@ class _Side:
     contact: PointContact
     near: np.ndarray
     idle: bool = True
+
+
+@dataclass(frozen=True)
+class BodyContactState:
+    """lost: energy (J) that the handing over of nodes by bonds has lost; sides: contact of each body but the base;
+    held (N,): nodes whose compression a bond resists."""
+
+    lost: float
+    sides: list[ContactState]
+    held: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
 class BodyContact:
@@ -177,19 +189,17 @@ class BodyContact:
         elements = np.concatenate([self._behind[1][pairs], self.surfaces.element[facets]])
         return elements, np.concatenate([of_pair[pairs], of_facet[facets]])
 
-    def state(self) -> dict[str, np.ndarray]:
-        """Everything there is to keep, as arrays of their own; "1.spring" is that of body 1, and so on."""
-        state = {"held": self._held.copy(), "lost": np.array(self.lost)}
-        for body, side in enumerate(self._sides, 1):
-            state |= {f"{body}.{name}": value for name, value in side.contact.state().items()}
-        return state
+    def state(self) -> BodyContactState:
+        """Everything there is to keep."""
+        return BodyContactState(self.lost, [side.contact.state() for side in self._sides], self._held.copy())
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go back to what `state` returned, of a contact of the same surfaces; a search comes next."""
-        self._held, self.lost = np.array(state["held"], bool), float(state["lost"])
-        for body, side in enumerate(self._sides, 1):
-            own = f"{body}."
-            side.contact.restore({k.removeprefix(own): value for k, value in state.items() if k.startswith(own)})
+    def restore(self, state: BodyContactState) -> None:
+        """Go back to a `state` of a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
+        if len(state.sides) != len(self._sides) or len(state.held) != len(self._held):
+            raise CheckpointError("a state does not fit: the contact has other bodies")
+        self._held, self.lost = state.held.copy(), state.lost
+        for side, kept in zip(self._sides, state.sides, strict=True):
+            side.contact.restore(kept)
 
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
         """Take over what the contact of fewer bodies remembers. node (N before,): new number of each of its nodes.

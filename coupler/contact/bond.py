@@ -1,10 +1,13 @@
 """Bonds between bodies of finite elements: nodes tied to facets by cohesive springs that soften, break and stay broken."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from ..errors import SolverError
+from ..state.records import Rows, collect, concatenate, rows_of, take
 from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
 
@@ -13,14 +16,39 @@ BOND_STIFFNESS = 4.0
 MAX_SLIDE = 0.5  # spacings: a bond opened further no longer lies on its triangle, and compression passes to the contact
 BOND_SAFETY = 0.9  # of the step the bound on the frequency allows
 
-_ROWS = (
-    "nodes", "triangles", "weights", "gap", "area", "stiffness", "strength", "energy", "loose", "damage", "opening", "traction",
-)  # fmt: skip
-
 
 def penalty(bulk_modulus: float, spacing: float) -> float:
     """Stiffness of a bond in Pa/m: BOND_STIFFNESS K / h, K (Pa) the softer bulk modulus, h (m) the spacing of the tied nodes."""
     return BOND_STIFFNESS * bulk_modulus / spacing
+
+
+@dataclass(frozen=True)
+class BondRows:
+    """Of n bonds: nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2) Pa and energy (n,2) J/m2,
+    normal and shear; loose: compression is left to the contact; damage 0 to 1; opening (n,3) m; traction (n,2) Pa."""
+
+    nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="nodes")]
+    triangles: Annotated[np.ndarray, Rows(3, dtype=np.int64, index_of="nodes")]
+    weights: Annotated[np.ndarray, Rows(3)]
+    gap: Annotated[np.ndarray, Rows()]
+    area: Annotated[np.ndarray, Rows()]
+    stiffness: Annotated[np.ndarray, Rows()]
+    strength: Annotated[np.ndarray, Rows(2)]
+    energy: Annotated[np.ndarray, Rows(2)]
+    loose: Annotated[np.ndarray, Rows(dtype=bool)]
+    damage: Annotated[np.ndarray, Rows()]
+    opening: Annotated[np.ndarray, Rows(3)]
+    traction: Annotated[np.ndarray, Rows(2)]
+
+
+@dataclass(frozen=True)
+class BondState:
+    """exponent: of the power law of mixed modes; stored, dissipated: energies, J."""
+
+    rows: BondRows
+    exponent: float
+    stored: float
+    dissipated: float
 
 
 class Bond:
@@ -33,9 +61,7 @@ class Bond:
     strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength. Damage grows with the
     opening of the moment, so that what is dissipated is never negative when the mode mixity changes.
 
-    Arrays (n bonds): nodes (n,), triangles (n,3), weights (n,3), gap (n,) m, area (n,) m2, stiffness (n,) Pa/m, strength
-    (n,2) Pa and energy (n,2) J/m2 normal and shear, loose (n,), damage (n,), opening (n,3) m, traction (n,2) Pa normal and
-    shear.
+    The arrays of the n bonds are those of `BondRows`.
     """
 
     nodes: np.ndarray
@@ -153,9 +179,8 @@ class Bond:
         self.loose |= far
         self.stored -= energy
         if broken.any():
-            for name in _ROWS:
-                setattr(self, name, np.ascontiguousarray(getattr(self, name)[~broken]))
-            self._ready()
+            kept = take(collect(BondRows, self), ~broken)
+            self.restore(BondState(kept, self.exponent, self.stored, self.dissipated))
         return energy
 
     def renumber(self, node: np.ndarray) -> None:
@@ -164,36 +189,30 @@ class Bond:
 
     @classmethod
     def joined(cls, bonds: Sequence["Bond"]) -> "Bond":
-        """One set out of several of the same exponent, in their order; their books are added. Raises SolverError otherwise."""
+        """One set out of several of the same exponent, in their order; their energies are added. Raises SolverError otherwise."""
         if len({bond.exponent for bond in bonds}) != 1:
             raise SolverError("bonds to be joined must be at least one and have one exponent of mixed modes")
-        one = cls.__new__(cls)
-        for name in _ROWS:
-            setattr(one, name, np.concatenate([getattr(bond, name) for bond in bonds]))
-        one.exponent = bonds[0].exponent
-        one.stored, one.dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
-        one._ready()
-        return one
+        rows = concatenate([collect(BondRows, bond) for bond in bonds])
+        stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
+        return cls.from_state(BondState(rows, bonds[0].exponent, stored, dissipated))
 
-    def state(self) -> dict[str, np.ndarray]:
-        """Everything there is to keep, as arrays of their own."""
-        rows = {name: getattr(self, name).copy() for name in _ROWS}
-        return {**rows, "exponent": np.array(self.exponent), "books": np.array([self.stored, self.dissipated])}
+    def state(self) -> BondState:
+        """Everything there is to keep."""
+        return BondState(collect(BondRows, self), self.exponent, self.stored, self.dissipated)
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go back to what `state` returned."""
-        for name in _ROWS:
-            setattr(self, name, np.ascontiguousarray(state[name]).copy())
-        self.exponent = float(state["exponent"])
-        self.stored, self.dissipated = (float(value) for value in state["books"])
+    def restore(self, state: BondState) -> None:
+        """Go back to a `state`."""
+        for name in rows_of(BondRows):
+            setattr(self, name, np.array(getattr(state.rows, name)))
+        self.exponent, self.stored, self.dissipated = state.exponent, state.stored, state.dissipated
         self._ready()
 
     @classmethod
-    def from_state(cls, state: dict[str, np.ndarray]) -> "Bond":
-        """A set of bonds out of what `state` returned."""
-        one = cls.__new__(cls)
-        one.restore(state)
-        return one
+    def from_state(cls, state: BondState) -> "Bond":
+        """A set of bonds as a `state` holds it."""
+        bond = cls.__new__(cls)
+        bond.restore(state)
+        return bond
 
 
 def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

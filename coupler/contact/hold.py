@@ -1,14 +1,25 @@
 """A particle that has bonded in its impact: vertices of its surface held to the facets they lie on while it rebounds."""
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
-from .bond import Bond
+from ..state.records import Shape, check_indices
+from .bond import Bond, BondState
 from .surfaces import Interface, Surfaces
 
 CONTACT_RANGE = 0.1  # spacings: points that lie closer to the surface count as touching (contact chatters)
 HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
+
+
+@dataclass(frozen=True)
+class HoldState:
+    """bond: the springs, between rows (n,) of the particle's surface and nodes (k,) of the target."""
+
+    bond: BondState
+    rows: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="surface")]
+    nodes: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]
 
 
 class Hold:
@@ -25,7 +36,7 @@ class Hold:
     ):  # fmt: skip
         """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; law: strengths
         (Pa) and energies (J/m2) as `Bond` takes them, none to hold for ever. Raises SolverError as `Bond` does."""
-        self.rows, self.nodes = np.asarray(rows, np.int64), np.unique(facets)
+        self.rows, self.nodes = np.asarray(rows, np.int64), np.unique(facets).astype(np.int64)
         n = len(self.rows)
         local = n + np.searchsorted(self.nodes, facets)
         every = np.arange(n)
@@ -66,14 +77,15 @@ class Hold:
         """What the springs hold and have dissipated, J."""
         return self.bond.stored + self.bond.dissipated
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> HoldState:
         """Everything there is to keep."""
-        return {"rows": self.rows, "nodes": self.nodes, "bond": self.bond.state()}
+        return HoldState(self.bond.state(), self.rows.copy(), self.nodes.copy())
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> "Hold":
-        """A hold out of what `state` returned."""
-        one = cls.__new__(cls)
-        one.rows, one.nodes = np.array(state["rows"]), np.array(state["nodes"])
-        one.bond = Bond.from_state(state["bond"])
-        return one
+    def from_state(cls, state: HoldState) -> "Hold":
+        """A hold as a `state` has it. Raises CheckpointError where its parts do not fit."""
+        check_indices(state.bond.rows, nodes=len(state.rows) + len(state.nodes))
+        hold = cls.__new__(cls)
+        hold.rows, hold.nodes = state.rows.copy(), state.nodes.copy()
+        hold.bond = Bond.from_state(state.bond)
+        return hold

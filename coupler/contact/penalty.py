@@ -1,13 +1,30 @@
 """Contact between the points of a particle and the facets of the target: search now and then, forces each step."""
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import numpy as np
 
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
+from ..state.records import Shape, assign, collect
 from . import broad
 from . import kernels as k
 
 CONTACT_STIFFNESS = 1.0  # K a / h
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """spring (n,3) m: of friction, depth (n,) m, heat_point (n,) J of each point; heat_facet (k,) J; sums (4,): energy of the
+    penalty and friction springs, heat of the last step, J, and the number of points that touch; friction_heat: so far, J."""
+
+    friction_heat: float
+    spring: Annotated[np.ndarray, Shape(-1, 3)]
+    depth: Annotated[np.ndarray, Shape(-1)]
+    heat_point: Annotated[np.ndarray, Shape(-1)]
+    heat_facet: Annotated[np.ndarray, Shape(-1)]
+    sums: Annotated[np.ndarray, Shape(4)]
 
 
 class PointContact:
@@ -64,18 +81,19 @@ class PointContact:
         """Energy stored in the penalty and friction springs, J."""
         return float(self.sums[0] + self.sums[1])
 
-    def state(self) -> dict[str, np.ndarray]:
-        """What a later step needs to know of earlier ones, and the books."""
-        arrays = {
-            name: np.array(getattr(self, name)) for name in ("spring", "depth", "heat_point", "heat_facet", "sums")
-        }
-        return arrays | {"friction_heat": np.array(self.friction_heat)}
+    def state(self) -> ContactState:
+        """What a later step needs to know of earlier ones, and the energies."""
+        return collect(ContactState, self)
 
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Put a `state` into a contact of the same surfaces."""
-        for name in ("spring", "depth", "heat_point", "heat_facet", "sums"):
-            getattr(self, name)[...] = state[name]
-        self.friction_heat = float(state["friction_heat"])
+    def restore(self, state: ContactState) -> None:
+        """Put a `state` into a contact of the same surfaces. Raises CheckpointError where it does not fit."""
+        if (
+            len(state.depth) != len(self.depth)
+            or len(state.spring) != len(self.depth)
+            or len(state.heat_facet) != len(self.facets)
+        ):
+            raise CheckpointError("a state does not fit: the contact has other surfaces")
+        assign(self, state)
 
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""

@@ -19,6 +19,7 @@ from ..fe import kernels
 from ..fe.assemble import Domain, domain_now, merge
 from ..fe.explicit import COURANT, LINEAR_VISCOSITY
 from ..fe.patch import Patch, Renewal, patch_of, renewed
+from ..fe.state import ElementState, NodeState
 from ..geometry.mesher import fill_apart
 from ..geometry.tetrahedra import volumes
 from ..impact import measure as measures
@@ -28,6 +29,7 @@ from ..splat import quality
 from ..splat.meshing import MIN_GAMMA
 from ..splat.renew import renewed_surface
 from ..splat.transfer import Fit, with_energy, with_momentum, with_sum
+from ..state.records import new_rows, rows_of
 
 STRAINED = 0.3  # plastic strain from which on elements are bent: the cut must not run through them
 # reach of a patch round bad and strained elements, in edges, and edges over the old ones: finer ones keep the surface better
@@ -68,7 +70,7 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
     if bodies.contact is not None:
         bodies.target.warm(*bodies.contact.heat())
     domain = domain_now(bodies.target, bodies.body)
-    limits, gammas = _limits(domain), quality.gamma(domain.state["x"], domain.mesh.conn)
+    limits, gammas = _limits(domain), quality.gamma(domain.nodes.x, domain.mesh.conn)
     shortest, allowed = limits.min(), _loose(bodies)
     faster = limits[~allowed].min(initial=np.inf) > GAIN * shortest
     if not faster and not before["quality"] < gate.quality <= gammas[~allowed].min(initial=np.inf):
@@ -96,7 +98,7 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
         allowed = np.concatenate([allowed[out], np.ones(fresh, bool)])
         given_up = np.concatenate([given_up[out], np.ones(fresh, bool)])  # twice would do no better
     # a transfer blurs the fields a little: nothing is taken over that leaves the step where it was
-    sounder = before["quality"] < gate.quality <= quality.gamma(domain.state["x"], domain.mesh.conn).min()
+    sounder = before["quality"] < gate.quality <= quality.gamma(domain.nodes.x, domain.mesh.conn).min()
     gained = sounder or _limits(domain).min() > GAIN * shortest
     if not gained or not any(patch["done"] for patch in report["patches"]):
         return bodies, report | {"remeshed": False, "wall_s": clock.perf_counter() - started}
@@ -135,15 +137,13 @@ def _loose(bodies: Bodies) -> np.ndarray:
 def _bad(domain: Domain, gate: Gate) -> tuple[np.ndarray, np.ndarray]:
     """Which elements (m,) are distorted, and the bound on the stable step (m,) s of each."""
     limit = _limits(domain)
-    return (SAFE * limit < gate.step) | (quality.gamma(domain.state["x"], domain.mesh.conn) < gate.quality), limit
+    return (SAFE * limit < gate.step) | (quality.gamma(domain.nodes.x, domain.mesh.conn) < gate.quality), limit
 
 
 def _limits(domain: Domain) -> np.ndarray:
     """The safe bound on the stable step (m,) s of each element."""
     limit = np.zeros(len(domain.mesh.conn))
-    kernels.stable_dt(
-        0, len(limit), domain.state["x"], domain.mesh.conn, domain.state["J"], domain.laws, domain.body, limit
-    )
+    kernels.stable_dt(0, len(limit), domain.nodes.x, domain.mesh.conn, domain.nodes.J, domain.laws, domain.body, limit)
     return limit * COURANT / (1.0 + LINEAR_VISCOSITY)
 
 
@@ -162,7 +162,7 @@ class _Made:
 def _one(domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed: int) -> _Made:
     """The patch round the element `seed` and what bad ones hang together with it, made new: with the finest edges whose step
     passes the gate, or else those with the longest step."""
-    mesh, x = domain.mesh, domain.state["x"]
+    mesh, x = domain.mesh, domain.nodes.x
     centre = x[mesh.conn].mean(axis=1)
     same = domain.body == domain.body[seed]
     tried = np.zeros(len(bad), bool)
@@ -171,7 +171,7 @@ def _one(domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed:
     best: _Made | None = None
     for reach, factor in TRIES:
         edge = (estimates.TETS_PER_H3 * mesh.V0[seed]) ** (1.0 / 3.0)
-        worn = same & (bad | (domain.state["eps_p"] > STRAINED))
+        worn = same & (bad | (domain.elements.eps_p > STRAINED))
         near = cKDTree(centre[worn]).query(centre)[0] < reach * edge
         patch = patch_of(mesh, near & same, allowed & same, seed)
         if patch is None:
@@ -193,7 +193,7 @@ def _one(domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed:
 
 def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndarray, np.ndarray, dict[str, Any]]:
     """A patch made new with edges of `factor` times the old ones'. Raises SplatError or SolverError where it cannot be."""
-    mesh, x = domain.mesh, domain.state["x"]
+    mesh, x = domain.mesh, domain.nodes.x
     own = mesh.conn[patch.elements]
     edge = factor * float(estimates.TETS_PER_H3 * np.median(mesh.V0[patch.elements])) ** (1.0 / 3.0)
     skin, triangles, moved = renewed_surface(x[patch.nodes], patch.triangles, patch.cut, patch.free, edge)
@@ -231,7 +231,7 @@ def _seamed(points: np.ndarray, tets: np.ndarray, cut: np.ndarray, near: float) 
 
 def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray, edge: float) -> Renewal:
     """The state of a patch on its new mesh: sums over reference volume, momenta and energies as they were."""
-    mesh, state, x = domain.mesh, domain.state, domain.state["x"]
+    mesh, state, x = domain.mesh, domain.nodes, domain.nodes.x
     law = domain.laws[domain.body[patch.elements[0]]]
     own = mesh.conn[patch.elements]
     # fits take in the ring of elements round the patch
@@ -242,19 +242,19 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
     at_elements = Fit(x[mesh.conn[around]].mean(axis=1), points[tets].mean(axis=1), edge)
     at_nodes = Fit(x[nodes], points[patch.cut :], edge)
 
-    J = at_elements(state["J"][mesh.conn[around]].mean(axis=1))
+    J = at_elements(state.J[mesh.conn[around]].mean(axis=1))
     V0_before = mesh.V0[patch.elements]
     V0 = volumes(points, tets) / J
     V0 *= V0_before.sum() / V0.sum()
-    elements: dict[str, np.ndarray] = {}
-    for name, floor in (("eps_p", 0.0), ("rate", 0.0), ("T", None)):
-        raw = at_elements(state[name][around])
-        raw = raw if floor is None else np.maximum(raw, floor)
-        elements[name] = with_sum(raw, V0, float(V0_before @ state[name][patch.elements]), floor)
-    s = at_elements(state["s"][around])
+    s = at_elements(domain.elements.s[around])
     s[:, :3] -= s[:, :3].mean(axis=1)[:, None]
-    elements["s"] = s
-    elements["heat"] = V0 / V0.sum() * state["heat"][patch.elements].sum()
+    known = {"s": s, "heat": V0 / V0.sum() * domain.elements.heat[patch.elements].sum()}
+    for name, spec in rows_of(ElementState).items():
+        if not spec.notes.get("computed"):
+            values, floor = getattr(domain.elements, name), spec.notes.get("floor")
+            raw = at_elements(values[around])
+            raw = raw if floor is None else np.maximum(raw, floor)
+            known[name] = with_sum(raw, V0, float(V0_before @ values[patch.elements]), floor)
 
     cut, free = patch.nodes[: patch.cut], slice(patch.cut, None)
     all_nodes = np.concatenate([cut, patch.inner])
@@ -264,19 +264,19 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
     volume[: patch.cut] += mesh.node_volume[cut] - gone[cut]
     old_volume = mesh.node_volume[all_nodes]
 
-    energy = float(old_volume @ state["energy"][all_nodes]) - float(volume[: patch.cut] @ state["energy"][cut])
+    energy = float(old_volume @ state.energy[all_nodes]) - float(volume[: patch.cut] @ state.energy[cut])
     mass, old_mass = volume * law["rho"], old_volume * law["rho"]
-    v, v_cut = state["v"][all_nodes], state["v"][cut]
+    v, v_cut = state.v[all_nodes], state.v[cut]
     P = old_mass @ v - mass[: patch.cut] @ v_cut
     L = old_mass @ np.cross(x[all_nodes], v) - mass[: patch.cut] @ np.cross(x[cut], v_cut)
     kinetic = 0.5 * float(old_mass @ np.sum(v**2, axis=1) - mass[: patch.cut] @ np.sum(v_cut**2, axis=1))
-    new_v = with_momentum(at_nodes(state["v"][nodes]), points[free], mass[free], P, L)
+    new_v = with_momentum(at_nodes(state.v[nodes]), points[free], mass[free], P, L)
     new_v = with_energy(new_v, points[free], mass[free], max(kinetic, 0.0))
-    node_state = {
-        "energy": with_sum(at_nodes(state["energy"][nodes]), volume[free], energy),
-        "v": with_momentum(new_v, points[free], mass[free], P, L),
-    }
-    return Renewal(points, tets, V0, node_state, elements)
+    node_state = new_rows(
+        NodeState, len(points) - patch.cut, energy=with_sum(at_nodes(state.energy[nodes]), volume[free], energy),
+        v=with_momentum(new_v, points[free], mass[free], P, L),
+    )  # fmt: skip
+    return Renewal(points, tets, V0, node_state, new_rows(ElementState, len(tets), **known))
 
 
 def _measures(bodies: Bodies) -> dict[str, Any]:

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import ColdsprayError, speaks
+from ..errors import CheckpointError, ColdsprayError, speaks
 from ..files import checkpoint
 from ..files.result import Result
-from ..files.store import PICTURE, Store
-from ..impact.bodies import Bodies
+from ..files.store import PICTURE, Store, StoreState
+from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
 from ..impact.rebound import deposition_efficiency
-from ..impact.run import RunOptions, run_impact
+from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.validity import merged
 from ..plan.planning import Plan, plan
 from ..plan.reading import Scene
@@ -149,6 +149,19 @@ def _compute(scene: Scene, folder: Path, requested: _Requested, anew: bool, forc
     return result
 
 
+@dataclass(frozen=True)
+class DepositionState:
+    """What a checkpoint holds: an impact on its way or, between two of them, the bodies; how much of the files is written; records and
+    reports of the finished impacts; wall time so far, s."""
+
+    running: RunningState | None
+    bodies: BodiesState | None
+    store: StoreState
+    records: list[dict[str, Any]]
+    joins: list[dict[str, Any]]
+    wall: float
+
+
 class Deposition:
     """Impacts one after another, on the rank of the target: each takes a target and leaves one with a splat more."""
 
@@ -171,29 +184,30 @@ class Deposition:
     def run(self, anew: bool) -> None:
         """Compute all impacts, or those that a checkpoint has not seen finished, and write summary.json."""
         state = None if anew else self._last_checkpoint()
-        within = None  # state of the impact that was interrupted
-        if state is not None:
-            self.records, self.joins, self._before = state["records"], state["joins"], state["wall"]
-            within = state["impact"]
-        kept = state if within is None else within
-        bodies = restored_target(self.plan, kept["bodies"]) if kept is not None else build_target(self.plan)
+        running = None  # the impact that was interrupted
+        if state is None:
+            bodies = build_target(self.plan)
+        else:
+            self.records, self.joins, self._before, running = state.records, state.joins, state.wall, state.running
+            kept = running.impact.bodies if running is not None else state.bodies
+            if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
+                raise CheckpointError(
+                    f"the checkpoint in {self.store.directory} is damaged: start anew with coldspray run --force"
+                )
+            bodies = restored_target(self.plan, kept)
         skin = np.zeros((0, 3))
         for i in range(len(self.records), len(self.plan.impacts)):
-            bodies, skin = self._impact(i, bodies, within)
-            within = None
+            bodies, skin = self._impact(i, bodies, running)
+            running = None
         self.store.finish(self._summary(bodies, skin))
         checkpoint.clear(self.store.directory)
 
-    def _impact(self, i: int, bodies: Bodies, within: dict[str, Any] | None) -> tuple[Bodies, np.ndarray]:
-        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact, and the particle's surface (k,3) m.
-
-        within: state of the impact to go on from.
-        """
+    def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> tuple[Bodies, np.ndarray]:
+        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact, and the particle's surface (k,3) m."""
         before = sum(record["sim_time_s"] for record in self.records)
-        progress = self.options.progress
         outcome = None
         try:
-            outcome = run_impact(self.plan, i, bodies, self.store, before, self.options, self._save_impact, within)
+            outcome = run_impact(self.plan, i, bodies, self.store, before, self.options, self._save_within, resume_from)
             domains = outcome.domains
             self.records.append(outcome.record)
             skin = domains.surface.positions(domains.particle.x)
@@ -204,29 +218,26 @@ class Deposition:
         finally:
             if outcome is not None:
                 outcome.domains.particle.close()
-            if progress is not None:
-                progress.stop()
-        self._save(None, bodies)
+            if self.options.progress is not None:
+                self.options.progress.stop()
+        self._save(None, bodies.state())
         return bodies, skin
 
-    def _last_checkpoint(self) -> dict[str, Any] | None:
+    def _last_checkpoint(self) -> DepositionState | None:
         """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
         log, folder = self.options.log, self.store.directory
-        kept = checkpoint.latest(folder, self._belongs_to, log)
-        if kept is None:
+        state = checkpoint.latest(folder, DepositionState, self._belongs_to, log)
+        if state is None:
             log(f"{folder} has no checkpoint: the run starts from its beginning")
-        self.store.go_on(kept[0]["store"] if kept else None, log)
-        return kept[0] if kept else None
+        self.store.go_on(state.store if state else None, log)
+        return state
 
-    def _save_impact(self, state: dict[str, Any]) -> None:
-        self._save(state, None)
+    def _save_within(self, running: RunningState) -> None:
+        """Write a checkpoint of an impact on its way, which holds its bodies."""
+        self._save(running, None)
 
-    def _save(self, impact: dict[str, Any] | None, bodies: Bodies | None) -> None:
-        """Write a checkpoint: within an impact, or of the bodies between two."""
-        state = {
-            "impact": impact, "bodies": bodies.whole() if bodies is not None else None, "store": self.store.state(),
-            "records": self.records, "joins": self.joins, "wall": self.wall,
-        }  # fmt: skip
+    def _save(self, running: RunningState | None, bodies: BodiesState | None) -> None:
+        state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall)
         checkpoint.write(self.store.directory, state, self._belongs_to)
 
     def _summary(self, bodies: Bodies, skin: np.ndarray) -> dict[str, Any]:

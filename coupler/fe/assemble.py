@@ -7,15 +7,15 @@ of the mesh lacks or has too much (under a percent) its density makes up for, so
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from ..physics.constitutive import pressures, yield_stresses
+from ..state.records import collect, concatenate, new_rows, take
+from .explicit import Target
 from .mesh import TetMesh, prepare_ordered
+from .state import ElementState, NodeState
 
-NODE_STATE = ("x", "v", "f", "f_old", "total", "J", "p", "energy")
-ELEMENT_STATE = ("s", "eps_p", "rate", "heat", "volume", "T", "sigma_y", "fe")
 Point = tuple[float, float, float]
 
 
@@ -38,10 +38,11 @@ class BodyState:
 
 @dataclass(frozen=True)
 class Domain:
-    """Several bodies as one: mesh, state arrays by name, body (m,) and law_of (m,) of each element, laws (bodies,)."""
+    """Several bodies as one: mesh, state of nodes and elements, body (m,) of each element, laws (bodies,)."""
 
     mesh: TetMesh
-    state: dict[str, np.ndarray]
+    nodes: NodeState
+    elements: ElementState
     body: np.ndarray
     laws: np.ndarray
 
@@ -64,13 +65,15 @@ def domain_of(body: BodyState, name: str) -> Domain:
     stress = body.stress[element]
     deviator = stress.copy()
     deviator[:, :3] -= stress[:, :3].mean(axis=1)[:, None]
-    state: dict[str, np.ndarray] = {name: np.zeros((n, 3)) for name in ("f", "f_old", "total")}
-    state |= {"x": mesh.points.copy(), "v": body.velocity[node], "J": now / share, "energy": body.energy[node]}
-    state["p"] = pressures(law, state["J"], state["energy"])
-    state |= {"s": deviator, "eps_p": body.eps_p[element], "T": body.T[element], "volume": V.copy()}
-    state |= {"rate": np.zeros(m), "heat": np.zeros(m), "fe": np.zeros((m, 4, 3))}
-    state["sigma_y"] = yield_stresses(law, state["eps_p"], state["T"])
-    return Domain(mesh, state, np.zeros(m, np.int32), law)
+    J, energy = now / share, body.energy[node]
+    nodes = new_rows(
+        NodeState, n, x=mesh.points.copy(), v=body.velocity[node], J=J, energy=energy, p=pressures(law, J, energy)
+    )
+    eps_p, T = body.eps_p[element], body.T[element]
+    elements = new_rows(
+        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=yield_stresses(law, eps_p, T)
+    )  # fmt: skip
+    return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 
 
 def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]:
@@ -86,7 +89,7 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
     def put(arrays: list[np.ndarray], order: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(np.concatenate(arrays)[order])
 
-    x = np.concatenate([d.state["x"] for d in domains])
+    x = np.concatenate([d.nodes.x for d in domains])
     distance = np.linalg.norm(x - np.asarray(origin), axis=1)
     by_node = np.argsort(distance, kind="stable")
     rank = np.empty(len(by_node), np.int64)
@@ -113,13 +116,12 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
         reach_node=distance[by_node],
         reach_element=reach[by_element],
     )
-    state = {name: put([d.state[name] for d in domains], by_node) for name in NODE_STATE}
-    state |= {name: put([d.state[name] for d in domains], by_element) for name in ELEMENT_STATE}
+    node_state = take(concatenate([d.nodes for d in domains]), by_node)
+    element_state = take(concatenate([d.elements for d in domains]), by_element)
     body = put([d.body + at for d, at in zip(domains, bodies, strict=False)], by_element).astype(np.int32)
-    return Domain(mesh, state, body, np.concatenate([d.laws for d in domains])), rank
+    return Domain(mesh, node_state, element_state, body, np.concatenate([d.laws for d in domains])), rank
 
 
-def domain_now(target: Any, body: np.ndarray) -> Domain:
-    """A running `explicit.Target` as a domain; body (m,) of each element."""
-    state = {name: getattr(target, name).copy() for name in (*NODE_STATE, *ELEMENT_STATE)}
-    return Domain(target.mesh, state, body, target.laws)
+def domain_now(target: Target, body: np.ndarray) -> Domain:
+    """A running target as a domain; body (m,) of each element."""
+    return Domain(target.mesh, collect(NodeState, target), collect(ElementState, target), body, target.laws)

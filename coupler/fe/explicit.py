@@ -10,30 +10,25 @@ be computed once from the positions of both domains at n+1:
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
 from ..geometry.triangles import areas_and_normals
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
+from ..state.records import assign, collect, fill_rows
 from . import kernels as k
 from .heat import Conduction, take_heat
 from .mesh import TetMesh
 from .stability import HighestFrequency
+from .state import ElementState, NodeState, TargetState
 from .window import LAYER, edge, layer
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
 COURANT = 0.85
 AHEAD = 1.5  # speed of the front of what is computed over that of sound
-
-STATE_ARRAYS = (
-    "x", "v", "f", "f_old", "total", "J", "p", "energy", "s", "eps_p", "rate", "heat", "volume", "T", "sigma_y", "sums", "drag",
-    "support", "impulse", "inertia", "resting",
-)  # fmt: skip
-STATE_NUMBERS = ("internal_work", "absorbed", "dt_last", "time", "reach", "horizon", "active_nodes", "active_elements")
 
 
 class Target:
@@ -50,6 +45,23 @@ class Target:
     equation of state (Gamma0 = 0) does not expand, nor do laws without `expansion`. Bodies of different materials do
     not share nodes: a nodal pressure belongs to one material.
     """
+
+    x: np.ndarray
+    v: np.ndarray
+    f: np.ndarray
+    f_old: np.ndarray
+    total: np.ndarray
+    J: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    s: np.ndarray
+    eps_p: np.ndarray
+    rate: np.ndarray
+    heat: np.ndarray
+    volume: np.ndarray
+    T: np.ndarray
+    sigma_y: np.ndarray
+    fe: np.ndarray
 
     def __init__(
         self,
@@ -77,14 +89,12 @@ class Target:
         if np.any(self.law_of_node[mesh.conn] != self.law_of[:, None]):
             raise SolverError("elements of different materials share nodes of the target: join meshes of one body each")
         self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
-        self.f, self.f_ext, self.f_old = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-        self.total = np.zeros((n, 3))
-        self.J, self.p, self.energy = np.ones(n), np.zeros(n), np.zeros(n)
-        self.s, self.fe = np.zeros((m, 6)), np.zeros((m, 4, 3))
-        self.eps_p, self.rate, self.heat, self.volume = np.zeros(m), np.zeros(m), np.zeros(m), mesh.V0.copy()
+        self.f_ext, self.volume = np.zeros((n, 3)), mesh.V0.copy()
         self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
         kinds, kind = np.unique(np.stack([self.law_of, self.T]), axis=1, return_inverse=True)
         self.sigma_y = np.array([yield_stress(self.laws[int(i)], 0.0, 0.0, T) for i, T in kinds.T])[kind.ravel()]
+        fill_rows(self, NodeState, n)
+        fill_rows(self, ElementState, m)
         self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
@@ -258,36 +268,38 @@ class Target:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
         return self.impulse + 0.5 * self.dt_last * self.support
 
-    def state(self) -> dict[str, Any]:
-        """Everything that makes the target go on as if nothing had happened: arrays and numbers. The mesh is not in it."""
-        found: dict[str, Any] = {name: getattr(self, name).copy() for name in STATE_ARRAYS}
-        found |= {name: getattr(self, name) for name in STATE_NUMBERS}
-        if self.conduction is not None:
-            found["conduction"] = self.conduction.state()
-        if self._highest is not None:
-            found["highest"] = self._highest.state()
-        return found
+    def state(self) -> TargetState:
+        """Everything that makes the target go on as if nothing had happened. The mesh is not in it."""
+        nodes, elements = collect(NodeState, self), collect(ElementState, self)
+        return collect(
+            TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state()
+        )
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Put a `state` into a target of the same mesh."""
-        self.scale_masses(state["inertia"])
-        if state["horizon"] != self.horizon:
-            self.window(state["horizon"])
-        for name in STATE_ARRAYS:
-            setattr(self, name, np.array(state[name]))
-        for name in STATE_NUMBERS:
-            setattr(self, name, state[name])
+    def restore(self, state: TargetState) -> None:
+        """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
+        n, m = len(self.x), len(self.mesh.conn)
+        if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m and len(state.inertia) == m):
+            raise CheckpointError("a state does not fit: the target has another number of nodes or elements")
+        self.scale_masses(state.inertia)
+        if state.horizon != self.horizon:
+            self.window(state.horizon)
+        if len(state.resting) != n + 1 or len(state.drag) != len(self.drag):
+            raise CheckpointError("a state does not fit: the target has other boundaries")
+        for record in (state, state.nodes, state.elements):
+            assign(self, record)
         self._weigh()
-        if self.conduction is not None:
-            self.conduction.restore(state["conduction"])
-        if "highest" in state:
-            self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
-            self._highest.restore(state["highest"])
+        if (self.conduction is None) != (state.conduction is None):
+            raise CheckpointError("a state does not fit: heat is conducted in one of target and state")
+        if self.conduction is not None and state.conduction is not None:
+            self.conduction.restore(state.conduction)
+        if state.highest is not None:
+            self._highest = HighestFrequency(n, m)
+            self._highest.restore(state.highest)
 
-    def take(self, arrays: dict[str, np.ndarray], before: "Target") -> None:
-        """Begin with arrays of nodes and elements by name (`fe.assemble`), the books going on from those of `before`."""
-        for name, values in arrays.items():
-            setattr(self, name, np.array(values))
+    def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
+        """Begin with the state of nodes and elements (`fe.assemble`), the ledger going on from that of `before`."""
+        assign(self, nodes)
+        assign(self, elements)
         for name in ("sums", "impulse"):
             setattr(self, name, getattr(before, name).copy())
         for name in ("internal_work", "absorbed", "time"):

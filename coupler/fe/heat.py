@@ -10,18 +10,35 @@ nodes, which they cannot see, flows into them at the rate at which an element le
 Faces are adiabatic where no temperature is held.
 """
 
+from dataclasses import dataclass
 from math import ceil
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
+from ..state.records import Shape, assign, check_indices, collect
 from .mesh import TetMesh
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
 CONDUCTION_SAFETY = 0.9
-_STATE = ("last", "capacity", "T", "known", "held", "held_T")
+
+
+@dataclass(frozen=True)
+class ConductionState:
+    """last (m,) K: temperatures of the elements after the last call; capacity (n,) J/K and T (n,) K of the nodes; known (n,): whether a
+    node has a temperature; held (h,) nodes kept at held_T (h,) K; elapsed s and steps since the start and the last call."""
+
+    known_elements: int
+    elapsed: float
+    steps: int
+    last: Annotated[np.ndarray, Shape(-1)]
+    capacity: Annotated[np.ndarray, Shape(-1)]
+    T: Annotated[np.ndarray, Shape(-1)]
+    known: Annotated[np.ndarray, Shape(-1, dtype=bool)]
+    held: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]
+    held_T: Annotated[np.ndarray, Shape(-1)]
 
 
 class Conduction:
@@ -41,15 +58,14 @@ class Conduction:
         self.held, self.held_T = np.zeros(0, np.int64), np.zeros(0)
         self.elapsed, self.steps = 0.0, 0
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> ConductionState:
         """What a later call needs to know of earlier ones."""
-        return {name: np.copy(getattr(self, name)) for name in _STATE} | {"elapsed": self.elapsed, "steps": self.steps,
-                "known_elements": self.known_elements}  # fmt: skip
+        return collect(ConductionState, self)
 
-    def restore(self, state: dict[str, Any]) -> None:
-        for name in _STATE:
-            setattr(self, name, np.array(state[name]))
-        self.elapsed, self.steps, self.known_elements = (state[k] for k in ("elapsed", "steps", "known_elements"))
+    def restore(self, state: ConductionState) -> None:
+        """Put a `state` into the conduction of the same mesh."""
+        assign(self, state)
+        check_indices(state, nodes=len(self.T))
 
     def hold(self, nodes: np.ndarray, temperature: float | np.ndarray) -> None:
         """Keep nodes at a temperature (K, one or one for each): a bath that gives or takes what heat that needs."""

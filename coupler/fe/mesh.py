@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Annotated
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from ..errors import SolverError
 from ..geometry import mesher
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
+from ..state.records import Shape
 
 COARSEST = 1 / 6  # largest element over the smaller dimension of a cylinder, unless said
 
@@ -23,16 +25,16 @@ class TetMesh:
     index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, ascending.
     """
 
-    points: np.ndarray
-    conn: np.ndarray
-    B: np.ndarray
-    V0: np.ndarray
-    node_volume: np.ndarray
-    facets: np.ndarray
-    facet_element: np.ndarray
+    points: Annotated[np.ndarray, Shape(-1, 3)]
+    conn: Annotated[np.ndarray, Shape(-1, 4, dtype=np.int32, index_of="nodes")]
+    B: Annotated[np.ndarray, Shape(-1, 3, 3)]
+    V0: Annotated[np.ndarray, Shape(-1)]
+    node_volume: Annotated[np.ndarray, Shape(-1)]
+    facets: Annotated[np.ndarray, Shape(-1, 3, dtype=np.int32, index_of="nodes")]
+    facet_element: Annotated[np.ndarray, Shape(-1, dtype=np.int32, index_of="elements")]
     sets: dict[str, np.ndarray]
-    reach_node: np.ndarray
-    reach_element: np.ndarray
+    reach_node: Annotated[np.ndarray, Shape(-1)]
+    reach_element: Annotated[np.ndarray, Shape(-1)]
 
 
 def cylinder(

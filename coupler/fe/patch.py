@@ -14,10 +14,12 @@ from scipy.sparse.csgraph import connected_components
 from ..errors import SolverError
 from ..geometry.tetrahedra import FACES, boundary_faces
 from ..physics.constitutive import pressures, von_mises, yield_stresses
+from ..state.records import concatenate, take
 from .assemble import Domain
 from .heat import take_heat
 from .kernels import elastic_shear_energy
 from .mesh import TetMesh
+from .state import ElementState, NodeState
 
 ROUNDS = 12  # at most, to make a patch's boundary sound
 
@@ -132,15 +134,15 @@ def _part(conn: np.ndarray, chosen: np.ndarray, seed: int) -> np.ndarray:
 class Renewal:
     """What comes in a patch's place. points (n,3) m: those of the cut as they are, then new ones; tets (t,4).
 
-    V0 (t,) m3: reference volumes. nodes: v, energy of the new nodes; elements: s, eps_p, rate, heat, T of all new elements
-    (units as in `explicit.Target`).
+    V0 (t,) m3: reference volumes. nodes, elements: state of the new nodes and of all new elements; x, volume, sigma_y and what follows
+    from the rest are put in by `renewed`.
     """
 
     points: np.ndarray
     tets: np.ndarray
     V0: np.ndarray
-    nodes: dict[str, np.ndarray]
-    elements: dict[str, np.ndarray]
+    nodes: NodeState
+    elements: ElementState
 
 
 def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndarray, np.ndarray, np.ndarray]:
@@ -180,22 +182,14 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
     V0 = put(mesh.V0, new.V0, out)
     B, V = _gradients(new.points[new.tets], new.V0)
     law = domain.laws[domain.body[patch.elements[:1]]]
-    sigma_y = yield_stresses(law, new.elements["eps_p"], new.elements["T"])
-    s = new.elements["s"]
+    sigma_y = yield_stresses(law, new.elements.eps_p, new.elements.T)
+    s = new.elements.s
     s = s * np.minimum(1.0, sigma_y / np.maximum(von_mises(s), 1.0))[:, None]  # a mean of states may lie beyond yield
-    still = np.zeros((added, 3))
-    nodes = {
-        "x": new.points[patch.cut :],
-        "f": still,
-        "f_old": still,
-        "total": still,
-        "J": still[:, 0],
-        "p": still[:, 0],
-    }
-    elements = new.elements | {"s": s, "sigma_y": sigma_y, "volume": V, "fe": np.zeros((len(tets), 4, 3))}
-    lost, warmth = _made_up(domain, patch, elements, new.V0)
-    state = {name: put(domain.state[name], values, ~gone) for name, values in (nodes | new.nodes).items()}
-    state |= {name: put(domain.state[name], values, out) for name, values in elements.items()}
+    fresh_elements, lost, warmth = _made_up(
+        domain, patch, replace(new.elements, s=s, sigma_y=sigma_y, volume=V), new.V0
+    )
+    nodes = concatenate([take(domain.nodes, ~gone), replace(new.nodes, x=new.points[patch.cut :])])
+    elements = concatenate([take(domain.elements, out), fresh_elements])
     share = np.bincount(conn.ravel(), np.repeat(0.25 * V0, 4), many)
     renewed_mesh = TetMesh(
         points=put(mesh.points, new.points[patch.cut :], ~gone), conn=conn.astype(np.int32), B=put(mesh.B, B, out), V0=V0,
@@ -203,27 +197,31 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
         reach_element=np.zeros(len(conn)),
     )  # fmt: skip
     body = np.concatenate([domain.body[out], np.full(len(tets), domain.body[patch.elements[0]])]).astype(np.int32)
-    made = replace(domain, mesh=renewed_mesh, state=state, body=body)
     touched = np.unique(tets)
-    now = np.bincount(conn.ravel(), np.repeat(0.25 * state["volume"], 4), many)
-    state["J"][touched] = (now / share)[touched]
-    state["p"][touched] = pressures(law, state["J"][touched], state["energy"][touched])
-    return made, node, facet, np.array([lost, warmth])
+    now = np.bincount(conn.ravel(), np.repeat(0.25 * elements.volume, 4), many)
+    nodes.J[touched] = (now / share)[touched]
+    nodes.p[touched] = pressures(law, nodes.J[touched], nodes.energy[touched])
+    return (
+        replace(domain, mesh=renewed_mesh, nodes=nodes, elements=elements, body=body),
+        node,
+        facet,
+        np.array([lost, warmth]),
+    )
 
 
-def _made_up(domain: Domain, patch: Patch, new: dict[str, np.ndarray], V0: np.ndarray) -> tuple[float, float]:
-    """Give the elastic energy of shear that a patch has lost to its new elements as heat: (that energy, what makes pressure), J."""
+def _made_up(domain: Domain, patch: Patch, new: ElementState, V0: np.ndarray) -> tuple[ElementState, float, float]:
+    """The new elements of a patch with the elastic energy of shear that it has lost, as heat; that energy, and what of it makes
+    pressure, J."""
     old, laws = patch.elements, domain.laws
     of_old = np.full(len(old), domain.body[old[0]], np.int32)
     of_new = np.full(len(V0), domain.body[old[0]], np.int32)
     before = elastic_shear_energy(
-        0, len(old), domain.state["volume"][old], domain.mesh.V0[old], laws, of_old, domain.state["s"][old]
+        0, len(old), domain.elements.volume[old], domain.mesh.V0[old], laws, of_old, domain.elements.s[old]
     )
-    lost = float(before - elastic_shear_energy(0, len(V0), new["volume"], V0, laws, of_new, new["s"]))
-    T, heat, sigma_y = new["T"].copy(), new["heat"].copy(), new["sigma_y"].copy()
+    lost = float(before - elastic_shear_energy(0, len(V0), new.volume, V0, laws, of_new, new.s))
+    T, heat, sigma_y = new.T.copy(), new.heat.copy(), new.sigma_y.copy()
     warmth = take_heat(0, len(V0), lost * V0 / V0.sum(), V0, laws, of_new, T, heat, sigma_y)
-    new |= {"T": T, "heat": heat, "sigma_y": sigma_y}
-    return lost, float(warmth)
+    return replace(new, T=T, heat=heat, sigma_y=sigma_y), lost, float(warmth)
 
 
 def _gradients(corner: np.ndarray, V0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

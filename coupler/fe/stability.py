@@ -6,13 +6,16 @@ operator, started from the last vector with the worst elements stirred in, find 
 grows out of nothing in ten steps, so a safety factor stays, and the element bound times three is the most that is ever taken.
 """
 
+from dataclasses import dataclass
 from math import log
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numba import njit
 
+from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
+from ..state.records import Shape
 from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
 
 if TYPE_CHECKING:
@@ -110,6 +113,17 @@ def masses_for(t: "Target", dt: float) -> np.ndarray:
     return np.bincount(conn.ravel(), np.repeat(0.25 * mass, 4), len(t.x))
 
 
+@dataclass(frozen=True)
+class FrequencyState:
+    """w (n,3): the vector of the power iteration; warm: whether it has been iterated; known: how many nodes had a part in it; random:
+    state of the generator."""
+
+    warm: bool
+    known: int
+    random: dict[str, Any]
+    w: Annotated[np.ndarray, Shape(-1, 3)]
+
+
 class HighestFrequency:
     """Power iteration on one target; keeps its vector between calls."""
 
@@ -122,17 +136,19 @@ class HighestFrequency:
         self._warm = False
         self._known = 0  # nodes that had a part in the vector so far
 
-    def state(self) -> dict[str, Any]:
-        return {
-            "w": self._w.copy(),
-            "warm": self._warm,
-            "known": self._known,
-            "random": self._random.bit_generator.state,
-        }
+    def state(self) -> FrequencyState:
+        """The vector as it is, and the random numbers to come."""
+        return FrequencyState(self._warm, self._known, dict(self._random.bit_generator.state), self._w.copy())
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self._w[:], self._warm, self._known = state["w"], state["warm"], state["known"]
-        self._random.bit_generator.state = state["random"]
+    def restore(self, state: FrequencyState) -> None:
+        """Put a `state` into the iteration of the same target. Raises CheckpointError where it does not fit."""
+        if len(state.w) != len(self._w) or not 0 <= state.known <= len(self._w):
+            raise CheckpointError("a state does not fit: the vector of the highest frequency has another length")
+        self._w[:], self._warm, self._known = state.w, state.warm, state.known
+        try:
+            self._random.bit_generator.state = state.random
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise CheckpointError("a state does not fit: the random numbers") from error
 
     def longest_step(self, t: "Target", bound: float, n: int, m: int) -> float:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""

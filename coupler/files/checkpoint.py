@@ -1,7 +1,8 @@
 """Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
 
-A file is a line of JSON (format, checksum, what it belongs to) and an uncompressed .npz of arrays. The state is nested dicts of
-arrays, numbers, strings and None; numbers travel exactly.
+A file is a line of JSON (format, checksum, what it belongs to) and an uncompressed .npz of arrays. The state is a record (a
+frozen dataclass, see `state.records`) of arrays, numbers, strings, None, lists, dicts and other records; numbers travel exactly. It is
+read by the type hints of the record: every field must be there, with the type and shape that it says.
 """
 
 import contextlib
@@ -11,28 +12,34 @@ import json
 import os
 import re
 import shutil
-import zipfile
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from ..errors import StoreError
+from ..errors import CheckpointError, StoreError
+from ..state.records import Shape, rows_of, shapes_of
 
-FORMAT = 4
+FORMAT = 5
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _HEADER = 65536  # bytes at most of the first line
 
 
-class CheckpointError(StoreError):
-    """A checkpoint that cannot be gone on from: says why, and what to do."""
+R = TypeVar("R")
 
 
-def write(directory: Path, state: dict[str, Any], about: dict[str, Any]) -> Path:
-    """Write the next checkpoint of a run and remove all but the last KEPT. about: what it belongs to, for `latest`.
+class OtherVersion(CheckpointError):
+    """A checkpoint of another format."""
 
-    Raises StoreError when it cannot be written (a full disk); earlier ones are then untouched.
+
+def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
+    """Write the record `state` as the next checkpoint of a run and remove all but the last KEPT.
+
+    about: what it belongs to, for `latest`. Raises StoreError when it cannot be written (a full disk); earlier ones are then untouched.
     """
     numbers = [number for number, _ in found(directory)]
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
@@ -44,7 +51,7 @@ def write(directory: Path, state: dict[str, Any], about: dict[str, Any]) -> Path
         np.savez(payload, **arrays)  # type: ignore[arg-type]
         content = payload.getbuffer()
         header = {"format": FORMAT, "sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)}
-        line = json.dumps(header | {"about": about, "tree": tree}).encode() + b"\n"
+        line = json.dumps(header | {"about": dict(about), "tree": tree}).encode() + b"\n"
         if shutil.disk_usage(directory).free < len(content) + len(line):
             raise OSError(28, "no space left on the disk")
         with open(temporary, "wb") as stream:
@@ -77,8 +84,10 @@ def clear(directory: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def latest(directory: Path, about: dict[str, Any], log: Any = None) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """State and `about` of the last checkpoint that is whole; None if there is none at all.
+def latest(
+    directory: Path, kind: type[R], about: Mapping[str, str], log: Callable[[str], None] | None = None
+) -> R | None:
+    """State, a record of class `kind`, of the last checkpoint that is whole; None if there is none at all.
 
     A damaged one is passed over, with a line to log(text). Raises CheckpointError when a checkpoint belongs to another version
     or another scene (a key of `about` differs), or when all are damaged.
@@ -86,41 +95,49 @@ def latest(directory: Path, about: dict[str, Any], log: Any = None) -> tuple[dic
     damaged = []
     for _, path in reversed(found(directory)):
         try:
-            state, its = read(path)
+            return read(path, kind, about)
+        except OtherVersion:
+            raise
         except CheckpointError as error:
             damaged.append(str(error))
             if log is not None:
                 log(f"{error}; trying the one before")
-            continue
-        for key, wanted in about.items():
-            if its.get(key) != wanted:
-                raise CheckpointError(
-                    f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
-                    " go on with that one, or start anew with coldspray run --force"
-                )
-        return state, its
     if damaged:
         raise CheckpointError(f"no checkpoint in {directory} is whole: start anew with coldspray run --force")
     return None
 
 
-def read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """State and `about` of a checkpoint file. Raises CheckpointError if it is not whole."""
+def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R:
+    """State of a checkpoint file, a record of class `kind`. about: what it must belong to.
+
+    Raises CheckpointError if it is not whole or not such a record, OtherVersion if it belongs to another version or scene.
+    """
     try:
         with open(path, "rb") as stream:
             header = _header(stream, path)
-            content = stream.read(int(header["bytes"]) + 1)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{path} is damaged ({error})") from error
-    if len(content) != header["bytes"] or hashlib.sha256(content).hexdigest() != header["sha256"]:
-        raise CheckpointError(f"{path} is damaged (its checksum does not fit)")
-    if header["format"] != FORMAT:
-        raise CheckpointError(f"{path} has format {header['format']}, this version reads {FORMAT}")
-    try:
+            size = int(header["bytes"])
+            content = stream.read(max(size, 0) + 1)
+            whole = len(content) == size and hashlib.sha256(content).hexdigest() == header["sha256"]
+        if not whole:
+            raise CheckpointError(f"{path} is damaged (its checksum does not fit)")
+        its = dict(header["about"])
+        if header["format"] != FORMAT:
+            raise OtherVersion(
+                f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
+                f" reads format {FORMAT}: go on with that version, or start anew with coldspray run --force"
+            )
+        for key, wanted in (about or {}).items():
+            if its.get(key) != wanted:
+                raise OtherVersion(
+                    f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
+                    " go on with that one, or start anew with coldspray run --force"
+                )
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            return _restore(header["tree"], arrays), header["about"]
-    except (ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise CheckpointError(f"{path} is damaged ({error})") from error
+            return _decode(kind, header["tree"], arrays, "")
+    except CheckpointError:
+        raise
+    except Exception as error:  # whatever is wrong inside a file that anybody may have written
+        raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {str(error)[:200]})") from error
 
 
 def _header(stream: BinaryIO, path: Path) -> dict[str, Any]:
@@ -133,7 +150,10 @@ def _header(stream: BinaryIO, path: Path) -> dict[str, Any]:
 
 def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
     """The tree with each array replaced by where it is kept."""
-    if isinstance(value, dict):
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {f.name: _flatten(getattr(value, f.name), f"{name}/{f.name}", arrays) for f in fields(value)}
+        return {"record": parts, "kind": type(value).__name__}
+    if isinstance(value, Mapping):
         return {"dict": {key: _flatten(item, f"{name}/{key}", arrays) for key, item in value.items()}}
     if isinstance(value, (list, tuple)):
         return {"list": [_flatten(item, f"{name}/{i}", arrays) for i, item in enumerate(value)]}
@@ -149,13 +169,71 @@ def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
     raise TypeError(f"{name}: a checkpoint cannot hold {type(value).__name__}")
 
 
-def _restore(tree: Any, arrays: Any) -> Any:
-    kind, value = next(iter(tree.items()))
-    if kind == "dict":
-        return {key: _restore(item, arrays) for key, item in value.items()}
-    if kind == "list":
-        return [_restore(item, arrays) for item in value]
-    return arrays[value] if kind == "array" else value
+def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -> Any:
+    """The value of a tree as its type hint says. Raises ValueError where it is of another type."""
+    if hint is Any or hint is object:
+        return _plain(tree, arrays)
+    origin, options = get_origin(hint), get_args(hint)
+    if origin in (Union, types.UnionType):
+        wanted = tree.get("kind") if "record" in tree else None
+        chosen = [option for option in options if is_dataclass(option) and getattr(option, "__name__", "") == wanted]
+        if not chosen:  # None, a number or a list
+            empty = "value" in tree and tree["value"] is None
+            chosen = [o for o in options if (o is type(None)) == empty and (wanted is None) != is_dataclass(o)]
+        if len(chosen) != 1:
+            raise ValueError(f"{name} is none of {hint}")
+        return _decode(chosen[0], tree, arrays, name)
+    if isinstance(hint, type) and is_dataclass(hint):
+        kinds = {kind.__name__: kind for kind in (hint, *hint.__subclasses__())}
+        hint = kinds.get(str(tree.get("kind")), hint) if isinstance(tree, dict) else hint
+        parts, hints = _part(tree, "record", name), get_type_hints(hint)
+        if set(parts) != {f.name for f in fields(hint)}:
+            raise ValueError(
+                f"{name or 'the state'} has the fields {_short(sorted(parts))}, not those of {hint.__name__}"
+            )
+        values = {key: _decode(hints[key], part, arrays, f"{name}/{key}") for key, part in parts.items()}
+        for key, spec in shapes_of(hint).items():
+            _check(values[key], spec, f"{name}/{key}")
+        if len({len(values[key]) for key in rows_of(hint)}) > 1:
+            raise ValueError(f"{name} has arrays of different lengths")
+        return hint(**values)
+    if origin is list or origin is tuple:
+        items = _part(tree, "list", name)
+        made = [_decode(options[0], item, arrays, f"{name}/{i}") for i, item in enumerate(items)]
+        return made if origin is list else tuple(made)
+    if origin is dict:
+        return {
+            key: _decode(options[1], item, arrays, f"{name}/{key}") for key, item in _part(tree, "dict", name).items()
+        }
+    if hint is np.ndarray or origin is np.ndarray:
+        return arrays[_part(tree, "array", name)]
+    value = tree["value"] if isinstance(tree, dict) and "value" in tree else tree
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not (type(None) if hint is None else hint):
+        raise ValueError(f"{name} is no {getattr(hint, '__name__', hint)}")
+    return value
+
+
+def _part(tree: Any, kind: str, name: str) -> Any:
+    if not isinstance(tree, dict) or kind not in tree:
+        raise ValueError(f"{name or 'the state'} is no {kind}")
+    return tree[kind]
+
+
+def _plain(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """A value without a type of its own: dicts, lists, arrays and numbers."""
+    if "dict" in tree:
+        return {key: _plain(item, arrays) for key, item in tree["dict"].items()}
+    if "list" in tree:
+        return [_plain(item, arrays) for item in tree["list"]]
+    return arrays[tree["array"]] if "array" in tree else tree["value"]
+
+
+def _check(value: np.ndarray, spec: Shape, name: str) -> None:
+    fits = value.ndim == len(spec.shape) and all(n in (-1, m) for n, m in zip(spec.shape, value.shape, strict=True))
+    if value.dtype != spec.dtype or not fits:
+        raise ValueError(f"{name} is an array {value.shape} of {value.dtype}, not {spec.shape} of {spec.dtype}")
 
 
 def _short(value: Any) -> str:

@@ -18,20 +18,31 @@ import os
 import re
 from array import array
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import StoreError
+from ..errors import CheckpointError, StoreError
+from ..state.records import Shape
 from . import checkpoint
 from .outputs import RUN_FILES, check_folder, claim_folder
 from .vtkhdf import VtkHdfWriter
 
 DOMAINS = ("particle", "surface", "target")
 HISTORY, SCENE, SUMMARY, PICTURE = "history.csv", "scene.toml", "summary.json", "section.png"
+
+
+@dataclass(frozen=True)
+class StoreState:
+    """How much of each file is written. steps: of each domain's fields; columns and history (rows, columns): of history.csv."""
+
+    steps: dict[str, int]
+    columns: list[str]
+    history: Annotated[np.ndarray, Shape(-1, -1)]
 
 
 class Store:
@@ -91,39 +102,40 @@ class Store:
         except OSError as error:
             raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> StoreState:
         """The history, and how many steps of each domain are written: what `go_on` goes on from."""
-        return {
-            "columns": list(self._columns),
-            "history": np.array(self._rows).reshape(-1, max(len(self._columns), 1)),
-            "steps": {domain: writer.steps for domain, writer in self._writers.items()},
-        }
+        history = np.array(self._rows).reshape(-1, max(len(self._columns), 1))
+        return StoreState(
+            {domain: writer.steps for domain, writer in self._writers.items()}, list(self._columns), history
+        )
 
-    def go_on(self, state: Mapping[str, Any] | None, log: Any) -> None:
+    def go_on(self, state: StoreState | None, log: Any) -> None:
         """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
 
         Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
         be read starts anew, with a line to log(text).
         """
-        steps = dict(state["steps"]) if state else {}
+        steps = state.steps if state else {}
         for domain in DOMAINS:
             path = self.directory / f"{domain}.vtkhdf"
             with _named(path):
                 if steps.get(domain):
-                    self._copy_steps(domain, path, int(steps[domain]), log)
+                    self._copy_steps(domain, path, steps[domain], log)
                 else:
                     path.unlink(missing_ok=True)
         path = self.directory / HISTORY
         with _named(path):
-            if state and len(state["history"]):
-                self._columns = list(state["columns"])
-                self._rows = array("d", np.asarray(state["history"], float).ravel().tobytes())
-                _replace(path, "".join([_line(self._columns), *map(_numbers, state["history"])]))
+            if state and len(state.history):
+                if state.history.shape[1] != len(state.columns):
+                    raise CheckpointError("a state does not fit: the history has other columns")
+                self._columns = list(state.columns)
+                self._rows = array("d", state.history.ravel().tobytes())
+                _replace(path, "".join([_line(self._columns), *map(_numbers, state.history)]))
                 self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
             else:
                 path.unlink(missing_ok=True)
 
-    def go_back(self, state: Mapping[str, Any], log: Any) -> None:
+    def go_back(self, state: StoreState, log: Any) -> None:
         """As `go_on`, of a store that has gone on writing since."""
         with _named(self.directory):
             for writer in self._writers.values():

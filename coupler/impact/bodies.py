@@ -1,24 +1,40 @@
 """The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..contact.bodies import BodyContact
-from ..contact.bond import Bond, penalty
+from ..contact.bodies import BodyContact, BodyContactState
+from ..contact.bond import Bond, BondState, penalty
 from ..contact.surfaces import Interface, Surfaces, interface
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
 from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
+from ..fe.state import TargetState
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..physics.adhesion import Adhesion
+from ..physics.constitutive import LAW
+from ..state.records import Shape, check_indices
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
 LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
+
+
+@dataclass(frozen=True)
+class BodiesState:
+    """Substrate and splats with all that acts between them. placed (n,3) m: see `Bodies`, as for body (m,) and buried (b,)."""
+
+    mesh: TetMesh
+    target: TargetState
+    contact: BodyContactState | None
+    bond: BondState | None
+    placed: np.ndarray | None
+    laws: Annotated[np.ndarray, Shape(-1, dtype=LAW)]
+    body: Annotated[np.ndarray, Shape(-1, dtype=np.int32, index_of="laws")]
+    buried: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="facets")]
 
 
 @dataclass
@@ -89,60 +105,38 @@ class Bodies:
         held = c.penalty_energy + c.friction_heat + c.lost if c is not None else 0.0
         return held + (b.stored + b.dissipated if b is not None else 0.0)
 
-    def state(self) -> dict[str, Any]:
-        """What `restore` needs beside the mesh, `body`, the laws and `buried`."""
-        return {
-            "target": self.target.state(),
-            "contact": self.contact.state() if self.contact is not None else None,
-            "bond": self.bond.state() if self.bond is not None else None,
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Put a `state` into bodies of the same meshes."""
-        self.target.restore(state["target"])
-        if self.contact is not None:
-            self.contact.restore(state["contact"])
-        if state["bond"] is not None:
-            self.bond = Bond.from_state(state["bond"])
-
-    def whole(self) -> dict[str, Any]:
-        """All there is, for a checkpoint: see `from_whole`."""
-        return {
-            "mesh": asdict(self.target.mesh), "laws": self.target.laws, "body": self.body, "buried": self.buried,
-            "placed": self.placed, "state": self.state(), "fe": self.target.fe,
-        }  # fmt: skip
-
-    def whole_with(self, state: Mapping[str, Any]) -> dict[str, Any]:
-        """As `whole`, with another `state` of the same meshes, "fe" in it: its arrays are taken as they are."""
-        mesh = {part.name: getattr(self.target.mesh, part.name) for part in fields(TetMesh)}
-        return {
-            "mesh": mesh, "laws": self.target.laws, "body": self.body, "buried": self.buried, "placed": self.placed,
-            "state": state, "fe": state["fe"],
-        }  # fmt: skip
+    def state(self) -> BodiesState:
+        """Everything from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
+        return BodiesState(
+            self.target.mesh, self.target.state(), self.contact.state() if self.contact is not None else None,
+            self.bond.state() if self.bond is not None else None,
+            self.placed, self.target.laws, self.body, self.buried,
+        )  # fmt: skip
 
     @classmethod
-    def from_whole(
-        cls,
-        whole: Mapping[str, Any],
-        fixed: tuple[str, ...],
-        absorbing: tuple[str, ...],
-        friction: float,
-        conduction: bool,
+    def from_state(
+        cls, state: BodiesState, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float, conduction: bool
     ) -> "Bodies":
-        """Bodies as `whole` described them."""
-        mesh, state = TetMesh(**whole["mesh"]), whole["state"]
-        T = state["target"]["T"]
+        """Bodies as a `state` has them. Raises CheckpointError where its parts do not fit each other."""
+        mesh = state.mesh
+        _check(state)
         target = Target(
-            mesh, whole["laws"], T, law_of=whole["body"], fixed=fixed, absorbing=absorbing, conduction=conduction
+            mesh,
+            state.laws,
+            state.target.elements.T,
+            law_of=state.body,
+            fixed=fixed,
+            absorbing=absorbing,
+            conduction=conduction,
         )
-        target.fe[:] = whole["fe"]
-        one = cls(
-            target, np.array(whole["body"]), fixed, absorbing, friction, buried=whole["buried"], placed=whole["placed"]
-        )
-        if one.placed is not None:
-            one.contact = BodyContact(one.surfaces, one.placed, [float(K) for K in target.laws["K"]], friction)
-        one.restore(state)
-        return one
+        target.restore(state.target)
+        bodies = cls(target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed)
+        if state.placed is not None and state.contact is not None:
+            bodies.contact = BodyContact(bodies.surfaces, state.placed, [float(K) for K in target.laws["K"]], friction)
+            bodies.contact.restore(state.contact)
+        if state.bond is not None:
+            bodies.bond = Bond.from_state(state.bond)
+        return bodies
 
     # ---- between impacts -----------------------------------------------------------------------------------------
 
@@ -246,13 +240,43 @@ class Bodies:
 def bodies_of(
     domain: Domain, before: Target, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float
 ) -> Bodies:
-    """Bodies from a domain, the books going on from those of `before`."""
+    """Bodies from a domain, the ledger going on from that of `before`."""
     target = Target(
-        domain.mesh, domain.laws, domain.state["T"], law_of=domain.body, fixed=fixed, absorbing=absorbing,
+        domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=fixed, absorbing=absorbing,
         conduction=before.conduction is not None, sleeping=bool(np.isfinite(before.reach)),
     )  # fmt: skip
-    target.take(domain.state, before)
+    target.take(domain.nodes, domain.elements, before)
     return Bodies(target, domain.body, fixed, absorbing, friction)
+
+
+def _check(state: BodiesState) -> None:
+    """Raise CheckpointError where arrays have other lengths than the mesh, or point at what is not there."""
+    mesh, n, m = state.mesh, len(state.mesh.points), len(state.mesh.conn)
+    by_node = (
+        mesh.node_volume,
+        mesh.reach_node,
+        state.target.nodes.x,
+        *([] if state.placed is None else [state.placed]),
+    )
+    by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
+    if (
+        any(len(a) != n for a in by_node)
+        or any(len(a) != m for a in by_element)
+        or len(mesh.facet_element) != len(mesh.facets)
+    ):
+        raise CheckpointError("a state does not fit: mesh and fields of the target have different lengths")
+    if not {"top", "bottom", "sides"} <= set(mesh.sets):
+        raise CheckpointError("a state does not fit: the mesh lacks the faces of the substrate")
+    counts = {"nodes": n, "elements": m, "facets": len(mesh.facets), "laws": len(state.laws)}
+    for ids in mesh.sets.values():
+        if (
+            ids.dtype.kind != "i"
+            or ids.ndim != 1
+            or (ids.size and not (ids.min() >= 0 and ids.max() < counts["facets"]))
+        ):
+            raise CheckpointError("a state does not fit: a face of the mesh points at facets that are not there")
+    for record in (mesh, state, *([] if state.bond is None else [state.bond.rows])):
+        check_indices(record, **counts)
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: float) -> float:

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ..sph.carried_surface import CarriedSurface
 from ..sph.engine import ENGINES
 from ..sph.heat import PointConduction
 from ..sph.particle import Numerics, Particle
-from .bodies import Bodies, level_under
+from .bodies import Bodies, BodiesState, level_under
 from .heat import HeatPaths
 
 SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
@@ -64,9 +63,9 @@ def build_target(plan: Plan) -> Bodies:
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
 
 
-def restored_target(plan: Plan, state: Mapping[str, Any]) -> Bodies:
-    """The bodies of a checkpoint (`Bodies.whole`)."""
-    return Bodies.from_whole(state, *held_faces(plan), plan.friction, plan.effects.on("conduction"))
+def restored_target(plan: Plan, state: BodiesState) -> Bodies:
+    """The bodies of a kept state."""
+    return Bodies.from_state(state, *held_faces(plan), plan.friction, plan.effects.on("conduction"))
 
 
 def held_faces(plan: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:

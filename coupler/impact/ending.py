@@ -1,7 +1,6 @@
 """When an impact is over: at rest, at its greatest deformation, or at a given time."""
 
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
@@ -51,8 +50,10 @@ class EndCriterion:
         over = {"rest": settled, "greatest": s.turned is not None, "time": False}[self.at]
         return over or time >= self.end_time * (1 - 1e-12)
 
-    def state(self) -> dict[str, Any]:
-        return asdict(self._state)
+    def state(self) -> EndState:
+        """What it has seen so far."""
+        return self._state
 
-    def restore(self, state: dict[str, Any]) -> None:
-        self._state = EndState(**state)
+    def restore(self, state: EndState) -> None:
+        """Go on from a `state`."""
+        self._state = state

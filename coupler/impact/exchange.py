@@ -6,19 +6,39 @@ leaves with its forces.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from ..contact.hold import CONTACT_RANGE, Hold
+from ..contact.hold import CONTACT_RANGE, Hold, HoldState
+from ..contact.penalty import ContactState
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, Adhesion
+from ..ranks.distributed import ParticleState
+from ..state.records import Shape, assign, check_indices, collect
+from .bodies import BodiesState
 from .domains import Domains
-from .ledger import Ledger
+from .ledger import Ledger, LedgerState
 
 WINDOW = (
     10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
 )
+
+
+@dataclass(frozen=True)
+class ImpactState:
+    """The two domains and the contact between them; the rest as in `Impact`."""
+
+    bodies: BodiesState
+    particle: ParticleState
+    contact: ContactState
+    ledger: LedgerState
+    hold: HoldState | None
+    time: float
+    deepest: float
+    limits: dict[str, int]
+    force: Annotated[np.ndarray, Shape(3)]
 
 
 class Impact:
@@ -154,19 +174,20 @@ class Impact:
         """Energies of this instant (`Ledger.update`)."""
         return self.ledger.update(self.domains, self.hold)
 
-    def state(self) -> dict[str, Any]:
-        """What goes on in the next window as if nothing had happened, but for the bodies: numbers and arrays, nested."""
-        return {
-            "particle": self.particle.state(), "contact": self.contact.state(), "ledger": self.ledger.state(),
-            "time": self.time, "force": self.force, "deepest": self.deepest,
-            "limits": self.limits, "dt_factor": self.dt_factor,
-            "hold": self.hold.state() if self.hold is not None else None,
-        }  # fmt: skip
+    def state(self) -> ImpactState:
+        """Everything that goes on in the next window as if nothing had happened."""
+        return collect(ImpactState, self)
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Put a `state` into an impact of the same plan that was just built."""
-        for name in ("particle", "contact", "ledger"):
-            getattr(self, name).restore(state[name])
-        for name in ("time", "force", "deepest", "limits", "dt_factor"):
-            setattr(self, name, state[name])
-        self.hold = Hold.from_state(state["hold"]) if state["hold"] is not None else None
+    def restore(self, state: ImpactState) -> None:
+        """Put a `state` into an impact of the same plan that was just built on its bodies.
+
+        Raises CheckpointError where it does not fit.
+        """
+        self.particle.restore(state.particle)
+        self.contact.restore(state.contact)
+        self.ledger.restore(state.ledger)
+        assign(self, state)
+        self.hold = None
+        if state.hold is not None:
+            check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
+            self.hold = Hold.from_state(state.hold)

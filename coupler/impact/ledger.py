@@ -1,12 +1,13 @@
 """The energy ledger of an impact, and the checks that it closes."""
 
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from ..contact.hold import Hold
 from ..errors import SolverError
+from ..state.records import Shape, assign, collect
 from .domains import Domains
 
 DRIFT_BOUND = 0.02  # of the initial kinetic energy: a run that ends beyond it has failed
@@ -27,10 +28,10 @@ class LedgerState:
     terms at the start, J; rows: the terms at the last update."""
 
     kinetic_0: float
-    momentum_0: np.ndarray
     scale: float
-    before: dict[str, float] = field(default_factory=dict)
-    rows: dict[str, float] = field(default_factory=dict)
+    before: dict[str, float]
+    rows: dict[str, float]
+    momentum_0: Annotated[np.ndarray, Shape(3)]
 
 
 class Ledger:
@@ -101,13 +102,13 @@ class Ledger:
                 f"the SPH scheme generated {-dissipated:.2%} of the initial kinetic energy: it is unstable; try a finer preset"
             )
 
-    def state(self) -> dict[str, Any]:
-        return asdict(LedgerState(self.kinetic_0, self.momentum_0, self.scale, self.before, self.rows))
+    def state(self) -> LedgerState:
+        """The terms at the start and at the last update."""
+        return collect(LedgerState, self)
 
-    def restore(self, values: dict[str, Any]) -> None:
-        state = LedgerState(**values)
-        self.kinetic_0, self.momentum_0, self.scale = state.kinetic_0, state.momentum_0, state.scale
-        self.before, self.rows = state.before, state.rows
+    def restore(self, state: LedgerState) -> None:
+        """Go on from a `state`."""
+        assign(self, state)
 
 
 def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:

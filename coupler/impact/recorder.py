@@ -1,7 +1,6 @@
 """What is written of an impact while it runs: rows of the history, fields in time, and the ranges that it has left."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from ..files.store import Store
 from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
+from ..state.records import collect
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
 from .measure import crater_depth, measure
@@ -47,13 +47,13 @@ class Recorder:
         self.over_rim = self.in_layer = False
         self.greatest: dict[str, float] | None = None
         self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
-        self._next_row = self._next_output = 0.0
+        self.next_row = self.next_output = 0.0
 
     def start(self, impact: Impact) -> None:
         """Write the fields of the first instant, if a state gone back to does not hold them already."""
         if self.progress is not None:
             self.progress.start(self.impact_plan.expected)
-        if self._next_output == 0.0:
+        if self.next_output == 0.0:
             self.write_fields(impact)
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
@@ -61,9 +61,9 @@ class Recorder:
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """
-        if is_last or impact.time >= self._next_row:
+        if is_last or impact.time >= self.next_row:
             self.write_row(impact, dt)
-        if is_last or impact.time >= self._next_output:
+        if is_last or impact.time >= self.next_output:
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
@@ -93,7 +93,7 @@ class Recorder:
         row["stretch_min"] = particle.stretch_min
         self.store.record(row)
         self._notice(impact, skin)
-        self._next_row = impact.time + self._row_every
+        self.next_row = impact.time + self._row_every
         if not np.isfinite(ledger["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
         impact.ledger.check(DRIFT_ALARM)
@@ -126,7 +126,7 @@ class Recorder:
         cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
         cells["body"] = impact.bodies.body  # 0 the substrate, then the splats in the order they joined
         self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cells)
-        self._next_output = impact.time + self.impact_plan.output_every
+        self.next_output = impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""
@@ -138,15 +138,13 @@ class Recorder:
         mesh = impact.target.mesh
         return np.unique(mesh.facets[mesh.sets["top"]])
 
-    def state(self) -> dict[str, Any]:
-        return asdict(
-            RecorderState(
-                self._next_row, self._next_output, self.greatest, self.extremes.state(), self.over_rim, self.in_layer
-            )
-        )
+    def state(self) -> RecorderState:
+        """What is due next, and what was noticed so far."""
+        return collect(RecorderState, self)
 
-    def restore(self, state: dict[str, Any]) -> None:
-        s = RecorderState(**state)
-        self._next_row, self._next_output, self.greatest = s.next_row, s.next_output, s.greatest
-        self.extremes.restore(s.extremes)
-        self.over_rim, self.in_layer = s.over_rim, s.in_layer
+    def restore(self, state: RecorderState) -> None:
+        """Go on from a `state`."""
+        self.extremes.restore(state.extremes)
+        for f in fields(state):
+            if f.name != "extremes":
+                setattr(self, f.name, getattr(state, f.name))

@@ -4,12 +4,13 @@ Sound states of an impact are kept in memory while it runs. When a domain fails,
 is applied; when none is left the error stands.
 """
 
-import copy
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from ..errors import SolverError
+
+S = TypeVar("S")
 
 KEEP_EVERY = 10  # windows of steps between two states that are kept
 
@@ -57,16 +58,16 @@ class Retry:
         return f"retried at {self.time_s * 1e9:.2f} ns: {self.reason}; {self.remedy} ({self.back_to_s * 1e9:.2f} ns)"
 
 
-class Retries:
+class Retries(Generic[S]):
     """Sound states of one impact, and the retries so far.
 
-    requested: numerics that the run was asked to change; made: the retries, in order.
+    S: what is kept, which never changes. requested: numerics that the run was asked to change; made: the retries, in order.
     """
 
-    def __init__(self, requested: Mapping[str, float]):
+    def __init__(self, requested: Mapping[str, float], made: Sequence[Retry] = ()):
         self.requested = dict(requested)
-        self.made: list[Retry] = []
-        self._kept: list[tuple[float, dict[str, Any]]] = []
+        self.made = list(made)
+        self._kept: list[tuple[float, S]] = []
         self._windows = 0
 
     @property
@@ -80,12 +81,12 @@ class Retries:
         self._windows += 1
         return due
 
-    def keep(self, time: float, state: dict[str, Any]) -> None:
+    def keep(self, time: float, state: S) -> None:
         """Remember a sound state at `time` s: the first and the last two are kept."""
-        self._kept.append((time, copy.deepcopy(state)))
+        self._kept.append((time, state))
         del self._kept[1:-2]
 
-    def next_remedy(self, error: SolverError, impact: int, time: float) -> tuple[Retry, dict[str, Any]]:
+    def next_remedy(self, error: SolverError, impact: int, time: float) -> tuple[Retry, S]:
         """The next retry, and the state to go back to. time: s, of the error. Raises the error when no remedy is left."""
         if len(self.made) >= len(REMEDIES) or not self._kept:
             raise error
@@ -96,10 +97,4 @@ class Retries:
         reason = str(error).split(". Try ")[0].split(": try ")[0]
         retry = Retry(impact, time, back, reason, remedy.words, remedy.dt_factor, remedy.raised(self.requested))
         self.made.append(retry)
-        return retry, copy.deepcopy(state)
-
-    def state(self) -> list[dict[str, Any]]:
-        return [asdict(retry) for retry in self.made]
-
-    def restore(self, state: list[dict[str, Any]]) -> None:
-        self.made = [Retry(**made) for made in state]
+        return retry, state

@@ -10,17 +10,17 @@ import numpy as np
 
 from ..contact.hold import Hold
 from ..errors import SolverError
-from ..files.store import Store
+from ..files.store import Store, StoreState
 from ..plan.planning import ImpactPlan, Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
 from .bodies import Bodies
 from .domains import Domains, build_domains, restored_target
-from .ending import QUIET_TIME, STILL, EndCriterion
-from .exchange import Impact
+from .ending import QUIET_TIME, STILL, EndCriterion, EndState
+from .exchange import Impact, ImpactState
 from .loop import advance_to_end
-from .recorder import Recorder
-from .retry import Retries
+from .recorder import Recorder, RecorderState
+from .retry import Retries, Retry
 from .stop import Stopped, StopSignals
 from .summary import summarise
 
@@ -53,6 +53,28 @@ class ImpactOutcome:
     record: dict[str, Any]
 
 
+@dataclass(frozen=True)
+class RunningState:
+    """An impact on its way. level: height of the surface where the particle first touches it, m; wall, looped: s of wall time so far,
+    in all and in the time loop."""
+
+    impact: ImpactState
+    ending: EndState
+    recorder: RecorderState
+    retries: list[Retry]
+    level: float
+    wall: float
+    looped: float
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """What a retry goes back to: the impact, and how much of each file was written."""
+
+    state: RunningState
+    store: StoreState
+
+
 def run_impact(
     plan: Plan,
     i: int,
@@ -60,8 +82,8 @@ def run_impact(
     store: Store,
     before: float,
     options: RunOptions,
-    save: Callable[[dict[str, Any]], None],
-    resume_from: dict[str, Any] | None = None,
+    save: Callable[[RunningState], None],
+    resume_from: RunningState | None = None,
 ) -> ImpactOutcome:
     """Impact i of a plan on the target `bodies`, to its end.
 
@@ -69,15 +91,13 @@ def run_impact(
     `bodies`. After a failure the impact goes back to a kept state and tries the next remedy (`impact.retry`); all domains are built
     anew for it. Raises SolverError when no remedy is left, StoreError, or Stopped after a signal.
     """
-    retries, watch = Retries(options.numerics), _WallClock()
-    state, level = resume_from, None
+    state, retries, watch = resume_from, Retries[_Kept](options.numerics), _WallClock()
     if state is not None:
-        level = state["level"]
-        retries.restore(state["retries"])
-        watch = _WallClock(state["wall"], state["looped"])
-        options.log(f"going on from {(before + state['impact']['time']) * 1e9:.1f} ns")
+        retries, watch = Retries[_Kept](options.numerics, state.retries), _WallClock(state.wall, state.looped)
+        options.log(f"going on from {(before + state.impact.time) * 1e9:.1f} ns")
     with StopSignals() as signals:
         while True:
+            level = None if state is None else state.level
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
             impact = Impact(domains, options.threads)
             try:
@@ -86,24 +106,24 @@ def run_impact(
                     Recorder(plan, i, store, options.progress, before),
                 )
                 if state is not None:
-                    impact.restore(state["impact"])
-                    ending.restore(state["ending"])
-                    recorder.restore(state["recorder"])
+                    impact.restore(state.impact)
+                    ending.restore(state.ending)
+                    recorder.restore(state.recorder)
                     impact.dt_factor = retries.made[-1].dt_factor if retries.made else 1.0
                 keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
                 recorder.start(impact)
                 watch.start_loop()
                 advance_to_end(impact, ending, recorder, keeper.keep, options.probe)
                 impact.close()
-                record = summarise(impact, recorder, retries, watch.wall, watch.looped)
+                record = summarise(impact, recorder, retries.made, watch.wall, watch.looped)
                 return ImpactOutcome(domains, impact.hold, record)
             except SolverError as error:
                 _give_up(impact)
                 retry, kept = retries.next_remedy(error, i + 1, before + impact.time)
                 options.log(str(retry))
-                state = kept["state"]
-                bodies, level = restored_target(plan, state["bodies"]), state["level"]
-                store.go_back(kept["store"], options.log)
+                state = kept.state
+                bodies = restored_target(plan, state.impact.bodies)
+                store.go_back(kept.store, options.log)
             except BaseException:
                 _give_up(impact)
                 raise
@@ -147,11 +167,11 @@ class _Keeper:
     impact: Impact
     ending: EndCriterion
     recorder: Recorder
-    retries: Retries
+    retries: "Retries[_Kept]"
     watch: _WallClock
     signals: StopSignals
     checkpoint_every: float
-    save: Callable[[dict[str, Any]], None]
+    save: Callable[[RunningState], None]
     saved: float = field(default_factory=clock.perf_counter)
 
     def keep(self) -> None:
@@ -159,9 +179,8 @@ class _Keeper:
         if self.retries.due():
             self.impact.update_ledger()
             if self.impact.ledger.is_sound:
-                store = self.recorder.store.state()
                 time = self.recorder.before + self.impact.time
-                self.retries.keep(time, {"state": self.state(), "store": store})
+                self.retries.keep(time, _Kept(self.state(), self.recorder.store.state()))
         now = clock.perf_counter()
         if self.signals.number or now - self.saved >= self.checkpoint_every:
             self.save(self.state())
@@ -169,10 +188,14 @@ class _Keeper:
         if self.signals.number:
             raise Stopped(self.signals.number)
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> RunningState:
         """Everything from which the impact goes on as if nothing had happened."""
-        return {
-            "bodies": self.impact.bodies.whole(), "impact": self.impact.state(), "ending": self.ending.state(),
-            "recorder": self.recorder.state(), "retries": self.retries.state(), "level": self.impact.domains.level,
-            "wall": self.watch.wall, "looped": self.watch.looped,
-        }  # fmt: skip
+        return RunningState(
+            self.impact.state(),
+            self.ending.state(),
+            self.recorder.state(),
+            list(self.retries.made),
+            self.impact.domains.level,
+            self.watch.wall,
+            self.watch.looped,
+        )

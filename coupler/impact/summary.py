@@ -1,6 +1,7 @@
 """The record of a finished impact for summary.json."""
 
 import resource
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -11,14 +12,16 @@ from ..plan.bands import Kind, of_summary
 from .exchange import Impact
 from .rebound import outcome
 from .recorder import Recorder
-from .retry import Retries
+from .retry import Retry
 
 DISSIPATION_ALARM = (
     0.2  # of the kinetic energy: beyond it the numerical dissipation is no longer small beside plastic work
 )
 
 
-def summarise(impact: Impact, recorder: Recorder, retries: Retries, wall: float, looped: float) -> dict[str, Any]:
+def summarise(
+    impact: Impact, recorder: Recorder, retries: Sequence[Retry], wall: float, looped: float
+) -> dict[str, Any]:
     """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop."""
     particle, target, ledger = impact.particle, impact.target, impact.ledger
     plan, impact_plan = recorder.plan, recorder.impact_plan
@@ -58,8 +61,8 @@ def summarise(impact: Impact, recorder: Recorder, retries: Retries, wall: float,
         "greatest_deformation": recorder.greatest,
         "end": end,
         "effects": plan.effects.active,
-        "warnings": [*plan.warnings, *_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries.made)],
-        "retries": [asdict(retry) for retry in retries.made],
+        "warnings": [*plan.warnings, *_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
+        "retries": [asdict(retry) for retry in retries],
         "bands": _bands(impact, recorder, end),
         "version": __version__,
         **outcome(plan, recorder.i, particle, impact.hold),

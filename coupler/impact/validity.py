@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 
+from ..errors import CheckpointError
 from ..fe.explicit import Target
 from ..physics.materials import Material
 from ..plan.planning import FITTED_RATE, NEAR_MELTING
@@ -45,9 +46,13 @@ class Extremes:
             kept[name] = max(kept[name], value)
 
     def state(self) -> dict[str, dict[str, float]]:
+        """The largest so far, by body and name."""
         return {body: dict(kept) for body, kept in self.found.items()}
 
     def restore(self, state: dict[str, dict[str, float]]) -> None:
+        """Go on from a `state`. Raises CheckpointError for one of other bodies or names."""
+        if {body: set(kept) for body, kept in state.items()} != {body: set(kept) for body, kept in self.found.items()}:
+            raise CheckpointError("a state does not fit: the extremes have other names")
         self.found = {body: dict(kept) for body, kept in state.items()}
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:

@@ -2,11 +2,23 @@
 
 import time as clock
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ..errors import CheckpointError
+from ..sph.particle import LocalState
+from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
+
+
+@dataclass(frozen=True)
+class ParticleState:
+    """whole: all points as one rank would have them, in the order they were given; totals: the last report of all ranks."""
+
+    whole: LocalState
+    totals: dict[str, float]
 
 
 class DistributedParticle:
@@ -124,19 +136,20 @@ class DistributedParticle:
         self.ask("warm", each=[heat[ids] for ids in self._owner])
         self._fields = {}
 
-    def state(self) -> dict[str, Any]:
-        """The `state` of the whole particle, points in the order they were given."""
-        parts = self.ask("state")
-        points = {name: self._joined([part["points"][name] for part in parts]) for name in parts[0]["points"]}
-        add = {name: sum(part["add"][name] for part in parts) for name in parts[0]["add"]}
-        return {"points": points, "add": add, "same": parts[0]["same"], "totals": self.totals}
+    def state(self) -> ParticleState:
+        """The state of the whole particle, points in the order they were given."""
+        parts: list[LocalState] = self.ask("state")
+        points = scatter([part.points for part in parts], self._owner, self.n)
+        sums, work = np.sum([part.sums for part in parts], axis=0), sum(part.internal_work for part in parts)
+        return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), dict(self.totals))
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Put a `state` into fresh local parts, on any number of ranks."""
-        self.ask("restore", state, each=[i == 0 for i in range(len(self._owner))])
-        same = state["same"]
-        self.time, self.steps, self.dt = float(same["time"]), int(same["steps"]), float(same["dt"])
-        self.totals = dict(state["totals"])  # LAMMPS knows its strains again only after the next step
+    def restore(self, state: ParticleState) -> None:
+        """Put a `state` into fresh parts, on any number of ranks. Raises CheckpointError where it does not fit."""
+        if set(state.totals) != set(self.totals):
+            raise CheckpointError("a state does not fit: the particle has other sums")
+        self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
+        self.time, self.steps, self.dt = state.whole.time, state.whole.steps, state.whole.dt
+        self.totals = dict(state.totals)  # LAMMPS knows its strains again only after the next step
         self._fields = {}
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")

@@ -5,18 +5,27 @@ are made once. On several ranks LAMMPS brings x and vest of the neighbours' poin
 F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
 """
 
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SolverError
+from ..state.records import Rows
 from . import compiled_kernels as k
-from .particle import H, Particle
+from .particle import H, Particle, PointState
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
 PER_POINT = 19  # numbers of a point that other ranks need: F, Q, plastic strain
+
+
+@dataclass(frozen=True)
+class CompiledPoints(PointState):
+    """R (n,9): rotation of the deformation gradient, row by row."""
+
+    R: Annotated[np.ndarray, Rows(9)]
 
 
 class CompiledParticle(Particle):
@@ -26,7 +35,8 @@ class CompiledParticle(Particle):
     """
 
     PAIR = "pair_compiled.lmp"
-    OWN_STATE: ClassVar[tuple[str, ...]] = (*Particle.OWN_STATE, "R")
+    POINTS = CompiledPoints
+    R: np.ndarray
 
     def _start_engine(self) -> None:
         super()._start_engine()

@@ -1,28 +1,34 @@
 """The particle with MACHDYN's own pair style, into which our law is put through yield stress and energy (`sph.law`)."""
 
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from ..errors import SolverError
+from ..state.records import Rows
 from . import law as k
-from .particle import H, Particle
+from .particle import H, Particle, PointState
+
+
+@dataclass(frozen=True)
+class MachdynPoints(PointState):
+    """set_e (n,) J/kg: the energy prescribed for the next step."""
+
+    set_e: Annotated[np.ndarray, Rows()]
 
 
 class MachdynParticle(Particle):
     """LAMMPS computes deformation, stress and internal forces (`pair_style smd/tlsph`); our law prescribes the next step."""
 
     PAIR = "pair_machdyn.lmp"
-    OWN_STATE: ClassVar[tuple[str, ...]] = (*Particle.OWN_STATE, "_set_e")
-
-    def _own(self, temperature: float) -> None:
-        super()._own(temperature)
-        self._set_e = np.zeros(self.n)  # the energy (J/kg) prescribed for the next step
+    POINTS = MachdynPoints
+    set_e: np.ndarray
 
     def _update_stress(self) -> None:
         k.apply_law(
             self._special, self.dt, H, self.volume, self._mass, self._stress, self._eps, self._e, self._de, self.sigma_y,
-            self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self._set_e, self.work, self.sums,
+            self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.set_e, self.work, self.sums,
         )  # fmt: skip
         if not np.isfinite(self.sums[0]):
             bad = int(np.argmin(np.isfinite(self.work)))

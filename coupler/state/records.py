@@ -1,0 +1,147 @@
+"""The state of a simulation as records: frozen dataclasses of arrays and numbers, and what is done with all their fields alike.
+
+A field of a record is an array (annotated with its `Shape` or as `Rows`), a number, a string, another record, None, or a list or
+dict of these. No class keeps a list of names of its own: `collect` and `assign` move the attributes of an object into a record of the
+same names and back, `take`, `concatenate` and `scatter` treat all arrays with a row for each node, element or point.
+"""
+
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from functools import cache
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from ..errors import CheckpointError
+
+R = TypeVar("R")
+
+
+class Shape:
+    """Says of an array field, in its annotation, which shape (-1 where the length is free) and type it has.
+
+    index_of: what its numbers count, as `check_indices` knows it.
+    """
+
+    per_row = False
+
+    def __init__(self, *shape: int, dtype: DTypeLike = np.float64, index_of: str = ""):
+        self.shape, self.dtype, self.index_of = shape, np.dtype(dtype), index_of
+
+
+class Rows(Shape):
+    """Says of an array field that it has a row of this shape for each node, element or point, `fill` to begin with.
+
+    notes: what else is to be known of it, for example how it is transferred to another mesh.
+    """
+
+    per_row = True
+
+    def __init__(
+        self, *shape: int, dtype: DTypeLike = np.float64, fill: float = 0.0, index_of: str = "", **notes: float | bool
+    ):
+        super().__init__(-1, *shape, dtype=dtype, index_of=index_of)
+        self.fill, self.notes = fill, notes
+
+    def new(self, n: int) -> np.ndarray:
+        """An array of n rows of the fill value."""
+        return np.full((n, *self.shape[1:]), self.fill, self.dtype)
+
+
+@cache
+def _shapes(kind: type[object]) -> dict[str, Shape]:
+    hints = get_type_hints(kind, include_extras=True)
+    specs = {
+        name: [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape)] for name, hint in hints.items()
+    }
+    return {name: found[0] for name, found in specs.items() if found}
+
+
+def shapes_of(record: object) -> dict[str, Shape]:
+    """The array fields of a record, or of its class, by name."""
+    return _shapes(record if isinstance(record, type) else type(record))
+
+
+def rows_of(record: object) -> dict[str, Rows]:
+    """Those of them that have a row for each node, element or point."""
+    return {name: spec for name, spec in shapes_of(record).items() if isinstance(spec, Rows)}
+
+
+def fill_rows(owner: object, kind: type[object], n: int) -> None:
+    """Give an object all arrays of a record class that it has not, n rows of the fill value each."""
+    for name, spec in rows_of(kind).items():
+        if not hasattr(owner, name):
+            setattr(owner, name, spec.new(n))
+
+
+def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
+    """A record of n rows: the arrays `known`, all others with their fill value."""
+    return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
+
+
+def collect(kind: type[R], owner: object, **given: object) -> R:
+    """A record of the attributes of an object, by name; arrays and dicts are copied, parts with a state give theirs.
+
+    given: fields that are not attributes of the object.
+    """
+    values = {f.name: _value(getattr(owner, f.name)) for f in fields(kind) if f.name not in given}  # type: ignore[arg-type]
+    return kind(**values, **given)
+
+
+def _value(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, dict):
+        return dict(value)
+    return value.state() if hasattr(value, "state") else value
+
+
+def assign(owner: object, record: object) -> None:
+    """Put the arrays, numbers and dicts of a record into the attributes of an object. Other records in it are left to the object.
+
+    Arrays keep their place in memory where their shape is the same. Raises CheckpointError where a shape does not fit.
+    """
+    shapes = shapes_of(record)
+    for name in (f.name for f in fields(record)):  # type: ignore[arg-type]
+        value = getattr(record, name)
+        if name in shapes:
+            own, spec = getattr(owner, name), shapes[name]
+            wanted = (len(own), *spec.shape[1:]) if spec.per_row else spec.shape
+            if value.ndim != len(wanted) or any(n not in (-1, m) for n, m in zip(wanted, value.shape, strict=True)):
+                raise CheckpointError(f"a state does not fit: {name} has the shape {value.shape}, needed {own.shape}")
+            if own.shape == value.shape:
+                own[...] = value
+            else:
+                setattr(owner, name, np.array(value, own.dtype))
+        elif not is_dataclass(value) and value is not None:
+            setattr(owner, name, dict(value) if isinstance(value, dict) else value)
+
+
+def take(record: R, index: np.ndarray) -> R:
+    """The rows `index` of a record whose fields all have a row for each node, element or point."""
+    return type(record)(**{name: np.ascontiguousarray(getattr(record, name)[index]) for name in rows_of(record)})
+
+
+def concatenate(records: Sequence[R]) -> R:
+    """All rows of several such records, in their order."""
+    kind = type(records[0])
+    return kind(**{name: np.concatenate([getattr(r, name) for r in records]) for name in rows_of(kind)})
+
+
+def scatter(parts: Sequence[R], owners: Sequence[np.ndarray], n: int) -> R:
+    """One record of n rows out of parts of it: row k of part i is row owners[i][k]."""
+    kind, values = type(parts[0]), {}
+    for name, spec in rows_of(kind).items():
+        values[name] = spec.new(n)
+        for ids, part in zip(owners, parts, strict=True):
+            values[name][ids] = getattr(part, name)
+    return kind(**values)
+
+
+def check_indices(record: object, **counts: int) -> None:
+    """Raise CheckpointError where an array of indices points at more objects than there are. counts: by `index_of`."""
+    for name, spec in shapes_of(record).items():
+        value, count = getattr(record, name), counts.get(spec.index_of)
+        if count is not None and value.size and not (value.min() >= 0 and value.max() < count):
+            raise CheckpointError(f"a state does not fit: {name} points at {spec.index_of} that are not there")
