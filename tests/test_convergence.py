@@ -86,3 +86,12 @@ def test_another_lattice_lasts_as_long_as_its_context() -> None:
         other = shapes.shape("sphere", 25e-6, 300).points
     assert other.shape != default.shape or not np.allclose(other, default)
     assert np.array_equal(shapes.shape("sphere", 25e-6, 300).points, default)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parents[1] / "docs" / "tables").glob("*.csv")), ids=lambda p: p.stem
+)
+def test_every_row_of_the_documents_names_its_version(path: Path) -> None:
+    rows = read_rows(path)
+    assert rows
+    assert all(row["version"] for row in rows)

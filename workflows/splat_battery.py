@@ -1,13 +1,12 @@
 """Clouds of points that must become meshes: real impacts and made-up hard ones, by each method, in one table.
 
-    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--out docs/tables/splats.csv] [--summary]
+    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--summary]
 
-Clouds that are in DIR already are not made again, rows that are in the table are kept: a run that was stopped goes on. Run
+Clouds in DIR and rows in the table docs/tables/splats.csv are not computed again: a run that was stopped goes on. Run
 it with OMP_NUM_THREADS=1: seconds are those of one core, the start of the mesher's process and its imports included.
 """
 
 import argparse
-import csv
 import resource
 import tempfile
 from pathlib import Path
@@ -15,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import splat_clouds
+from pages import markdown, study_table, versions
 
 from coupler.errors import ColdsprayError, SplatError
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
+from coupler.studies.table import Row
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 COLUMNS = [
@@ -27,6 +28,7 @@ COLUMNS = [
     "outside_max", "T_raw", "eps_p_raw", "energy_raw", "momentum", "angular_momentum", "kinetic", "stress_square", "cpu_s",
     "wall_s", "failed_tries",
 ]  # fmt: skip
+KEY = ("cloud", "asked", "size_over_spacing")
 SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
 
 
@@ -82,18 +84,13 @@ def main() -> None:
     parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
     parser.add_argument("--methods", nargs="*", default=["auto", "paper"])
     parser.add_argument("--only", default="", help="clouds whose name contains this")
-    parser.add_argument("--out", type=Path, default=Path("docs/tables/splats.csv"))
-    parser.add_argument("--summary", action="store_true", help="only print what the table says of both methods")
+    parser.add_argument("--summary", action="store_true", help="run nothing: print both methods side by side")
     a = parser.parse_args()
     a.clouds.mkdir(parents=True, exist_ok=True)
-    rows: list[dict[str, str]] = []
-    if a.out.exists():
-        with a.out.open() as file:
-            rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
     if a.summary:
-        print(summary(rows))
+        print("\n".join(summary(table.rows)))
         return
-    have = {(row["cloud"], row["asked"], float(row["size_over_spacing"])) for row in rows}
     for kind, makers in (("real", splat_clouds.real()), ("made up", splat_clouds.made_up())):
         for name, make in makers.items():
             if a.only not in name:
@@ -110,18 +107,14 @@ def main() -> None:
             cloud = load(path)
             for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())):
                 for method in a.methods:
-                    if (name, method, ratio) in have:
+                    if (name, method, f"{ratio:g}") in table:
                         continue
-                    row = row_of(name, kind, cloud, ratio, method)
-                    rows.append(
-                        {k: f"{v:.4g}" if isinstance(v, float) else str(v) for k, v in row.items() if v is not None}
-                    )
-                    write(a.out, rows)
-                    told = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
-                    print(f"{name}:", *(rows[-1].get(k, "-")[:150] for k in told), flush=True)
+                    new = table.add(row_of(name, kind, cloud, ratio, method))
+                    shown = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
+                    print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
 
 
-def summary(rows: list[dict[str, str]]) -> str:
+def summary(rows: list[Row]) -> list[str]:
     """Both methods side by side, as a table in Markdown: medians over the clouds, with the worst in brackets."""
     measures = {
         "volume error before matching": ("volume_before", 100.0, "{:+.1f} %", max),
@@ -136,12 +129,12 @@ def summary(rows: list[dict[str, str]]) -> str:
         "seconds of one core": ("cpu_s", 1.0, "{:.0f}", max),
     }
     both = [[row for row in rows if row["asked"] == method] for method in ("auto", "paper")]
-    lines = ["| | default | paper |", "|---|---|---|"]
+    lines: list[list[str]] = []
     counts = [
         f"{sum(row['result'] == 'meshed' for row in some)} with all gates passed, "
         f"{sum(not row['result'].startswith('failed') for row in some)} at all, of {len(some)}" for some in both
     ]  # fmt: skip
-    lines.append("| meshed | " + " | ".join(counts) + " |")
+    lines.append(["meshed", *counts])
     for label, (name, factor, form, worst) in measures.items():
         cells = []
         for some in both:
@@ -150,18 +143,8 @@ def summary(rows: list[dict[str, str]]) -> str:
                 values = [float(row["tets"]) / float(row["points"]) for row in some if row.get("tets")]
             far = worst(values, key=abs) if worst is max else min(values)
             cells.append(f"{form.format(float(np.median(values)))} ({form.format(far)})")
-        lines.append(f"| {label} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def write(out: Path, rows: list[dict[str, str]]) -> None:
-    """The table, whole."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("w", newline="") as file:
-        file.write("# remake: OMP_NUM_THREADS=1 python workflows/splat_battery.py (rows that are here are kept)\n")
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
+        lines.append([label, *cells])
+    return [*markdown(["", "default", "paper"], lines), "", versions(rows)]
 
 
 if __name__ == "__main__":

@@ -8,15 +8,14 @@ symmetry. The numbers of others, with their sources, are in tests/data/reference
 size within five radii of the struck face and grow by a tenth per unit of distance behind.
 """
 
-import csv
 import sys
 import time
 import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from pages import ROOT, TABLES, write_table
 
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import cylinder, prepare
@@ -24,17 +23,15 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
 
-ROOT = Path(__file__).resolve().parents[1]
-TABLE = ROOT / "docs" / "tables" / "taylor_bar.csv"
 LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # mm; a quarter of an hour on one core
 CASES = tuple(LADDER)
 COARSEST = 1.0  # mm
 GROWTH = 0.1
 HEAD = """\
-# Taylor bars of the explicit target, remade by: python workflows/taylor_bar.py
-# size: edge of the elements near the struck face, mm (a quarter of the bar is computed); length, diameter: mm, T: degrees Celsius
-# T_max, eps_p_max: largest mean over the elements around a node; _element: largest of a single element
-# viscous_share: work of the bulk viscosity, energy_drift: error of the sum of energies, both of the initial kinetic energy
+remake: python workflows/taylor_bar.py
+size: edge of the elements near the struck face, mm (a quarter of the bar is computed); length, diameter: mm, T: degrees Celsius
+T_max, eps_p_max: largest mean over the elements around a node; _element: largest of a single element
+viscous_share: work of the bulk viscosity, energy_drift: error of the sum of energies, both of the initial kinetic energy
 """
 MEASURES = ("length", "diameter", "T_max", "eps_p_max")
 
@@ -46,7 +43,7 @@ def reference(case: str) -> dict[str, Any]:
 
 
 def bar(case: str, size: float) -> dict[str, float]:
-    """Compute one bar with elements of `size` (mm) and measure what it has become."""
+    """Compute one bar with elements of `size` (mm) and measure its shape."""
     said = reference(case)
     radius, length, speed = said["radius"] * 1e-3, said["length"] * 1e-3, said["velocity"]
     h, largest = size * 1e-3, max(COARSEST, size) * 1e-3
@@ -123,21 +120,15 @@ def main(arguments: list[str]) -> None:
         write(rows)
 
 
-def write(rows: list[dict[str, Any]]) -> None:
-    """The table, with the references in its head."""
-    TABLE.parent.mkdir(parents=True, exist_ok=True)
-    with TABLE.open("w", newline="") as file:
-        file.write(HEAD)
-        for case in dict.fromkeys(row["case"] for row in rows):
-            for author, values in reference(case)["results"].items():
-                said = ", ".join(f"{name} {values[name]:g}" for name in MEASURES if name in values)
-                file.write(f"# {case}, {author}: {said}\n")
-        columns = [name for name in rows[0] if name != "wall_s"]
-        out = csv.writer(file, lineterminator="\n")
-        out.writerow(columns)
-        for row in rows:
-            out.writerow([f"{row[c]:.5g}" if isinstance(row[c], float) else row[c] for c in columns])
-    print(f"wrote {TABLE}")
+def write(rows: list[dict[str, object]]) -> None:
+    """Write the table, with the references above its header."""
+    about = HEAD
+    for case in dict.fromkeys(str(row["case"]) for row in rows):
+        for author, values in reference(case)["results"].items():
+            about += f"{case}, {author}: " + ", ".join(f"{m} {values[m]:g}" for m in MEASURES if m in values) + "\n"
+    columns = [name for name in rows[0] if name != "wall_s"]
+    shown = [{c: f"{row[c]:.5g}" if isinstance(row[c], float) else row[c] for c in columns} for row in rows]
+    write_table(TABLES / "taylor_bar.csv", shown, about)
 
 
 if __name__ == "__main__":

@@ -6,14 +6,13 @@ Prints its table and writes it to docs/tables/taylor_bar_sph.csv:
     python workflows/taylor_bar_sph.py 1000 2000       # other numbers of points
 """
 
-import csv
 import sys
 import time as clock
 import tomllib
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
+from pages import ROOT, TABLES, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.physics.constitutive import law_record
@@ -23,8 +22,6 @@ from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.engine import ENGINES
 from coupler.sph.particle import Numerics
 
-ROOT = Path(__file__).resolve().parents[1]
-TABLE = ROOT / "docs" / "tables" / "taylor_bar_sph.csv"
 POINTS = (500, 1000, 2000, 4000, 8000, 16000)
 DIAMETER, LENGTH, VELOCITY, TEMPERATURE, END = 6.4e-3, 32.4e-3, 287.0, 293.15, 80e-6
 RATE_FILTER = 0.01 * DIAMETER / VELOCITY
@@ -35,7 +32,7 @@ NUMERICS = Numerics(courant=0.3, stretch=0.8)
 
 @dataclass
 class Bar:
-    """What came of one bar: lengths mm, temperature C, energies over the initial kinetic energy.
+    """The result of one bar: lengths mm, temperature C, energies over the initial kinetic energy.
 
     diameter: of the circle with the area of the foot seen along the axis; diameter_largest: twice the largest radius.
     """
@@ -117,17 +114,13 @@ def main() -> None:
         {name: f"{value:.6g}" for name, value in asdict(taylor_bar(points)).items()}
         for points in [int(text) for text in sys.argv[1:]] or POINTS
     ]
-    TABLE.parent.mkdir(parents=True, exist_ok=True)
-    with TABLE.open("w", newline="") as file:
-        file.write(
-            "# 42CrMo4 Taylor bar, 287 m/s, 80 us, SPH with a rigid frictionless wall."
-            " Made by: python workflows/taylor_bar_sph.py\n"
-            "# plastic, numerical, drift: over the initial kinetic energy. References: tests/data/sph_references.toml\n"
-        )
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    print(TABLE.read_text(), end="")
+    about = (
+        "remake: python workflows/taylor_bar_sph.py\n42CrMo4 Taylor bar, 287 m/s, 80 us, SPH with a rigid frictionless wall\n"
+        "plastic, numerical, drift: over the initial kinetic energy. References: tests/data/sph_references.toml"
+    )
+    path = TABLES / "taylor_bar_sph.csv"
+    write_table(path, rows, about)
+    print(path.read_text(), end="")
     print("# references:", references())
 
 

@@ -40,6 +40,7 @@ COLUMNS = (
     "restitution",
     "velocity_ratio",
     "bonded",
+    "version",
 )
 LEAST_POINTS = 6  # of which a map is drawn
 LARGEST = 1e30  # a measure beyond it is damage
@@ -51,9 +52,9 @@ def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
     status: "done", "failed" (then `reason` says why) or "unfinished"; measures of points that are not done are missing.
-    restitution: rebound over impact velocity, off and towards the surface, 0 for what bonded; velocity_ratio: impact over
-    critical velocity (`adhesion.critical_velocity`); bonded: as the run says, where its scene has an adhesion. Raises StoreError
-    if the folder is not there or holds no point.
+    restitution: rebound over impact velocity, along the surface normal, 0 for particles that bonded; velocity_ratio: impact over
+    critical velocity (`adhesion.critical_velocity`); bonded: as the run says, where its scene has an adhesion; version: of the
+    program that computed the run. Raises StoreError if the folder is not there or holds no point.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -87,7 +88,8 @@ def _row(folder: Path, name: str) -> Row:
         return row | {"status": "failed", "reason": str(error)}
     if not summary or scene is None:
         return row
-    row |= {"status": "done"} | {key: _number(summary.get(key)) for key in MEASURES}
+    row |= {"status": "done", "version": str(summary.get("version", "unknown"))}
+    row |= {key: _number(summary.get(key)) for key in MEASURES}
     p, law = scene.particle, scene.derived.adhesion_law
     rebound = row["rebound_velocity_m_s"]
     row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
