@@ -279,13 +279,31 @@ def test_a_browser_shows_the_page(finished, page, tmp_path):
             browser.ask("[...document.querySelectorAll('#cuts img')].map((image) => image.naturalWidth > 600)")
             == [True] * 5
         )
-        # 3D: what WebGL drew changes with time, field and cut
+        # 3D: WebGL has drawn, and draws another instant when asked
         assert browser.ask("document.querySelector('#solid canvas').width") > 300
         assert browser.ask("document.getElementById('now').textContent") == "40.0 ns"
-        pictures = [drawn(browser)]
-        browser.ask("{const s = document.getElementById('time'); s.value = 1; s.dispatchEvent(new Event('input'))}")
-        browser.until("!window.solid.busy")
+        last = drawn(browser)
+        show_second_instant(browser)
         assert browser.ask("document.getElementById('now').textContent") == "10.0 ns"
+        assert drawn(browser) != last
+        assert browser.requests == [path.as_uri()]
+        assert browser.complaints == []
+
+
+def show_second_instant(browser: Browser) -> None:
+    browser.ask("{const s = document.getElementById('time'); s.value = 1; s.dispatchEvent(new Event('input'))}")
+    browser.until("!window.solid.busy")
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_controls_of_the_page(finished, page, tmp_path):
+    """Each control changes the picture; play reaches the end; the scene is copied; the page prints on some sheets."""
+    path = tmp_path / "page.html"
+    path.write_text(page, encoding="utf-8")
+    with shown(path, tmp_path / "profile") as browser:
+        pictures = [drawn(browser)]
+        show_second_instant(browser)
         pictures.append(drawn(browser))
         browser.ask(
             "{const f = document.getElementById('field'); f.value = 'eps_p'; f.dispatchEvent(new Event('change'))}"

@@ -200,9 +200,10 @@ def test_carried_needs_a_surface_and_paper_needs_open3d(monkeypatch: pytest.Monk
         convert(bad(), 3.4e-6, "paper")
 
 
+@pytest.mark.slow
 def test_the_papers_way_makes_a_closed_mesh_and_tells_what_it_misses() -> None:
     pytest.importorskip("open3d", reason="a development dependency", exc_type=ImportError)
-    cloud = cloud_of(points=3000)
+    cloud = cloud_of(points=1000)
     splat = convert(cloud, 1.7 * cloud.spacing, "paper")
     assert splat.report["volume_error_before"] < -0.05  # through the centres of the outermost points
     assert splat.report["step_length_min_m"] < 0.15 * 1.7 * cloud.spacing

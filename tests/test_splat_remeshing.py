@@ -17,7 +17,7 @@ from coupler.impact.bodies import Bodies
 from coupler.impact.domains import Domains, build_target, restored_target
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from coupler.splat.renew import closest, renewed_surface
+from coupler.splat.renew import Original, closest, renewed_surface
 from coupler.splat.surface import open_or_double
 
 SCENE = """
@@ -38,6 +38,7 @@ spacing = "3 um"
 element_size = "4.5 um"
 """
 ORIGIN = (0.0, 0.0, 0.0)
+ELEMENT = 4.5e-6  # m, edge of the elements at the top
 
 
 class Seen(Exception):
@@ -105,11 +106,35 @@ def test_what_is_conserved(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None
     ):
         np.testing.assert_allclose(after[name], before[name], atol=1e-12 * size)
     assert after["kinetic_J"] == pytest.approx(before["kinetic_J"], rel=0.02)
-    # the measured shape: a coarse crater loses a little of its lowest and highest node
-    assert after["crater_depth_m"] == pytest.approx(before["crater_depth_m"], rel=0.1)
-    assert after["crater_diameter_m"] == pytest.approx(before["crater_diameter_m"], rel=0.03)
     assert new.target.eps_p.min() >= 0.0
     assert np.all(new.target.mass > 0.0)
+
+
+def top(bodies: Bodies) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of all nodes (n,3) m, and the facets (k,3) of the top."""
+    mesh = bodies.target.mesh
+    return bodies.target.x, mesh.facets[mesh.sets["top"]]
+
+
+def test_the_crater_keeps_its_shape(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+    """New nodes lie on the old surface, but for the shift along its normals that keeps the volume.
+
+    So the lowest of them lies at most the circumradius c of a facet from the deepest point, and by c^2 / (2 R) higher in a crater
+    of radius of curvature R = (diameter / 2)^2 / (2 depth); remeshing leaves edges up to 1.35 elements, c = edge / sqrt(3).
+    """
+    old, new, report = cured
+    (x_old, facets_old), (x_new, facets_new) = top(old), top(new)
+    nodes = x_new[np.unique(facets_new)]
+    shift = sum(abs(patch["moved_m"]) for patch in report["patches"])
+    assert shift < 0.02 * ELEMENT
+    distance = np.linalg.norm(Original(x_old, facets_old).project(nodes) - nodes, axis=1)
+    assert distance.max() < 1.01 * shift
+
+    deepest, lowest = x_old[np.unique(facets_old), 2].min(), nodes[:, 2].min()
+    curvature = (0.5 * report["before"]["crater_diameter_m"]) ** 2 / (-2.0 * deepest)
+    assert deepest - shift <= lowest < deepest + shift + (1.35 * ELEMENT / np.sqrt(3.0)) ** 2 / (2.0 * curvature)
+    # an area seen from above: second order in the edge, (1 / 8)^2 of the diameter
+    assert report["after"]["crater_diameter_m"] == pytest.approx(report["before"]["crater_diameter_m"], rel=0.015)
 
 
 def test_outside_the_patch_nothing_moves(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
