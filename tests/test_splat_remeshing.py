@@ -194,7 +194,7 @@ def test_nothing_is_tried_where_the_worst_elements_must_stay(
     monkeypatch.setattr(
         "coupler.deposition.remeshing._loose", lambda bodies: np.zeros(len(bodies.target.mesh.conn), bool)
     )
-    monkeypatch.setattr("coupler.deposition.remeshing._one", lambda *_: pytest.fail("tried"))
+    monkeypatch.setattr("coupler.deposition.remeshing._remesh_patch", lambda *_: pytest.fail("tried"))
     old = restored_target(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old

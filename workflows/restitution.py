@@ -13,7 +13,7 @@ import numpy as np
 from pages import PAGES, TABLES, figure_path, markdown, marked, study_table, versions, write_parts, write_table
 
 from coupler import Scene, run
-from coupler.contact.hold import REACH
+from coupler.contact.hold import CONTACT_RANGE
 from coupler.geometry.triangles import vertex_areas
 from coupler.impact.exchange import Impact
 from coupler.physics.adhesion import critical_velocity, critical_velocity_linear
@@ -58,7 +58,7 @@ class Interface:
 
     def __call__(self, impact: Impact) -> None:
         p, t, s = impact.particle, impact.target, impact.surface
-        rows, facets = impact.contact.touching(s.weights.shape[0], REACH * p.spacing)
+        rows, facets = impact.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
         if self.values is not None or len(rows) == 0 or p.momentum()[2] < 0.0:
             return
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]

@@ -83,17 +83,16 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
         if not (bad := bad & allowed & ~given_up).any():
             break
         seed = int(np.argmin(np.where(bad, limit, np.inf)))
-        made = _one(domain, gate, bad, allowed, seed)
-        report["patches"].append(made.report)
-        if made.domain is None:
-            given_up |= made.tried
+        new_patch, tried, patch_report = _remesh_patch(domain, gate, bad, allowed, seed)
+        report["patches"].append(patch_report)
+        if new_patch is None:
+            given_up |= tried
             continue
-        domain = made.domain
-        gone = number < 0
-        number = np.where(gone, -1, made.node[number])
-        buried = made.facet[buried]
+        domain = new_patch.domain
+        number = np.where(number < 0, -1, new_patch.node[number])
+        buried = new_patch.facet[buried]
         out = np.ones(len(allowed), bool)
-        out[made.patch.elements] = False
+        out[new_patch.patch.elements] = False
         fresh = len(domain.mesh.conn) - int(out.sum())
         allowed = np.concatenate([allowed[out], np.ones(fresh, bool)])
         given_up = np.concatenate([given_up[out], np.ones(fresh, bool)])  # twice would do no better
@@ -148,27 +147,29 @@ def _limits(domain: Domain) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Made:
-    """One patch: the new domain or None, numbers of nodes and facets in it, the elements tried, and a report."""
+class _NewPatch:
+    """domain: with the patch remeshed; node, facet: new number of each node and facet of before, -1 where it is gone."""
 
-    domain: Domain | None
+    domain: Domain
     node: np.ndarray
     facet: np.ndarray
-    patch: Any
-    tried: np.ndarray
+    patch: Patch
     report: dict[str, Any]
 
 
-def _one(domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed: int) -> _Made:
-    """The patch round the element `seed` and what bad ones hang together with it, made new: with the finest edges whose step
-    passes the gate, or else those with the longest step."""
+def _remesh_patch(
+    domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed: int
+) -> tuple[_NewPatch | None, np.ndarray, dict[str, Any]]:
+    """Remesh the patch around the element `seed` and the bad elements connected to it, with the finest edges whose step passes the
+    gate, else with the edges of the longest step. Returns it, None where nothing succeeds; the elements (m,) bool that were
+    tried; a report."""
     mesh, x = domain.mesh, domain.nodes.x
     centre = x[mesh.conn].mean(axis=1)
     same = domain.body == domain.body[seed]
     tried = np.zeros(len(bad), bool)
     tried[seed] = True
     report: dict[str, Any] = {"done": False, "place_m": centre[seed].tolist(), "failed": []}
-    best: _Made | None = None
+    best: _NewPatch | None = None
     for reach, factor in TRIES:
         edge = (estimates.TETS_PER_H3 * mesh.V0[seed]) ** (1.0 / 3.0)
         worn = same & (bad | (domain.elements.eps_p > STRAINED))
@@ -179,16 +180,15 @@ def _one(domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed:
             continue
         tried[patch.elements] = True
         try:
-            made, node, facet, about = _renew(domain, patch, factor)
+            new, node, facet, about = _renew(domain, patch, factor)
         except (SplatError, SolverError) as problem:
             report["failed"].append(str(problem))
             continue
-        now = _Made(made, node, facet, patch, tried, report | about | {"done": True})
         if best is None or about["step_s"] > best.report["step_s"]:
-            best = now
+            best = _NewPatch(new, node, facet, patch, about)
         if about["step_s"] >= gate.step:
             break
-    return best or _Made(None, tried, tried, None, tried, report)
+    return best, tried, report if best is None else report | best.report | {"done": True}
 
 
 def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndarray, np.ndarray, dict[str, Any]]:

@@ -6,10 +6,11 @@ are to be inlined: only where w is made does the compiler see that its rows lie 
 element by element (1.6 times the time of an elastic step).
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from ..physics.constitutive import von_mises_squared
 
@@ -86,20 +87,20 @@ def _row_times(a, b, c, sxx, syy, szz, syz, sxz, sxy):
 class Rows(NamedTuple):
     """The numbers of a block by name, a column for each element: views of one array (ROWS, BLOCK)."""
 
-    F: Any  # (9,BLOCK) deformation gradient at n+1, row by row
-    Fdot: Any  # (9,BLOCK) its rate at n+1/2, 1/s
-    C: Any  # (9,BLOCK) cofactors of F
-    S: Any  # (6,BLOCK) deviator: at n, on trial, returned; Pa
-    P: Any  # (9,BLOCK) -V0 times the first Piola-Kirchhoff stress, J
-    two_G_dt: Any  # Pa s
-    pressure: Any  # Pa
-    J: Any
-    div: Any  # divergence of the velocity, 1/s
-    q_squared: Any  # square of the trial deviator's von Mises stress, Pa^2
-    along: Any  # old deviator : trial deviator, Pa^2
-    V0: Any  # m3
-    volume: Any  # now, m3
-    length: Any  # cube root of the volume now, m
+    F: NDArray  # (9,BLOCK) deformation gradient at n+1, row by row
+    Fdot: NDArray  # (9,BLOCK) its rate at n+1/2, 1/s
+    C: NDArray  # (9,BLOCK) cofactors of F
+    S: NDArray  # (6,BLOCK) deviator: at n, on trial, returned; Pa
+    P: NDArray  # (9,BLOCK) -V0 times the first Piola-Kirchhoff stress, J
+    two_G_dt: NDArray  # Pa s
+    pressure: NDArray  # Pa
+    J: NDArray
+    div: NDArray  # divergence of the velocity, 1/s
+    q_squared: NDArray  # square of the trial deviator's von Mises stress, Pa^2
+    along: NDArray  # old deviator : trial deviator, Pa^2
+    V0: NDArray  # m3
+    volume: NDArray  # now, m3
+    length: NDArray  # cube root of the volume now, m
 
 
 ROWS = 51

@@ -1,4 +1,4 @@
-"""Heat through a pause: Fourier's law over all bodies, implicit in time, while the dynamics sleeps.
+"""Heat through a pause: Fourier's law over all bodies, implicit in time, while the bodies are at rest.
 
 scikit-fem assembles the conduction of linear tetrahedra in the current configuration; capacities are lumped, and links carry
 heat between nodes of one body and facets of another. Backward Euler with steps that grow geometrically, as diffusion slows
@@ -7,16 +7,18 @@ one lies above the mean of its nodes flows into them, what changes at nodes it g
 to the tolerance of the linear solver.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import cg
+from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
+from skfem.helpers import dot, grad
 
 from ..errors import SolverError
 from ..physics.constitutive import conductivities
+from .explicit import Target
 from .heat import gains, means, shares, take_heat
 
 STEP_GROWTH = 1.1  # of the step
@@ -35,7 +37,7 @@ class Links:
     area: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
+def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
     """Let heat flow for `time` s in a `fe.explicit.Target` at rest. Its T, sigma_y and books move on; its pressures do when it moves.
 
     held: nodes kept at held_T K; every other face is insulated. Returns steps, hottest and mean temperatures before and after
@@ -92,11 +94,8 @@ def cool(target: Any, time: float, held: np.ndarray, held_T: float, links: Links
     }  # fmt: skip
 
 
-def _conduction(t: Any) -> tuple[np.ndarray, Any]:
+def _conduction(t: Target) -> tuple[np.ndarray, Callable[[np.ndarray], csr_matrix]]:
     """tr(sum b b^T) (m,) of the elements, 1/m2, and a function that assembles the matrix (n,n) W/K for k (m,) W/mK."""
-    from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
-    from skfem.helpers import dot, grad
-
     mesh = MeshTet(np.ascontiguousarray(t.x.T), np.ascontiguousarray(t.mesh.conn.T, np.int64), sort_t=False)
     basis = Basis(mesh, ElementTetP1(), intorder=1)
     form = BilinearForm(lambda u, v, w: w.k * dot(grad(u), grad(v)))
@@ -104,7 +103,7 @@ def _conduction(t: Any) -> tuple[np.ndarray, Any]:
     return sum(np.einsum("ae,ae->e", g, g) for g in squares), lambda k: form.assemble(basis, k=k[:, None]).tocsr()
 
 
-def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Any, n: int, k: np.ndarray) -> csr_matrix:
+def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Target, n: int, k: np.ndarray) -> csr_matrix:
     """What links add to the matrix: H d d^T each, d the difference of a node and its place on a triangle."""
     count = len(links.nodes)
     if count == 0:
@@ -119,7 +118,7 @@ def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Any, n: int, 
     return (d.T @ diags(h * links.area) @ d).tocsr()
 
 
-def _extremes(t: Any) -> tuple[float, float]:
+def _extremes(t: Target) -> tuple[float, float]:
     return float(t.T.max()), float(np.average(t.T, weights=t.mesh.V0))
 
 

@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Annotated
 
 import numpy as np
+from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
 from ..errors import SolverError
 from ..geometry import mesher
@@ -95,8 +96,6 @@ def prepare_ordered(
     points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> tuple[TetMesh, np.ndarray, np.ndarray]:
     """`prepare`, and which of the points (n,) and tetrahedra (m,) given each node and element is."""
-    from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
-
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
     order = np.argsort(distance, kind="stable")
     rank = np.empty(len(order), np.int64)

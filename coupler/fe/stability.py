@@ -8,7 +8,7 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 
 from dataclasses import dataclass
 from math import log
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numba import njit
@@ -17,13 +17,27 @@ from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
 from ..state.records import Shape
 from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
-
-if TYPE_CHECKING:
-    from .explicit import Target
+from .mesh import TetMesh
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
 STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
+
+
+class Oscillator(Protocol):
+    """What the frequency of a target follows from; `fe.explicit.Target` says what each array is."""
+
+    mesh: TetMesh
+    laws: np.ndarray
+    law_of: np.ndarray
+    law_of_node: np.ndarray
+    start: np.ndarray
+    table: np.ndarray
+    x: np.ndarray
+    J: np.ndarray
+    mass: np.ndarray
+    inv_mass: np.ndarray
+    dt_of: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -104,7 +118,7 @@ def _forces(lo, hi, x, w, conn, V0, dv, dp, laws, law_of, fe):
         fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
 
 
-def masses_for(t: "Target", dt: float) -> np.ndarray:
+def masses_for(t: Oscillator, dt: float) -> np.ndarray:
     """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
     together, each of them times (dt / its own step)^2."""
     conn = t.mesh.conn
@@ -150,7 +164,7 @@ class HighestFrequency:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
-    def longest_step(self, t: "Target", bound: float, n: int, m: int) -> float:
+    def longest_step(self, t: Oscillator, bound: float, n: int, m: int) -> float:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
         mesh = t.mesh
         w, f = self._w[:n], self._f
@@ -158,7 +172,7 @@ class HighestFrequency:
         if not self._warm:
             w[:] = self._random.standard_normal((n, 3))
             size = 1.0
-        elif n > self._known:  # those that have woken since may have the fastest mode of all
+        elif n > self._known:  # nodes that have become active since may have the fastest mode
             w[self._known : n] = size * self._random.standard_normal((n - self._known, 3))
         self._known = max(self._known, n)
         worst = np.argpartition(t.dt_of[:m], min(STIRRED, m - 1))[:STIRRED]

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import gmsh
 import numpy as np
@@ -99,15 +98,19 @@ def fill(
 
 
 def fill_apart(
-    shells: list[tuple[np.ndarray, np.ndarray]], size: float, time_limit: float = 60.0, **how: Any
+    shells: list[tuple[np.ndarray, np.ndarray]],
+    size: float,
+    improve: float = 0.45,
+    graded: bool = False,
+    time_limit: float = 60.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """`fill` in a process of its own, which may die or take more than time_limit s: a SplatError then, as for all else."""
     with tempfile.TemporaryDirectory(prefix="fill-") as name:
         folder = Path(name)
-        arrays: dict[str, Any] = {f"x_{i}": x for i, (x, _) in enumerate(shells)}
-        arrays |= {f"t_{i}": t for i, (_, t) in enumerate(shells)}
-        np.savez(folder / "shells.npz", **arrays)
-        (folder / "task.json").write_text(json.dumps({"size": size, "shells": len(shells), "how": how}))
+        np.savez(folder / "shells.npz", *(array for shell in shells for array in shell))
+        (folder / "task.json").write_text(
+            json.dumps({"size": size, "shells": len(shells), "improve": improve, "graded": graded})
+        )
         start = "from coupler.geometry.mesher import _fill_in; import sys; _fill_in(sys.argv[1])"
         try:
             done = subprocess.run(
@@ -129,9 +132,9 @@ def _fill_in(name: str) -> None:
     folder = Path(name)
     task = json.loads((folder / "task.json").read_text())
     with np.load(folder / "shells.npz", allow_pickle=False) as file:
-        shells = [(file[f"x_{i}"], file[f"t_{i}"]) for i in range(task["shells"])]
+        shells = [(file[f"arr_{2 * i}"], file[f"arr_{2 * i + 1}"]) for i in range(task["shells"])]
     try:
-        points, tets = fill(shells, task["size"], **task["how"])
+        points, tets = fill(shells, task["size"], improve=task["improve"], graded=task["graded"])
     except SplatError as problem:
         sys.exit(str(problem))
     np.savez(folder / "mesh.npz", points=points, tets=tets)

@@ -15,12 +15,13 @@ tells the compiler that they are zero, and what `on` guards is not in the kernel
 
 from collections.abc import Mapping
 from math import log, sqrt
-from typing import Any
 
 import numpy as np
 from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
+
+from .materials import Material
 
 #: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
 LAW = np.dtype(
@@ -39,10 +40,10 @@ PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion")
 
 
-def law_record(material: Any, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
+def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
     """Pack a material into a LAW record of shape (1,), with effects switched off where `on` says False.
 
-    material: anything with the attributes of `coupler.physics.materials.Material` (SI). rate_filter: s, the time constant
+    rate_filter: s, the time constant
     over which the plastic strain rate is averaged before Johnson-Cook sees it (0: not averaged). A linear equation
     of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
     energy that makes pressure; what compression itself stores there stays.

@@ -134,12 +134,12 @@ def material(name: str) -> Material:
     return library[name]
 
 
-def unknown(name: str, known: Mapping[str, Any]) -> str:
+def unknown(name: str, known: Mapping[str, object]) -> str:
     """The message for a material that is not there. known: materials by name."""
     return f"unknown material{units.nearest(name, known)}; known: {', '.join(known)}"
 
 
-def from_table(name: str, table: Mapping[str, Any], base: Material | None = None) -> Material:
+def from_table(name: str, table: Mapping[str, object], base: Material | None = None) -> Material:
     """Make a material from a table of numbers and texts with units.
 
     table: fields of Material as in materials.toml; what it lacks is from `base`, else the defaults.
@@ -175,7 +175,7 @@ def from_table(name: str, table: Mapping[str, Any], base: Material | None = None
     return made
 
 
-def from_scene(tables: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, Material], list[str]]:
+def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Material], list[str]]:
     """The library with the materials of a scene added or changed.
 
     tables: the scene's [materials.NAME] tables; `base = "Ni"` starts from a material of the library,

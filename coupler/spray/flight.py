@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from ..errors import ColdsprayError
 from ..physics.materials import Material
@@ -109,8 +110,6 @@ def integrate(
     rho kg/m^3, cp(T) J/(kg K), D m: of the sphere; v m/s, T K: at the start; T_r = T_gas (1 + sqrt(Pr) (gamma - 1) / 2 M^2): the
     recovery temperature (White, Viscous Fluid Flow, 1991). points: stored in each piece.
     """
-    from scipy.integrate import solve_ivp
-
     columns = []
     y = np.array([v, T, 0.0])
     for start, stop, state in pieces:

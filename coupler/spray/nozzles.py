@@ -77,12 +77,12 @@ def library() -> dict[str, Nozzle]:
     return dict(_library())
 
 
-def unknown(name: str, known: Mapping[str, Any]) -> str:
+def unknown(name: str, known: Mapping[str, object]) -> str:
     """The message for a nozzle that is not there. known: nozzles by name."""
     return f"unknown nozzle{units.nearest(name, known)}; known: {', '.join(known)}"
 
 
-def from_tables(tables: Mapping[str, Any]) -> tuple[dict[str, Nozzle], list[str]]:
+def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[str]]:
     """The library with the nozzles of [nozzles.NAME] tables added. Returns (nozzles by name, problems)."""
     known, problems = library(), []
     for name, table in tables.items():
@@ -93,7 +93,7 @@ def from_tables(tables: Mapping[str, Any]) -> tuple[dict[str, Nozzle], list[str]
     return known, problems
 
 
-def from_table(name: str, table: Any) -> Nozzle:
+def from_table(name: str, table: object) -> Nozzle:
     """Make a nozzle from lengths with units. Raises SceneError with every problem, each beginning with the field at fault."""
     if not isinstance(table, Mapping):
         raise SceneError(["expected a table of lengths"], name)
