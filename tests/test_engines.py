@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -10,11 +11,12 @@ from coupler import Scene, run
 from coupler.errors import SolverError
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import compiled_kernels, packing
+from coupler.sph import compiled, compiled_kernels, packing
 from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import Lattice
 from coupler.sph.particle import Numerics, Particle
+from coupler.sph.threads import SecondThread
 
 D = 25e-6
 DT = 1e-11
@@ -189,18 +191,40 @@ def test_a_restored_particle_goes_on_to_the_last_bit(pair: Callable[..., tuple[P
     assert first.internal_work == second.internal_work
 
 
-def test_passes_over_parts_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]]) -> None:
-    """Any split of points and pairs over threads gives the same forces."""
-    _, p = pair(points=1000)
-    set_velocity((4e7, 3e7, -7e7))(p)
-    p.run(50, DT, lambda: None)
-    assert isinstance(p, CompiledParticle)
-    whole = p._force.copy()
-    p._force[:] = 0.0
-    m = len(p._pairs)
-    for lo, hi in ((m // 3, m), (0, m // 3)):
-        p._pair_forces(lo, hi)
-    assert np.array_equal(p._force, whole)
+def test_two_threads_give_the_same_bits(
+    pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Any split of points and pairs over threads gives the same forces, whoever computes which part."""
+    monkeypatch.setattr(compiled, "LEAST_POINTS", 100)
+    monkeypatch.setattr(compiled, "LEAST_PAIRS", 500)
+    (_, alone), (_, shared) = pair(), pair()
+    shared.second = SecondThread()
+    for p in (alone, shared):
+        set_velocity((4e7, 3e7, -7e7))(p)
+        p.run(100, DT, lambda: None)
+    shared.second.close()
+    for name in ("x", "v", "eps_p", "T", "p", "f", "sums"):
+        assert np.array_equal(getattr(alone, name), getattr(shared, name)), name
+
+
+def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
+    second = SecondThread()
+    blocked = Event()
+    second.submit(lambda: blocked.wait(10))  # it has work of its own: this thread does all parts
+    done: list[int] = []
+    second.share(done.append, 5)
+    assert done == [0, 1, 2, 3, 4]
+    blocked.set()
+    second.share(done.append, 5)
+    assert sorted(done[5:]) == [0, 1, 2, 3, 4]
+
+    def fail(part: int) -> None:
+        if part == 3:
+            raise SolverError("part 3")
+
+    with pytest.raises(SolverError, match="part 3"):
+        second.share(fail, 5)
+    second.close()
 
 
 @pytest.mark.parametrize("metal", ["Ni", "Ti"])

@@ -5,7 +5,7 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -16,6 +16,7 @@ from ..contact.penalty import ContactState
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, Adhesion
 from ..ranks.distributed import ParticleState
+from ..sph.threads import SecondThread
 from ..state.records import Shape, assign, check_indices, collect
 from .bodies import BodiesState
 from .domains import Domains
@@ -50,7 +51,8 @@ class Impact:
     """
 
     def __init__(self, domains: Domains, threads: int = 1):
-        """threads: with 2, the target's next step is computed beside LAMMPS's, on a second core; the numbers are the same."""
+        """threads: with 2, a second one computes the target's next step beside the particle's, then shares the rest of the particle's
+        with this one; the numbers are the same."""
         self.domains, self.paths = domains, domains.paths
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
         self.surface, self.contact = domains.surface, domains.contact
@@ -59,7 +61,7 @@ class Impact:
         self._x, self._v, self._forces = (np.zeros((self.surface.touching.shape[0], 3)) for _ in range(3))
         self.surface_nodes = np.unique(self.contact.facets)
         self.ledger = Ledger(domains)
-        self._pool = ThreadPoolExecutor(1) if threads > 1 else None
+        self._second = self.particle.second = SecondThread() if threads > 1 else None
         self._ahead: Future[None] | None = None
         self._left = 0  # steps of this window still to come
         self.time = 0.0
@@ -71,8 +73,8 @@ class Impact:
 
     def close(self) -> None:
         """Stop the second thread."""
-        if self._pool is not None:
-            self._pool.shutdown(wait=True)
+        if self._second is not None:
+            self._second.close()
 
     @property
     def sinking(self) -> float:
@@ -143,8 +145,8 @@ class Impact:
         s.spread(self._forces, rows, p.f_ext)
         t.finish()
         self._left -= 1
-        # until LAMMPS calls again it works in C, without Python's lock: the target's next step runs meanwhile
-        self._ahead = self._pool.submit(self._advance_bodies, dt) if self._pool and self._left else None
+        # the particle's next step runs in LAMMPS and in compiled passes, without Python's lock: the target's runs meanwhile
+        self._ahead = self._second.submit(lambda: self._advance_bodies(dt)) if self._second and self._left else None
 
     def conduct_heat(self, time: float) -> None:
         """Let heat flow for `time` s and turn the heat of friction into temperature, of points and of elements behind facets."""

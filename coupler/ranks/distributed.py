@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import CheckpointError
 from ..sph.particle import LocalState
+from ..sph.threads import SecondThread
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
 
@@ -25,7 +26,8 @@ class DistributedParticle:
     """The particle as the root sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
+    the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps. second: a thread that
+    the particle may share its work with, in one process.
     """
 
     def __init__(self, ranks: Ranks, local: Any, points: int, spacing: float):
@@ -33,6 +35,7 @@ class DistributedParticle:
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
+        self.second: SecondThread | None = None
         self._fields: dict[str, np.ndarray] = {}
         self.failure: BaseException | None = None
         if self._alone:
@@ -171,6 +174,7 @@ class DistributedParticle:
                 begin()
                 meet()
 
+            self.local.second = self.second
             self.local.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)

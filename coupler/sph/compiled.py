@@ -5,6 +5,7 @@ are made once. On several ranks LAMMPS brings x and vest of the neighbours' poin
 F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -18,6 +19,8 @@ from .particle import H, Particle, PointState
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
+PARTS = 4  # that a pass is divided into, for two threads to take as each is free
+LEAST_POINTS, LEAST_PAIRS = 1200, 6600  # in a part at the least: with less of them a second thread costs more than it gives
 PER_POINT = 19  # numbers of a point that other ranks need: F, Q, plastic strain
 
 
@@ -50,7 +53,9 @@ class CompiledParticle(Particle):
         self._effective = np.ones(everyone)
         self.F, self.R = self._all_F[: self.n], self._all_F[: self.n].copy()
         self._h = 2.0 * self.numerics.kernel_radius * self.spacing
-        K, G, self._rho = (float(self.law[0][name]) for name in ("K", "G", "rho"))
+        law = self.law[0]
+        self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
+        K, G, self._rho = (float(law[name]) for name in ("K", "G", "rho"))
         self._E = 9 * K * G / (3 * K + G)
         self._list_neighbours()
         self._list_exchange()
@@ -108,19 +113,36 @@ class CompiledParticle(Particle):
                     lists.append((rank, rows, np.empty((len(rows), PER_POINT))))
 
     def _update_stress(self) -> None:
-        try:
-            failed = k.stress_points(
-                0, self.n, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._ghat,
+        failed: list[int] = []
+
+        def stress(lo: int, hi: int) -> None:
+            point = k.stress_points(
+                lo, hi, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._ghat,
                 self._K_inverse, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
-                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, self.sums,
+                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
             )  # fmt: skip
+            if point >= 0:
+                failed.append(point)
+
+        try:
+            self._share(stress, self.n, LEAST_POINTS)
         finally:
             self._skip_step()
-        if failed >= 0:
-            self._refuse(failed)
-        self._pair_forces(0, len(self._pairs))
+        if failed:
+            self._refuse(min(failed))
+        self._share(self._pair_forces, len(self._pairs), LEAST_PAIRS)
         k.sum_forces(0, self.n, self._first, self._signed, self._force, self.f)
-        self._eps[:] = self.sigma_y / H
+        plastic = self.volume_of_point * float(self.work.sum())
+        self.sums[1] += self._warming * (plastic - self.sums[0])
+        self.sums[0] = plastic
+
+    def _share(self, work: Callable[[int, int], None], count: int, least: int) -> None:
+        """Do work(lo, hi) over [0, count): in parts of `least` or more with a second thread, where there is one and it pays."""
+        parts = min(PARTS, count // least)
+        if self.second is None or parts < 2:
+            work(0, count)
+        else:
+            self.second.share(lambda i: work(count * i // parts, count * (i + 1) // parts), parts)
 
     def _pair_forces(self, lo: int, hi: int) -> None:
         num = self.numerics

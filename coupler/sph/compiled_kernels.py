@@ -17,6 +17,7 @@ from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 TURNED = 1e-14  # rad: the rotation is exact to rounding
+NEAR = 1e-8  # rad: it is after this correction, for the next would be of the square
 FAR = 0.3  # rad: a rotation farther from the last one is sought by Newton's iteration of the polar decomposition
 J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
 PLASTIC = 1e-3  # effective plastic strain of LAMMPS beyond which MACHDYN's hourglass control is viscous
@@ -76,8 +77,9 @@ def rotation(F, R):
 
     A = R^T F, S = sym A: (tr(S) 1 - S) omega is the axial vector of A, and R <- R Cayley(omega) until omega vanishes.
     """
+    A = _product(_transposed(R), F)
     for sweep in range(30):
-        a00, a01, a02, a10, a11, a12, a20, a21, a22 = A = _product(_transposed(R), F)
+        a00, a01, a02, a10, a11, a12, a20, a21, a22 = A
         s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
         t0, t1, t2 = a21 - a12, a02 - a20, a10 - a01
         W, _ = _inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
@@ -91,6 +93,7 @@ def rotation(F, R):
             break
         if sweep == 0 and not square < FAR * FAR:
             R = _polar(F)
+            A = _product(_transposed(R), F)
             continue
         c = 1.0 / (4.0 + square)  # Cayley: 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega
         x, y, z = 4.0 * c * o0, 4.0 * c * o1, 4.0 * c * o2
@@ -103,27 +106,28 @@ def rotation(F, R):
                 c * o0 * o2 - y, c * o1 * o2 + x, 1.0 - c * (o0 * o0 + o1 * o1),
             ),
         )  # fmt: skip
+        A = _product(_transposed(R), F)
+        if square < NEAR * NEAR:
+            break
     return R, A
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
     lo, hi, dt, laws, V, H, start, neighbour, ghat, K_inverse, x, v, R, F, Q, stress, effective, sigma_y, eps_p, rate, T, J, p,
-    energy, work, sums,
+    energy, work,
 ):  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
     start (n+1,), neighbour, ghat (m,3) 1/m: neighbours of each point and their corrected gradients; K_inverse (n,3,3). x, v
     (N,3): positions and velocities at n+1. R, F (N,9); Q (N,9) N m receives V^2 J R sigma B K^-1 with B = U^-1; stress (n,6):
     unrotated Cauchy stress, xx xy xz yy yz zz, as LAMMPS keeps it; effective (N,): sigma_y / H and the plastic strain of the
-    step, by which MACHDYN chooses its hourglass control. The plastic state is that of `physics.constitutive`. sums (2,) grow by
-    plastic work and by what of its heat makes pressure, J. A point fails where J leaves [J_MIN, J_MAX].
+    step, by which MACHDYN chooses its hourglass control. The plastic state is that of `physics.constitutive`; work (n,) J/m3 grows by
+    the plastic work. A point fails where J leaves [J_MIN, J_MAX].
 
     As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
     """
     failed = -1
-    plastic = 0.0
-    warmth = 0.0
     for i in range(lo, hi):
         law = laws[0]
         x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
@@ -190,11 +194,9 @@ def stress_points(
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
             heat = law.expansion * law.taylor_quinney * w
-            warmth += V * heat
         p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
         J[i] = Ji
         work[i] += w
-        plastic += V * w
 
         sxx, syy, szz = sxx + mean, syy + mean, szz + mean
         stress[i, 0], stress[i, 1], stress[i, 2] = sxx, sxy, sxz
@@ -205,8 +207,6 @@ def stress_points(
         c = V * V * Ji
         for k in range(9):
             Q[i, k] = c * P[k]
-    sums[0] += plastic
-    sums[1] += warmth
     return failed
 
 

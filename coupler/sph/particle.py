@@ -27,6 +27,7 @@ from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..state.records import Rows, Shape, collect, rows_of, take
 from . import law as k
+from .threads import SecondThread
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
 H = 1.0e9
@@ -102,7 +103,8 @@ class Particle(ABC):
 
     x, v, f (n,3) are LAMMPS's own arrays. f_ext (n,3): forces from outside, filled in by the callback. eps_p, rate,
     T, sigma_y, J, p, energy, work (n,): the state of the law. X (n,3): reference positions; ids (n,): which of the points
-    given these are (they stay: neighbours are those of the reference configuration). SI units.
+    given these are (they stay: neighbours are those of the reference configuration). second: a thread that an engine may share its
+    work with. SI units.
     """
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
@@ -143,6 +145,7 @@ class Particle(ABC):
         r = law[0]
         self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
         self.comm = comm
+        self.second: SecondThread | None = None
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
         self.is_shared = False
