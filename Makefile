@@ -60,6 +60,8 @@ $(STAMP): uv.lock pyproject.toml
 	@$(VENV)/bin/python -m uv --version >/dev/null 2>&1 || \
 	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv==$(UV_VERSION)
 	UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(COMPILED) $(VENV)/bin/python -m uv sync --locked --inexact --quiet
+	@echo "setup: compiling the kernels, once"
+	@OMP_NUM_THREADS=1 $(VENV)/bin/coldspray check workflows/single_ni.toml >/dev/null
 	@touch $@
 
 run: setup

@@ -130,7 +130,7 @@ def plan(scene: Scene) -> Plan:
         elements.append(elements[-1] + scene.derived.splat_elements_of(particle))
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
-    loads = [estimates.home_load(points, n) for _, points, n in costs]
+    loads = [estimates.home_load(points, n, scene.resolution.engine) for _, points, n in costs]
     conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
     return Plan(
         scene=scene,
@@ -147,7 +147,7 @@ def plan(scene: Scene) -> Plan:
         memory_bytes=estimates.memory(scene.derived.points, elements[-1]),
         cost=estimates.Cost(
             steps=sum(estimates.step_time(n, E) for n, _, E in costs),
-            points=sum(estimates.point_time(n, N) for n, N, _ in costs),
+            points=sum(estimates.point_time(n, N, scene.resolution.engine) for n, N, _ in costs),
             rest=estimates.run_time(elements[0]) + conversions,
         ),
         home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),

@@ -133,7 +133,7 @@ def _warm_up(out: Path, say: Callable[[str], None]) -> None:
     text = (
         '[[particle]]\nmaterial = "Ni"\ndiameter = "10 um"\nvelocity = "500 m/s"\n'
         '[substrate]\nmaterial = "SS304"\ndiameter = "60 um"\nheight = "30 um"\n'
-        '[end]\ntime = "1 ns"\n[resolution]\nspacing = "1.1 um"\n'
+        '[end]\ntime = "2 ns"\n[resolution]\nspacing = "1.1 um"\n'
     )
     point = LadderPoint("warm-up", "warm-up", 500)
     compute(Scene.from_text(text, "warm-up"), point, out / "runs" / "warm-up", Progress(quiet=True))

@@ -53,7 +53,7 @@ def measure() -> tuple[float, float]:
     ]  # other work on the machine only ever adds to a time
     # f_s (step + element E) + f_p point N = seconds of a step, for the two impacts
     (a, b, s), (c, d, t) = (
-        (cost.SECONDS_PER_STEP + cost.SECONDS_PER_ELEMENT * E, cost.SECONDS_PER_POINT * N, seconds)
+        (cost.SECONDS_PER_STEP + cost.SECONDS_PER_ELEMENT * E, cost.SECONDS_PER_POINT["compiled"] * N, seconds)
         for N, E, seconds in sizes
     )
     determinant = a * d - b * c
