@@ -102,8 +102,8 @@ def report(result: Result) -> str:
     """The page about a run as HTML."""
     page, summary, scene = Page(), result.summary, parts.scene_of(result)
     history = result.history() if (result.directory / "history.csv").is_file() else {}
-    what = parts.asked(scene, summary) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
-    page.section("computed", "What was computed", what)
+    computed = parts.asked(scene, summary) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
+    page.section("computed", "What was computed", computed)
     page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
     page.section("impacts", "Impacts", parts.each_impact(summary))
     names = drawable(result)
@@ -293,7 +293,7 @@ def _energy(page: Page, history: Mapping[str, NDArray], summary: Mapping[str, ob
     if not stack:
         return ""
     said = (
-        "Where the initial kinetic energy is at each time. The stack is all that was booked; what it misses of 100 % "
+        "Where the initial kinetic energy is at each time. The stack is the sum of all terms of the ledger; its distance from 100 % "
         "is the drift below."
     )
     return f'<p class="caption">{said}</p>{stack}{page.chart("drift", charts.drift(history), "Drift of the ledger")}'

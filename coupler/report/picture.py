@@ -175,11 +175,11 @@ def colour_range(cuts: Sequence[Cut], name: str) -> tuple[float, float]:
     return low, max([*tops, low + field.least_range])
 
 
-def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
+def draw(axis: Axes, section: Cut, name: str, ends: tuple[float, float]) -> None:
     """Draw the cut coloured by one field. ends: of the colours, as from `colour_range`."""
-    left, right, bottom, top = what.window
+    left, right, bottom, top = section.window
     colours, scale = FIELDS[name].colours, Normalize(*ends)
-    corners, values = what.corners, what.values[name]
+    corners, values = section.corners, section.values[name]
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
     flat = corners.reshape(-1, 2)
     sides = np.roll(flat[halves], -1, axis=1) - flat[halves]
@@ -197,19 +197,21 @@ def draw(axis: Axes, what: Cut, name: str, ends: tuple[float, float]) -> None:
     if thick.any():
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
-    rim = LineCollection(list(what.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2)
+    rim = LineCollection(list(section.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2)
     axis.add_collection(rim)
-    if what.loops:
-        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in what.loops)
+    if section.loops:
+        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
         outline = Outline.make_compound_path(*closed)
-        picture = axis.imshow(what.images[name], extent=what.extent, origin="lower", cmap=colours, norm=scale, zorder=3)
+        picture = axis.imshow(
+            section.images[name], extent=section.extent, origin="lower", cmap=colours, norm=scale, zorder=3
+        )
         picture.set_clip_path(outline, axis.transData)
-        hollow = np.isnan(what.images[name])
+        hollow = np.isnan(section.images[name])
         if hollow.any():
-            edge = axis.contour(hollow, [0.5], extent=what.extent, colors="black", linewidths=1.0, zorder=4)
+            edge = axis.contour(hollow, [0.5], extent=section.extent, colors="black", linewidths=1.0, zorder=4)
             edge.set_clip_path(outline, axis.transData)
         axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))
-    axis.plot([left, right], [what.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
+    axis.plot([left, right], [section.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axis.set_axis_off()
 
@@ -255,12 +257,12 @@ def blank(width: float, height: float, dpi: float) -> Figure:
     return figure
 
 
-def panels(what: Cut, ranges: dict[str, tuple[float, float]], heading: str, arrows: dict[str, bool]) -> Figure:
+def panels(section: Cut, ranges: dict[str, tuple[float, float]], heading: str, arrows: dict[str, bool]) -> Figure:
     """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other.
 
     arrows: name -> whether the bar shows that values go beyond it.
     """
-    left, right, bottom, top = what.window
+    left, right, bottom, top = section.window
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
     tall = width * (top - bottom) / (right - left)
     count = len(ranges)
@@ -269,12 +271,12 @@ def panels(what: Cut, ranges: dict[str, tuple[float, float]], heading: str, arro
     for row, (name, ends) in enumerate(ranges.items()):
         low = margin + (count - 1 - row) * (tall + gap)
         axis = figure.add_axes((margin / size[0], low / size[1], width / size[0], tall / size[1]))
-        draw(axis, what, name, ends)
+        draw(axis, section, name, ends)
         colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, arrows[name])
-    scale_bar(figure.axes[0], what.window)
+    scale_bar(figure.axes[0], section.window)
     height = 1 - 0.27 / size[1]
     figure.text(margin / size[0], height, heading, fontsize=13, va="center", parse_math=False)
-    when = f"t = {what.time * 1e9:.1f} ns"
+    when = f"t = {section.time * 1e9:.1f} ns"
     figure.text((margin + width) / size[0], height, when, fontsize=13, va="center", ha="right")
     return figure
 
@@ -288,9 +290,9 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
     path = Path(path) if path is not None else result.directory / "section.png"
     at, names = stage(result), ("T", "eps_p")
     read(result, step, names)
-    what = cut(result, step, names, at, window(result, [step], at))
-    ranges = {name: colour_range([what], name) for name in names}
-    figure = panels(what, ranges, title(result), {name: beyond([what], name, ranges[name]) for name in names})
+    section = cut(result, step, names, at, window(result, [step], at))
+    ranges = {name: colour_range([section], name) for name in names}
+    figure = panels(section, ranges, title(result), {name: beyond([section], name, ranges[name]) for name in names})
     save(figure, path)
     return path
 
