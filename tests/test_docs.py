@@ -46,7 +46,7 @@ def test_the_page_knows_units_limits_and_defaults() -> None:
 
 def test_formulas_can_be_drawn() -> None:
     drawn = loaded(DOCS / "conf.py").drawn
-    text = (DOCS / "theory" / "equations.md").read_text()
+    text = "\n".join(page.read_text() for page in sorted((DOCS / "theory").glob("*.md")))
     blocks = re.findall(r"\$\$(.+?)\$\$", text, re.DOTALL)
     lines = set(re.findall(r"\$([^$\n]+)\$", re.sub(r"\$\$.+?\$\$", "", text, flags=re.DOTALL)))
     assert len(blocks) > 10

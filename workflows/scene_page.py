@@ -27,7 +27,7 @@ WORDS = {
     "name": "of the run, and of its folder in `runs/`; the file's name unless said",
     "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
     "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
-    " ([effects](../evidence/effects.md))",
+    " ([effects](../theory/effects.md))",
     "particle.material": "a name of the library or of `[materials.NAME]`",
     "particle.shape": "all shapes have the volume of a sphere of `diameter`",
     "particle.diameter": "of the sphere of equal volume",
@@ -98,7 +98,7 @@ ABOUT = {
     "coating": "Optional, in place of `[[particle]]`: many particles drawn from a seed.",
     "substrate": "The target, a cylinder whose top is the surface.",
     "contact": "Between particle and target, and between bodies.",
-    "adhesion": "What holds splats to what they lie on ([contact and bonds](../theory/contact.md)).",
+    "adhesion": "What holds splats to what they lie on ([bonds](../theory/bonds.md)).",
     "splat": "How a finished particle becomes finite elements.",
     "resolution": "Overrides of the preset.",
     "end": "When an impact ends.",
