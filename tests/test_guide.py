@@ -17,7 +17,7 @@ import matplotlib as mpl
 import pytest
 
 from coupler.commands.main import _parser, main
-from coupler.scene.model import Scene
+from coupler.plan.reading import Scene
 from coupler.studies.sweep import Sweep
 
 ROOT = Path(__file__).parents[1]
