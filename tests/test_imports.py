@@ -50,7 +50,6 @@ TODO = {
     "test_imports_stand_at_the_top[deposition/run.py]",
     "test_imports_stand_at_the_top[files/store.py]",
     "test_imports_stand_at_the_top[progress.py]",
-    "test_imports_stand_at_the_top[ranks/ranks.py]",
     "test_imports_stand_at_the_top[report/parts.py]",
     "test_modules_have_no_circle",
     "test_few_modules_lie_flat",

@@ -20,13 +20,13 @@ WAY = 0.1  # edges of the smallest element that surfaces may move between two se
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
 RELAX_STEPS = 2500  # at most
 RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free
-JOLT_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
+RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
 
-def settle(bodies: Bodies, kinetic_0: float, jolt_time: float = JOLT_TIME) -> dict[str, float]:
+def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME) -> dict[str, float]:
     """Let all bodies come to rest in equilibrium; they wake for it, and sleep afterwards.
 
-    kinetic_0: J of the impact, by which what is left is judged; jolt_time: s of real motion in which is measured what is set free
+    kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
     after all. The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
@@ -40,12 +40,12 @@ def settle(bodies: Bodies, kinetic_0: float, jolt_time: float = JOLT_TIME) -> di
         with t.quasi_static():
             report = _relax(bodies, RELAXED * kinetic_0)
         taken = held - _held(bodies)
-        jolt = _run_for(bodies, jolt_time)
+        released = _run_for(bodies, release_time)
         t.rest()
     finally:
         t.conduction = conduction
     t.sleep_beyond(reach)
-    return report | {"taken_J": taken, "jolt_J": jolt, "jolt": jolt / kinetic_0}
+    return report | {"taken_J": taken, "released_J": released, "released": released / kinetic_0}
 
 
 def _held(bodies: Bodies) -> float:

@@ -19,12 +19,12 @@ from ..plan.planning import Plan
 from ..sph.carried_surface import shape_measures
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
-from .equilibrium import JOLT_TIME, RELAXED, settle
+from .equilibrium import RELAXED, RELEASE_TIME, settle
 from .mass_scaling import prepare
 from .remeshing import Gate, remeshed
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
-JOLT = 0.005  # of an impact's kinetic energy: more must not be set free after a splat has joined
+RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
 def join(
@@ -55,7 +55,7 @@ def join(
     if left:
         log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         new = bodies.renumbered(origin)
-        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, jolt_time(plan))}
+        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
         return _ready(plan, i, new, origin, kinetic_0, report), report
     cloud = cloud_of(domains)
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
@@ -80,7 +80,7 @@ def join(
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
-    report |= settle(new, kinetic_0, jolt_time(plan))
+    report |= settle(new, kinetic_0, release_time(plan))
     if report["left_J"] > RELAXED * kinetic_0:
         log(
             f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
@@ -88,9 +88,9 @@ def join(
         )
     report["after"] = _held(new)
     report["joining_s"] = clock.perf_counter() - started
-    if report["jolt"] > JOLT:
+    if report["released"] > RELEASED_BOUND:
         raise SolverError(
-            f"splat {i + 1} joined the target with a jolt of {report['jolt']:.2%} of the impact's kinetic energy, allowed {JOLT:.1%}:"
+            f"splat {i + 1} set free {report['released']:.2%} of the kinetic energy as it joined, allowed {RELEASED_BOUND:.1%}:"
             " try a finer preset, or another [splat] method"
         )
     return _ready(plan, i, new, origin, kinetic_0, report), report
@@ -114,15 +114,15 @@ def point_of_impact(
 def _ready(
     plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
 ) -> Bodies:
-    """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `economy`."""
+    """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `mass_scaling`."""
     bodies = _paused(plan, i, bodies, origin, kinetic_0, report)
-    report["economy"] = prepare(plan, i + 1, bodies)
+    report["mass_scaling"] = prepare(plan, i + 1, bodies)
     return bodies
 
 
-def jolt_time(plan: Plan) -> float:
+def release_time(plan: Plan) -> float:
     """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
-    return JOLT_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
+    return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
 def hold_places(domains: Domains, hold: Hold | None) -> np.ndarray:
@@ -146,7 +146,7 @@ def _paused(
     cooling = cool(
         t, plan.impacts[i].dwell, np.unique(facets), plan.target.temperature, _links(bodies, plan.splat_element_size)
     )
-    settled = settle(bodies, kinetic_0, jolt_time(plan))
+    settled = settle(bodies, kinetic_0, release_time(plan))
     report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
     report["cooling"]["wall_s"] = clock.perf_counter() - started
     return bodies if plan.effects.on("ahead_of_waves") else bodies.renumbered(origin)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CheckpointError
-from ..sph.particle import LocalState
+from ..sph.particle import LocalState, Particle
 from ..sph.threads import SecondThread
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
@@ -26,11 +26,11 @@ class DistributedParticle:
     """The particle as the root sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last chunk. dt s; time s; steps. waited: seconds this rank has waited for others in steps. second: a thread that
-    the particle may share its work with, in one process.
+    the rest of the last window of steps. dt s; time s; steps. waited: seconds this rank has waited for others in steps. second: a
+    thread that the particle may share its work with, in one process.
     """
 
-    def __init__(self, ranks: Ranks, local: Any, points: int, spacing: float):
+    def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
         """local: this rank's part of the particle, or None; points: how many there are in all; spacing m."""
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
@@ -39,7 +39,7 @@ class DistributedParticle:
         self._fields: dict[str, np.ndarray] = {}
         self.failure: BaseException | None = None
         if self._alone:
-            self.x, self.v, self.f_ext = local.x, local.v, local.f_ext
+            self.x, self.v, self.f_ext = self._points.x, self._points.v, self._points.f_ext
             self._owner = [np.arange(self.n)]
         else:
             if local is not None:
@@ -52,7 +52,13 @@ class DistributedParticle:
         self.law: np.ndarray = self.ask("law_now")[0]
         self.totals = self._report()
 
-    # ---- between chunks ------------------------------------------------------------------------------------------
+    @property
+    def _points(self) -> Particle:
+        """This rank's points, where it has any."""
+        assert self.local is not None, "this rank has no points"
+        return self.local
+
+    # ---- between windows of steps ------------------------------------------------------------------------------------------
 
     def ask(self, method: str, *arguments: Any, each: Sequence[Any] | None = None) -> list[Any]:
         """Have every rank with points call a method of its part of the particle; the results, in order. each: a further argument
@@ -92,7 +98,7 @@ class DistributedParticle:
         return total
 
     def __getattr__(self, name: str) -> np.ndarray:
-        # fields of the points are gathered when they are asked for, once between two chunks
+        # fields of the points are gathered when they are asked for, once between two windows of steps
         if name not in ("eps_p", "rate", "T", "J", "energy", "stress_now"):
             raise AttributeError(name)
         if self._alone and name != "stress_now":
@@ -165,7 +171,7 @@ class DistributedParticle:
         """Make `steps` steps of dt seconds. In each: begin(), which needs nothing of the particle; then x and v of the points `needed`
         (k,) are those of n+1; meet() fills in f_ext.
 
-        Raises what one of them or a rank raised; all ranks have then ended the chunk.
+        Raises what one of them or a rank raised; all ranks have then ended the window.
         """
         self.dt, self.failure = dt, None
         if self._alone:
@@ -174,8 +180,8 @@ class DistributedParticle:
                 begin()
                 meet()
 
-            self.local.second = self.second
-            self.local.run(steps, dt, on_step)
+            self._points.second = self.second
+            self._points.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
         self.time += steps * dt
@@ -220,13 +226,13 @@ class DistributedParticle:
                 self.v[where[i]] = inbox[i][1 + k :].reshape(-1, 3)
             self.waited += clock.perf_counter() - started
             if own is not None:
-                self.x[where[own]], self.v[where[own]] = self.local.x[rows[own]], self.local.v[rows[own]]
+                self.x[where[own]], self.v[where[own]] = self._points.x[rows[own]], self._points.v[rows[own]]
             self.f_ext[:] = 0.0
             if not failed:
                 failed = self._try(meet)
             for i, rank in enumerate(r.sph):
                 if rank == r.root:
-                    self.local.f_ext[rows[i]] = self.f_ext[where[i]]
+                    self._points.f_ext[rows[i]] = self.f_ext[where[i]]
                     continue
                 outbox[i][0] = float(failed)
                 outbox[i][1:] = self.f_ext[where[i]].ravel()
@@ -241,7 +247,7 @@ class DistributedParticle:
             for _ in range(steps):
                 on_step()
         else:
-            answer = caught(lambda: self.local.run(steps, dt, on_step))
+            answer = caught(lambda: self._points.run(steps, dt, on_step))
         answers = r.comm.gather(answer, root=r.root)
         if self.failure is not None:
             raise self.failure

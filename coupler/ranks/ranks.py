@@ -14,11 +14,13 @@ import time as clock
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
+from mpi4py.MPI import COMM_WORLD, Intracomm
 
 from ..errors import ColdsprayError, PlacementError, SolverError
+from ..sph.particle import Particle
 
 PLACEMENTS = ("split", "spread")
 STEP = 7  # tag of the messages of a step
@@ -48,16 +50,14 @@ class Ranks:
         return self.rank in self.sph
 
 
-def world() -> Any:
+def world() -> Intracomm | None:
     """The communicator of all processes that mpiexec started, or None in a single one."""
     if not any(name in os.environ for name in _LAUNCHERS):
         return None
-    from mpi4py import MPI
-
-    return MPI.COMM_WORLD if MPI.COMM_WORLD.size > 1 else None
+    return COMM_WORLD if COMM_WORLD.size > 1 else None
 
 
-def arrange(comm: Any, placement: str | None) -> Ranks:
+def arrange(comm: Intracomm | None, placement: str | None) -> Ranks:
     """Decide who runs where. placement: "split" (the default), "spread" or None. Raises PlacementError.
 
     Parts are equal in either: all ranks meet inside LAMMPS twice in each step, before its forces and between its stresses and its
@@ -76,6 +76,13 @@ def arrange(comm: Any, placement: str | None) -> Ranks:
     return Ranks(comm.rank, size, size - 1, sph, shares, placement, comm, sph_comm if comm.rank in sph else None)
 
 
+class Side(Protocol):
+    """One rank's side of the exchange."""
+
+    ranks: Ranks
+    local: Particle | None
+
+
 class RemoteFailure(SolverError):
     """A step was given up because another rank failed."""
 
@@ -92,7 +99,7 @@ def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
         ranks.comm.bcast(("end", (error,), None), root=ranks.root)
 
 
-def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
+def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Particle]) -> None:
     """What a rank without the target does: build its part of each particle and do as the root asks until it is dismissed.
 
     build(i, place): this rank's part of the particle of impact i.
@@ -131,13 +138,14 @@ def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Any]) -> None:
 class _Worker:
     """A rank's part of the particle and its side of the exchange."""
 
-    def __init__(self, ranks: Ranks, local: Any):
+    def __init__(self, ranks: Ranks, local: Particle | None):
         self.ranks, self.local, self.waited = ranks, local, 0.0
         if local is not None:
             local.is_shared = True
 
     def run_steps(self, steps: int, dt: float, rows: np.ndarray) -> None:
         p, comm, root = self.local, self.ranks.comm, self.ranks.root
+        assert p is not None, "only ranks with points make steps"
         k = 3 * len(rows)
         outbox, inbox = np.zeros(1 + 2 * k), np.zeros(1 + k)
 
@@ -161,12 +169,12 @@ class _Worker:
             p.run(steps, dt, on_step)
         finally:
             outbox[0] = 1.0
-            for _ in range(steps - done):  # LAMMPS stopped early: the root still counts to the end of the chunk
+            for _ in range(steps - done):  # LAMMPS has stopped early: the root still counts to the end of the window
                 comm.Send(outbox, dest=root, tag=STEP)
                 comm.Recv(inbox, source=root, tag=STEP)
 
 
-def attempt(side: Any, method: str, arguments: tuple[Any, ...], each: Sequence[Any] | None) -> Any:
+def attempt(side: Side, method: str, arguments: tuple[Any, ...], each: Sequence[Any] | None) -> Any:
     """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error.
 
     None on a rank without points.
@@ -190,7 +198,7 @@ def caught(work: Callable[[], Any]) -> Any:
         return SolverError(f"{type(error).__name__}: {error}")
 
 
-def abort(comm: Any, message: str, code: int) -> None:
+def abort(comm: Intracomm, message: str, code: int) -> None:
     """Say what happened, once, and take all ranks down."""
     print(message, file=sys.stderr, flush=True)
     comm.Abort(code)
