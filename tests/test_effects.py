@@ -116,11 +116,6 @@ def test_cooling_and_adhesion_need_a_pause_and_several_impacts() -> None:
     assert plan(several({}, {}, effects=["auto", "-adhesion"])).adhesion.kind == "none"
 
 
-def test_elements_ahead_of_the_waves_are_computed_only_when_asked_for() -> None:
-    assert not plan(scene_with()).effects.on("ahead_of_waves")
-    assert plan(scene_with(effects="all")).effects.on("ahead_of_waves")
-
-
 def test_what_many_impacts_share_is_said_once() -> None:
     texts = [
         "note", "impact 1: rates went to 1.5e+08 1/s", "impact 2: rates went to 2.1e+09 1/s", "impact 2: over the rim",
@@ -308,7 +303,6 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     for owner, name in ((PointConduction, "share"), (HeatPaths, "crossing"), (explicit.Conduction, "advance")):
         spy(owner, name)
     spy(explicit.Target, "warm")
-    awake = {}
     for effects_of in ("none", "all"):
         called.clear()
         domains = build_domains(plan(scene_with(effects=effects_of, particle__velocity="1500 m/s", **COARSE, **WIDE)))
@@ -320,11 +314,11 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (domains.target.conduction is not None) == (domains.contact.friction > 0) == on
         assert bool(len(domains.target.dashpot_nodes)) == on
         assert (domains.contact.friction_heat > 0.0) == on
-        awake[effects_of] = domains.target.active_elements / len(domains.target.mesh.conn)
+        assert domains.target.active_elements < 0.95 * len(
+            domains.target.mesh.conn
+        )  # those that the waves have reached
         impact.particle.close()
         impact.close()
-    assert awake["all"] == 1.0
-    assert awake["none"] < 0.95
 
 
 def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def test_nickel_on_steel():
     assert made.friction == 0.5
     assert 30e-12 < made.dt_estimate < 60e-12
     assert 700 < made.steps_estimate < 4000
-    off = {"adhesion", "ahead_of_waves", "cooling"}
+    off = {"adhesion", "cooling"}
     assert made.effects.active == [name for name in NAMES if name not in off]
     assert any("strain rates" in warning for warning in made.warnings)
 
@@ -142,8 +142,8 @@ def test_absorbing_faces_only_where_waves_come_back():
         ("none", set()),
         (["friction"], {"friction"}),
         ([], set()),
-        (["auto", "-friction"], set(NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
-        (["-friction"], set(NAMES) - {"friction", "adhesion", "ahead_of_waves", "cooling"}),
+        (["auto", "-friction"], set(NAMES) - {"friction", "adhesion", "cooling"}),
+        (["-friction"], set(NAMES) - {"friction", "adhesion", "cooling"}),
         (["none", "+friction", "mie_gruneisen"], {"friction", "mie_gruneisen"}),
         (["all", "-mie_gruneisen"], set(NAMES) - {"mie_gruneisen"}),
     ],

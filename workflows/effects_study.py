@@ -37,9 +37,8 @@ MEASURES = {
 }  # fmt: skip
 STUDY_COLUMNS = ("scene", "effect", "number", *MEASURES, "steps", "drift", "failed")
 PROOF_COLUMNS = ("scene", *MEASURES, "cpu_all_s", "cpu_auto_s", "ratio", "steps", "left_out")
-BASE = ["all", "-ahead_of_waves"]  # what is left out of: the waves' elements change nothing (tests/test_fe.py)
+BASE = ["all"]
 NEVER = (
-    "ahead_of_waves",
     "adhesion",
     "cooling",
 )  # not left out of a scene that does not ask for it: of no meaning to a single impact

@@ -149,7 +149,7 @@ def _paused(
     settled = settle(bodies, kinetic_0, release_time(plan))
     report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
     report["cooling"]["wall_s"] = clock.perf_counter() - started
-    return bodies if plan.effects.on("ahead_of_waves") else bodies.renumbered(origin)
+    return bodies.renumbered(origin)
 
 
 def _links(bodies: Bodies, size: float) -> Links:

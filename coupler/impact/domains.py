@@ -57,7 +57,6 @@ def build_target(plan: Plan) -> Bodies:
     mesh = meshes.prepare(points, tets, (*plan.impacts[0].offset, 0.0))
     target = Target(
         mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
-        sleeping=not on["ahead_of_waves"],
     )  # fmt: skip
     target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)

@@ -24,14 +24,12 @@ THRESHOLDS: dict[str, tuple[str, float]] = {
     "thermal_expansion": ("Gamma0 rho cp heating / K", 0.005),
     "adhesion": ("splats that the scene bonds", 0.0),
     "absorbing_boundaries": ("time / wave's way to the side and back", 1.0),
-    "ahead_of_waves": ("velocity ahead of the waves / largest", 1e-6),
     "conduction": ("sqrt(alpha time) / size x warming", 0.04),
     "particle_conduction": ("sqrt(alpha time) / spacing", 0.007),
     "interface_conduction": ("sqrt(alpha time) / size, both", 0.07),
     "cooling": ("sqrt(alpha dwell) / diameter", 0.05),
 }
 LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most, as the study's rows have it
-AHEAD_OF_WAVES = 1e-9  # velocities that computing elements asleep changes, of the largest: held by tests/test_fe.py
 
 _WHY = {  # (why on, why off)
     "thermal_softening": ("the metal gets warm enough to lose strength", "heating is too small to matter"),
@@ -44,7 +42,6 @@ _WHY = {  # (why on, why off)
     "mie_gruneisen": ("pressures are in the shock range", "compression is small: linear is enough"),
     "thermal_expansion": ("heat raises the pressure", "heat hardly raises the pressure"),
     "adhesion": ("splats stick to what they lie on", "there is nothing that the scene bonds"),
-    "ahead_of_waves": ("elements are computed before waves arrive", "they sleep until a wave arrives"),
     "particle_conduction": ("heat goes from point to point", "in the particle heat stays where it arises"),
     "interface_conduction": ("heat crosses the contact", "there is no time to cross the contact"),
     "cooling": ("heat leaves the splat between impacts", "no pause, or too short a one"),
@@ -148,7 +145,6 @@ def numbers(situation: Situation) -> dict[str, float]:
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
         "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
         "adhesion": float(situation.bonded),
-        "ahead_of_waves": AHEAD_OF_WAVES,
         "conduction": in_target * warm,
         "particle_conduction": in_particle,
         "interface_conduction": min(across, in_particle),  # what one side cannot take the other cannot give

@@ -16,7 +16,6 @@ NAMES = (
     "thermal_expansion",
     "adhesion",
     "absorbing_boundaries",
-    "ahead_of_waves",
     "conduction",
     "particle_conduction",
     "interface_conduction",
