@@ -5,7 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from coupler.errors import SceneError
 from coupler.files.store import Store
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 
 UM = 1e-6
 SCENE = """name = "made_up"
@@ -93,7 +97,11 @@ def write(
     inside = inside[(inside**2).sum(1) < 0.95]
     soil, tets = block(60, 50, edge)
     noise = rng.normal(size=len(tets))
-    with Store.create(folder, scene) as store:
+    try:
+        planned = plan_text(plan(Scene.from_text(scene)))
+    except SceneError:
+        planned = ""
+    with Store.create(folder, scene, plan_json=planned) as store:
         for amount in np.linspace(0, 1, steps):
             time = amount * END
             heat = amount * np.exp(-(((inside[:, 2] + 0.9) / 0.6) ** 2)) * (0.4 + (inside[:, :2] ** 2).sum(1))

@@ -107,9 +107,9 @@ def test_numbers_of_conduction_on_both_sides() -> None:
 
 
 def test_cooling_and_adhesion_need_a_pause_and_several_impacts() -> None:
-    assert not plan(scene_with(particle__dwell="1 ms")).effects.on("adhesion")
+    assert not plan(scene_with(particle__dwell="1 ms")).effects.adhesion
     short, long = (plan(several({"dwell": dwell}, {})).effects for dwell in ("1 ns", "1 ms"))
-    assert (short.on("cooling"), long.on("cooling")) == (False, True)
+    assert (short.cooling, long.cooling) == (False, True)
     value = next(row.value for row in long.rows if row.name == "cooling")
     assert value == pytest.approx(math.sqrt(effects.diffusivity(material("Ni"), 300.0) * 1e-3) / 25e-6)
     assert plan(several({}, {})).adhesion.kind == "tied"

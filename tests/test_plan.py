@@ -1,13 +1,18 @@
 import math
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from test_scene import scene_with, several
 
+from coupler.deposition.run import read_plan
+from coupler.errors import StoreError
 from coupler.plan import cost as estimates
 from coupler.plan import effects
 from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.plan.text import describe
 from coupler.scene.effects import NAMES, check_request
 
@@ -63,7 +68,7 @@ def test_an_impact_that_ends_at_a_time():
 
 def test_cost_grows_with_the_splats_that_join():
     one, two, three = (plan(several(*[{}] * n)) for n in (1, 2, 3))
-    splat = one.scene.derived.splat_elements_of(one.scene.particle)
+    splat = one.impact.splat_elements
     assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
     later = two.steps_estimate - one.steps_estimate  # on a splat: smaller steps, and another metal under it
     assert later > one.steps_estimate
@@ -75,9 +80,9 @@ def test_cost_grows_with_the_splats_that_join():
 
 def test_effects_are_on_if_any_impact_calls_for_them():
     slow = {"velocity": "50 m/s"}
-    assert not plan(several(slow, slow)).effects.on("mie_gruneisen")
+    assert not plan(several(slow, slow)).effects.mie_gruneisen
     made = plan(several(slow, {}))
-    assert made.effects.on("mie_gruneisen")
+    assert made.effects.mie_gruneisen
     assert row(made, "mie_gruneisen").value == row(plan(scene_with()), "mie_gruneisen").value
 
 
@@ -105,31 +110,31 @@ def test_numbers_of_the_reference_table():
 def test_a_slow_cold_impact_needs_less():
     made = plan(scene_with(particle__velocity="50 m/s"))
     for name in ("thermal_softening", "mie_gruneisen", "temperature_dependent_cp"):
-        assert not made.effects.on(name)
-    assert made.effects.on("plastic_heating")
-    assert plan(scene_with(particle__velocity="50 m/s", particle__temperature="600 K")).effects.on("thermal_softening")
+        assert not made.effects.switches[name]
+    assert made.effects.plastic_heating
+    assert plan(scene_with(particle__velocity="50 m/s", particle__temperature="600 K")).effects.thermal_softening
 
 
 def test_no_friction_without_a_coefficient():
-    assert not plan(scene_with(contact__friction=0.0)).effects.on("friction")
+    assert not plan(scene_with(contact__friction=0.0)).effects.friction
 
 
 def test_conduction_where_heat_crosses_an_element_of_the_target():
-    assert not plan(scene_with(end__time="10 ns")).effects.on("conduction")  # steel
+    assert not plan(scene_with(end__time="10 ns")).effects.conduction  # steel
     copper = plan(scene_with(substrate__material="OFHC_Cu"))
     length = math.sqrt(effects.diffusivity(copper.target.material, 300) * copper.end_time)
     bodies = (copper.impact.material, copper.target.material)
     warming = max(effects.heating(m, 300.0, 500.0) / (m.T_m - 300.0) for m in bodies)
     assert row(copper, "conduction").value == pytest.approx(warming * length / copper.target.element_size)
-    assert copper.effects.on("conduction")
+    assert copper.effects.conduction
 
 
 def test_absorbing_faces_only_where_waves_come_back():
     assert plan(scene_with()).target.sides == "absorbing"
     short = plan(scene_with(end__time="10 ns"))
-    assert not short.effects.on("absorbing_boundaries")
+    assert not short.effects.absorbing_boundaries
     assert short.target.sides == "free"
-    assert not plan(scene_with(substrate__sides="fixed")).effects.on("absorbing_boundaries")
+    assert not plan(scene_with(substrate__sides="fixed")).effects.absorbing_boundaries
     named = plan(scene_with(substrate__sides="free", effects=["auto", "+absorbing_boundaries"]))
     assert named.target.sides == "free"
     assert any("no face" in warning for warning in named.warnings)
@@ -222,3 +227,19 @@ def test_planning_imports_no_solver():
 def test_warns_of_facets_finer_than_the_points():
     made = plan(scene_with(resolution__spacing="1.5 um", resolution__element_size="1.2 um"))
     assert any("smaller than the spacing" in warning for warning in made.warnings)
+
+
+@pytest.mark.parametrize("scene", [scene_with(), several({"dwell": "1 ms"}, {}), scene_with(particle__shape="flake")])
+def test_a_plan_is_read_back_equal(scene: Scene, tmp_path: Path) -> None:
+    made = plan(scene)
+    (tmp_path / "plan.json").write_text(plan_text(made))
+    assert read_plan(tmp_path) == made
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"format": 1, "plan": {}}', '{"format": 2, "plan": {}}', "{", "nan"])
+def test_a_damaged_plan_is_refused(text: str, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"version 0\.1"):
+        read_plan(tmp_path)
+    (tmp_path / "plan.json").write_text(text)
+    with pytest.raises(StoreError, match=r"plan\.json"):
+        read_plan(tmp_path)

@@ -60,7 +60,7 @@ def test_the_page_says_what_was_computed(page):
     assert read["crater depth"] == ["5.30 ± 0.13", "5.02 ± 0.13", "µm"]
     assert "spacing of the points" in page
     assert read["energy drift"] == ["-0.1", "%"]
-    assert read["conduction"][0] == "off"
+    assert read["interface conduction"][0] == "on"
     assert read["thermal softening"][0] == "on"
     assert "warm enough" in read["thermal softening"][2]
     assert read["Johnson-Cook A"][0] == "163"
@@ -111,26 +111,22 @@ def test_an_unfinished_run_says_so(finished, tmp_path):
     assert page.count("<b>t = ") == 4
     # the earliest moment: a scene and nothing else
     for path in copy.iterdir():
-        if path.name != "scene.toml":
+        if path.name not in ("scene.toml", "plan.json"):
             path.unlink()
     page = report(Result(copy))
     assert "not finished" in page
     assert "No step" in page
     assert "velocity = &quot;500 m/s&quot;" in page
-    # and a scene that this version cannot read
-    (copy / "scene.toml").write_text('[particle]\nmaterial = "Unobtainium"\n')
-    assert "reasons cannot be shown" in report(Result(copy))
 
 
-def test_effects_are_those_that_took_part(finished, tmp_path):
+def test_a_run_without_a_plan_says_the_effects_of_its_summary(finished, tmp_path):
     copy = light(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
-    Store(copy).finish(made_up_run.summary(effects=["friction", {"name": "conduction", "on": True}, "levitation"]))
+    (copy / "plan.json").unlink()
+    Store(copy).finish(made_up_run.summary(effects=["friction", {"name": "conduction", "on": True}]))
     page = report(Result(copy))
-    assert rows(page)["conduction"][0] == "on"
-    assert rows(page)["thermal softening"][0] == "off"
-    assert "would decide otherwise on: thermal softening" in page
-    assert "Also on: levitation" in page
+    assert "Taking part: friction, conduction. The reasons are not known" in page
+    assert "Material data" not in page
 
 
 def history(**further: float) -> dict[str, np.ndarray]:

@@ -13,7 +13,7 @@ from ..fe.assemble import BodyState
 from ..fe.cooling import Links, cool, together
 from ..impact.bodies import NEAR, Bodies, level_under
 from ..impact.domains import Domains
-from ..impact.rebound import rebounds, velocity_ratio
+from ..impact.rebound import rebounds
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..sph.carried_surface import shape_measures
@@ -42,7 +42,7 @@ def join(
     kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(particle.momentum()[2] / particle.mass.sum())
     report: dict[str, Any] = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
-    report["velocity_ratio"] = ratio = velocity_ratio(plan, i)
+    report["velocity_ratio"] = ratio = p.velocity_ratio
     left = rebounds(plan, i, upwards, hold)
     origin = point_of_impact(bodies, following.offset, None if left else domains)
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
@@ -138,7 +138,7 @@ def _paused(
     The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
     in perfect contact. Stresses of the heat that has left are let go of at the end.
     """
-    if plan.impacts[i].dwell == 0.0 or not plan.effects.on("cooling"):
+    if plan.impacts[i].dwell == 0.0 or not plan.effects.cooling:
         return bodies
     started = clock.perf_counter()
     t = bodies.target

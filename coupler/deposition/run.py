@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..errors import CheckpointError, ColdsprayError, speaks
+from ..errors import CheckpointError, ColdsprayError, StoreError, speaks
 from ..files import checkpoint
+from ..files.inputs import read_json_object
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
 from ..impact.bodies import Bodies, BodiesState
@@ -23,8 +24,9 @@ from ..impact.exchange import Impact
 from ..impact.rebound import deposition_efficiency
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.validity import merged
-from ..plan.planning import Plan, plan
+from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
 from ..plan.reading import Scene
+from ..plan.record import FILE, plan_from, plan_text
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from .joining import join, splats_at_end
@@ -60,8 +62,12 @@ def run(
     """
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
-    requested = _Requested(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
-    return _compute(scene, folder, requested, anew=True, force=force)
+    knobs = dict(numerics or {})
+    decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
+    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every)
+    return _compute(
+        decided, folder, requested, lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided))
+    )
 
 
 def resume(
@@ -84,9 +90,10 @@ def resume(
     if result.finished:
         _complete(result)
         return result
-    scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
-    requested = _Requested(progress, threads, dict(numerics or {}), placement, probe, checkpoint_every)
-    return _compute(scene, folder, requested, anew=False, force=False)
+    decided = read_plan(folder)
+    knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
+    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every)
+    return _compute(decided, folder, requested, None)
 
 
 def _complete(result: Result) -> None:
@@ -97,6 +104,18 @@ def _complete(result: Result) -> None:
         checkpoint.clear(result.directory)
         if not (result.directory / PICTURE).exists():
             section_picture(result)
+
+
+def read_plan(folder: Path) -> Plan:
+    """The plan that a run was started with. Raises StoreError: there is none, it is damaged, or of another format."""
+    if not (folder / FILE).exists():
+        raise StoreError(
+            f"{folder} has no {FILE}: version 0.1 wrote none, and its unfinished runs cannot be resumed; compute the scene anew"
+        )
+    try:
+        return plan_from(read_json_object(folder / FILE))
+    except ValueError as error:
+        raise StoreError(f"{folder / FILE} {error}: this version cannot go on with it") from error
 
 
 @dataclass(frozen=True)
@@ -111,8 +130,8 @@ class _Requested:
     checkpoint_every: float
 
 
-def _compute(scene: Scene, folder: Path, requested: _Requested, anew: bool, force: bool) -> Result:
-    decided = plan(scene)
+def _compute(decided: Plan, folder: Path, requested: _Requested, create: Callable[[], Store] | None) -> Result:
+    """Compute a plan into a folder. create: makes the folder's files; None: go on with those that are there."""
     ranks = parallel.arrange(parallel.world(), requested.placement)
     progress = requested.progress
     options = RunOptions(
@@ -131,8 +150,8 @@ def _compute(scene: Scene, folder: Path, requested: _Requested, anew: bool, forc
         )
         return Result(folder)
     try:
-        with Store.create(folder, scene.to_toml(), force) if anew else Store.reopen(folder) as store:
-            Deposition(decided, store, options).run(anew)
+        with create() if create is not None else Store.reopen(folder) as store:
+            Deposition(decided, store, options).run(anew=create is not None)
         result = Result(folder)
         from ..report import section_picture
 
@@ -167,9 +186,8 @@ class Deposition:
 
     def __init__(self, plan: Plan, store: Store, options: RunOptions):
         self.plan, self.store, self.options = plan, store, options
-        scene = plan.scene.to_toml()
         self._belongs_to = {
-            "version": __version__, "scene": hashlib.sha256(scene.encode()).hexdigest(),
+            "version": __version__, "plan": hashlib.sha256(plan_text(plan).encode()).hexdigest(),
             "numerics": repr(sorted(options.numerics.items())),
         }  # fmt: skip
         self._started, self._before = clock.perf_counter(), 0.0

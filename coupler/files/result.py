@@ -77,6 +77,15 @@ class Result:
             self._summary = read_json_object(self.directory / "summary.json")
         return self._summary
 
+    @property
+    def plan(self) -> dict[str, Any]:
+        """The plan of the run as plan.json holds it; empty if there is none (version 0.1) or it is damaged."""
+        try:
+            plan = read_json_object(self.directory / "plan.json").get("plan")
+        except StoreError:
+            return {}
+        return plan if isinstance(plan, dict) else {}
+
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)

@@ -3,6 +3,7 @@
 particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
 history.csv                                    one line for each record
 scene.toml                                     the scene with every default filled in
+plan.json                                      every decision about the run: see `coupler.plan.record`
 summary.json                                   written last: its presence says that the run is finished
 checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.files.checkpoint`
 """
@@ -33,7 +34,8 @@ from .outputs import RUN_FILES, check_folder, claim_folder
 from .vtkhdf import VtkHdfWriter
 
 DOMAINS = ("particle", "surface", "target")
-HISTORY, SCENE, SUMMARY, PICTURE = "history.csv", "scene.toml", "summary.json", "section.png"
+HISTORY, SCENE, PLAN = "history.csv", "scene.toml", "plan.json"
+SUMMARY, PICTURE = "summary.json", "section.png"
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class Store:
         self._rows = array("d")  # all values of the history, row by row: a checkpoint keeps them
 
     @classmethod
-    def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False) -> Store:
-        """Make the folder, or empty it of an earlier run, and put the scene in it.
+    def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> Store:
+        """Make the folder, or empty it of an earlier run, and put the scene and the plan in it.
 
         Only files with the names of this module are ever removed; a finished run, or files of these names that no run has
         written, only with `force`. Raises StoreError: such files are there, another run writes there, or the folder is not writable.
@@ -82,10 +84,12 @@ class Store:
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
-                for name in (SUMMARY, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
+                for name in (SUMMARY, PLAN, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 _replace(directory / SCENE, scene_toml)
+                if plan_json:
+                    _replace(directory / PLAN, plan_json)
             except BaseException:
                 store.close()
                 raise

@@ -146,7 +146,7 @@ class Bodies:
         adhesion: Adhesion,
         size: float,
         origin: tuple[float, float, float],
-        ratio: float,
+        ratio: float | None,
         where: np.ndarray | None = None,
     ) -> "Bodies":
         """These bodies and finished splats, bonded where `adhesion` says, numbered outwards from origin (m). size: of elements, m;
@@ -301,7 +301,9 @@ def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: fl
     return highest + gap
 
 
-def _bonded(found: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float) -> np.ndarray:
+def _bonded(
+    found: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
+) -> np.ndarray:
     """Which nodes of an interface the scene's criterion bonds; of both sides the larger strain and pressure counts."""
     n = len(found.nodes)
     if adhesion.kind == "none" or n == 0:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contact.penalty import CONTACT_STIFFNESS, JUMP, PointContact
+from ..contact.penalty import JUMP, PointContact
 from ..fe import mesh as meshes
 from ..fe.explicit import Target
 from ..physics.constitutive import law_record
@@ -50,29 +50,23 @@ class Domains:
 
 def build_target(plan: Plan) -> Bodies:
     """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
-    t, on = plan.target, {row.name: row.on for row in plan.effects.rows}
-    points, tets = meshes.cylinder(t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre)
-    law = law_record(t.material, on, plan.impacts[0].rate_filter)
-    fixed, absorbing = held_faces(plan)
+    t = plan.target
+    points, tets = meshes.cylinder(
+        t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
+    )
+    law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
+    fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
     mesh = meshes.prepare(points, tets, (*plan.impacts[0].offset, 0.0))
-    target = Target(
-        mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=on["conduction"],
-    )  # fmt: skip
+    target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
     target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
 
 
 def restored_target(plan: Plan, state: BodiesState) -> Bodies:
     """The bodies of a kept state."""
-    return Bodies.from_state(state, *held_faces(plan), plan.friction, plan.effects.on("conduction"))
-
-
-def held_faces(plan: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the substrate's faces that are fixed, and of those that absorb."""
-    kinds = {"sides": plan.target.sides, "bottom": plan.target.bottom}
-    fixed = tuple(name for name, kind in kinds.items() if kind == "fixed")
-    absorbs = plan.effects.on("absorbing_boundaries")
-    return fixed, tuple(name for name, kind in kinds.items() if kind == "absorbing" and absorbs)
+    return Bodies.from_state(
+        state, plan.target.faces("fixed"), plan.target.faces("absorbing"), plan.friction, plan.effects.conduction
+    )
 
 
 def build_domains(
@@ -86,7 +80,7 @@ def build_domains(
 ) -> Domains:
     """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
 
-    log_file: LAMMPS's log. numerics: values in place of the defaults of `sph.particle.Numerics`, and "contact_stiffness". ranks:
+    log_file: LAMMPS's log. numerics: values in place of the defaults of `sph.particle.Numerics`. ranks:
     default this process alone. level: height (m) of the surface where the particle first touches it; None: as the bodies lie.
     """
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
@@ -114,7 +108,7 @@ def build_domains(
         min(impact_plan.material.K, float(bodies.target.laws["K"].min())),
         plan.friction,
         share=_heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature),
-        factor=dict(numerics or {}).get("contact_stiffness", CONTACT_STIFFNESS),
+        factor=plan.contact_stiffness,
         facet_ids=facets,
         jump=JUMP,
     )
@@ -123,10 +117,10 @@ def build_domains(
 
 def _heat_paths(plan: Plan, particle: DistributedParticle, body: shapes.Body) -> HeatPaths:
     """The heat paths that the plan's effects leave open."""
-    on, points = plan.effects.on, None
-    if on("particle_conduction"):
+    on, points = plan.effects, None
+    if on.particle_conduction:
         points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    return HeatPaths(on("friction_heat"), points, on("interface_conduction"))
+    return HeatPaths(on.friction_heat, points, on.interface_conduction)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:
@@ -145,10 +139,9 @@ def build_particle(
 ) -> Particle:
     """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
     p, body = plan.impacts[i], body_of(plan, i)
-    law = law_record(p.material, {row.name: row.on for row in plan.effects.rows}, p.rate_filter)
-    knobs = {name: value for name, value in dict(numerics or {}).items() if name != "contact_stiffness"}
+    law = law_record(p.material, plan.effects.switches, p.rate_filter)
     return ENGINES[plan.engine](
-        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**knobs),
+        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**(numerics or {})),
         comm=ranks.sph_comm, log=log_file, shares=ranks.shares,
     )  # fmt: skip
 

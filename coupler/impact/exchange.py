@@ -153,7 +153,7 @@ class Impact:
         self.paths.flow(time, self.particle, self.target, self.surface, self.contact)
         self.paths.release_friction(self.particle, self.target, self.surface, self.contact)
 
-    def bond(self, adhesion: Adhesion, velocity_ratio: float) -> None:
+    def bond(self, adhesion: Adhesion, velocity_ratio: float | None) -> None:
         """Hold the particle where its surface touches at this instant and the criterion is met.
 
         Of both sides the larger strain counts. velocity_ratio: of the impact to the critical velocity. Raises SolverError where

@@ -7,7 +7,6 @@ import numpy as np
 from ..plan.planning import Plan
 from .ending import EndCriterion
 from .exchange import WINDOW, Impact
-from .rebound import velocity_ratio
 from .recorder import Recorder
 
 
@@ -52,4 +51,4 @@ def advance_window(impact: Impact, end_time: float | None = None) -> float:
 def bond(impact: Impact, plan: Plan, i: int) -> None:
     """At the greatest deformation: bond the particle where the plan's criterion is met."""
     if plan.adhesion.in_impact:
-        impact.bond(plan.adhesion, velocity_ratio(plan, i))
+        impact.bond(plan.adhesion, plan.impacts[i].velocity_ratio)

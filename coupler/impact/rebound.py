@@ -3,27 +3,11 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from ..contact.hold import Hold
-from ..errors import ColdsprayError
-from ..physics import adhesion
 from ..plan.planning import Plan
 from ..ranks.distributed import DistributedParticle
 
 REBOUND = 1.0  # m/s upwards: a splat that nothing holds leaves with more
-
-
-def velocity_ratio(plan: Plan, i: int) -> float:
-    """Velocity of impact i over the critical one of its material and temperature (`adhesion.critical_velocity`); nan where the
-    material has none and nothing asks for it. Raises ColdsprayError where the criterion does."""
-    p = plan.impacts[i]
-    try:
-        return float(np.linalg.norm(p.velocity)) / adhesion.critical_velocity(p.material, p.temperature)
-    except ColdsprayError:
-        if plan.adhesion.criterion == "velocity" and plan.adhesion.kind != "none":
-            raise
-        return float("nan")
 
 
 def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
@@ -35,7 +19,7 @@ def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
     if law.in_impact:
         bonded = hold is not None and bool(hold.whole.any())
     else:
-        bonded = bool(law.bonded(1, velocity_ratio=velocity_ratio(plan, i)).any())
+        bonded = bool(law.bonded(1, velocity_ratio=plan.impacts[i].velocity_ratio).any())
     return not bonded and upwards > REBOUND
 
 
@@ -52,7 +36,7 @@ def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None
     found: dict[str, Any] = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
     if plan.adhesion.in_impact:
         found |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
-    return found | {"velocity_ratio": velocity_ratio(plan, i), "particle_mass_kg": mass}
+    return found | {"velocity_ratio": plan.impacts[i].velocity_ratio, "particle_mass_kg": mass}
 
 
 def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..plan.bands import Kind, of_summary
+from ..plan.bands import half_widths
 from .exchange import Impact
 from .rebound import outcome
 from .recorder import Recorder
@@ -63,7 +63,9 @@ def summarise(
         "effects": plan.effects.active,
         "warnings": [*plan.warnings, *_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
         "retries": [asdict(retry) for retry in retries],
-        "bands": _bands(impact, recorder, end),
+        "bands": half_widths(
+            impact_plan.bands, end | {"rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0)}, impact_plan.temperature
+        ),
         "version": __version__,
         **outcome(plan, recorder.i, particle, impact.hold),
     }
@@ -73,7 +75,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     """Warnings where the impact left the range that its models were fitted in."""
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
-    beyond = recorder.extremes.warnings(number, metals, plan.effects.on("mie_gruneisen"))
+    beyond = recorder.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
     if recorder.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
@@ -111,16 +113,6 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
                 f" ({share[molten].sum():.2%} of the particle's volume): the law knows no latent heat and no melt"
             )
     return warnings
-
-
-def _bands(impact: Impact, recorder: Recorder, end: dict[str, float]) -> dict[str, Any]:
-    """Accuracy band of each measure at this resolution, and the axis that drives it."""
-    p = recorder.impact_plan
-    sideways = bool(p.velocity[0] or p.velocity[1])
-    kind = Kind(
-        impact.particle.n, float(np.linalg.norm(p.velocity)), recorder.i + 1, p.shape == "sphere" and not sideways
-    )
-    return of_summary(end | {"rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0)}, kind, p.temperature)
 
 
 def peak_memory() -> float:

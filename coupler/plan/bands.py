@@ -7,11 +7,10 @@ of the model: not of Johnson-Cook's numbers, of friction, of the effects left ou
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
 
 from ..errors import ColdsprayError
 from ..measures import measure as record
@@ -27,8 +26,10 @@ class AccuracyError(ColdsprayError):
 
 @dataclass(frozen=True)
 class Band:
-    """share: half-width over the measure's value (of temperatures: over their rise); why: what drives it and what it rests on."""
+    """measure: its key; share: half-width over its value (of temperatures: over their rise); why: the axis that drives it, and the
+    cases it rests on."""
 
+    measure: str
     share: float
     why: str
 
@@ -75,7 +76,7 @@ def band(measure: str, kind: Kind) -> Band | None:
     beyond = [] if known[0] <= kind.speed <= known[-1] else [f"{kind.speed:.0f} m/s is outside the table"]
     beyond += [] if kind.plain else ["the table has no such shape or angle"]
     why = f"{driver}, from {' and '.join(cases)}" + (f"; {', '.join(beyond)}: a guess" if beyond else "")
-    return Band(share, why)
+    return Band(measure, share, why)
 
 
 def _share(row: Mapping[str, str], points: float) -> tuple[float, str]:
@@ -89,16 +90,22 @@ def _share(row: Mapping[str, str], points: float) -> tuple[float, str]:
     return drivers[driver], driver
 
 
-def of_summary(values: Mapping[str, Any], kind: Kind, T_0: float) -> dict[str, dict[str, Any]]:
-    """The key `bands` of a summary: measure -> half_width in its own unit, and why. T_0: K, the particle's before the impact."""
-    found = {}
-    for measure in dict.fromkeys(row["measure"] for row in _rows()):
-        got, at = band(measure, kind), values.get(measure)
-        if got is None or not isinstance(at, int | float):
-            continue
-        whole = abs(at - record(measure).initial(T_0))
+def of_measures(kind: Kind) -> tuple[Band, ...]:
+    """The bands of all measures that have one."""
+    measures = dict.fromkeys(row["measure"] for row in _rows())
+    return tuple(found for measure in measures if (found := band(measure, kind)) is not None)
+
+
+def half_widths(
+    bands: Sequence[Band], values: Mapping[str, float | None], T_0: float
+) -> dict[str, dict[str, float | str]]:
+    """Measure -> half_width in its own unit, and why. values: the measures; T_0: K, the particle's before the impact."""
+    found: dict[str, dict[str, float | str]] = {}
+    for each in bands:
+        value = values.get(each.measure)
+        whole = abs(value - record(each.measure).initial(T_0)) if value is not None else 0.0
         if whole > 0.0:
-            found[measure] = {"half_width": got.share * whole, "why": got.why}
+            found[each.measure] = {"half_width": each.share * whole, "why": each.why}
     return found
 
 

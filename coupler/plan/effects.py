@@ -87,13 +87,29 @@ class Effect:
 
 @dataclass(frozen=True)
 class Effects:
-    """The effects of a run, a row for each name."""
+    """The effects of a run: a field for each, True where it takes part; and a row for each, with the reason."""
 
+    thermal_softening: bool
+    rate_hardening: bool
+    plastic_heating: bool
+    temperature_dependent_cp: bool
+    temperature_dependent_k: bool
+    friction: bool
+    friction_heat: bool
+    mie_gruneisen: bool
+    thermal_expansion: bool
+    adhesion: bool
+    absorbing_boundaries: bool
+    conduction: bool
+    particle_conduction: bool
+    interface_conduction: bool
+    cooling: bool
     rows: tuple[Effect, ...]
 
-    def on(self, name: str) -> bool:
-        """Whether an effect takes part. Raises KeyError for a name that is none."""
-        return {row.name: row.on for row in self.rows}[name]
+    @property
+    def switches(self) -> dict[str, bool]:
+        """Name -> whether it takes part, as `constitutive.law_record` wants it."""
+        return {row.name: row.on for row in self.rows}
 
     @property
     def active(self) -> list[str]:
@@ -119,7 +135,7 @@ def decide(request: str | Sequence[str], *situations: Situation) -> Effects:
         on = said.get(name, wanted if base == "auto" else base == "all")
         why = "as the scene says" if forced else _WHY[name][0 if on else 1]
         rows.append(Effect(name, number, value, threshold, on, why, forced))
-    return Effects(tuple(rows))
+    return Effects(rows=tuple(rows), **{row.name: row.on for row in rows})
 
 
 def numbers(situation: Situation) -> dict[str, float]:

@@ -2,16 +2,21 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
-from ..physics.adhesion import Adhesion
+from ..physics.adhesion import Adhesion, critical_velocity
 from ..physics.materials import Material
+from ..scene.tables import Face
 from . import cost as estimates
 from . import effects
+from .bands import Band, Kind, of_measures
 from .effects import Effects, Situation
+from .gas import describe as describe_gas
 from .reading import Scene
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
+CONTACT_STIFFNESS = 1.0  # factor on the penalty stiffness of the contact
 NEAR_MELTING = 0.9  # of the melting point
 
 
@@ -21,7 +26,9 @@ class ImpactPlan:
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
     rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed."""
+    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio:
+    over the critical velocity of material and temperature, None where the material has none. lengths: m, of the shape at tilt 0.
+    splat_elements: of its splat, an estimate. bands: accuracy of each measure at this resolution."""
 
     material: Material
     shape: str
@@ -39,35 +46,48 @@ class ImpactPlan:
     rate_filter: float
     output_every: float
     dwell: float
-    end_at: str
+    end_at: Literal["rest", "greatest", "time"]
     window: float
+    velocity_ratio: float | None
+    lengths: tuple[float, float, float]
+    splat_elements: int
+    bands: tuple[Band, ...]
 
 
 @dataclass(frozen=True)
 class TargetPlan:
     """The target, a cylinder. Lengths m, temperature K; element_size inside refined_radius of centre (x, y), then
-    growing by `growth` per unit of distance. sides, bottom: what is done: "absorbing" only if that effect is on."""
+    growing by `growth` per unit of distance to largest_element. sides, bottom: the condition there, "absorbing" only if
+    that effect is on."""
 
     material: Material
     diameter: float
     height: float
     temperature: float
-    sides: str
-    bottom: str
+    sides: Face
+    bottom: Face
     element_size: float
+    largest_element: float
     centre: tuple[float, float]
     refined_radius: float
     growth: float
     elements_estimate: int
 
+    def faces(self, condition: Face) -> tuple[str, ...]:
+        """Names of the faces with this condition."""
+        return tuple(name for name, kind in (("sides", self.sides), ("bottom", self.bottom)) if kind == condition)
+
 
 @dataclass(frozen=True)
 class Plan:
-    """What will be computed and at what cost. Times in s, lengths in m. impacts: one after another. dt_estimate: the
-    smallest of all impacts; steps, wall time and memory are those of all; home_load: cost of the target and the contact
-    over that of the particles; engine: of the particles (`coupler.sph.engine`)."""
+    """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
-    scene: Scene
+    impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
+    wall time and memory are those of all; home_load: cost of the target and the contact over that of the particles. gas: lines
+    about what the gas gives. engine: of the particles (`coupler.sph.engine`).
+    """
+
+    name: str
     impacts: tuple[ImpactPlan, ...]
     target: TargetPlan
     adhesion: Adhesion
@@ -75,6 +95,7 @@ class Plan:
     splat_element_size: float
     mass_scaling: float
     friction: float
+    contact_stiffness: float
     effects: Effects
     dt_estimate: float
     steps_estimate: int
@@ -83,6 +104,7 @@ class Plan:
     home_load: float
     preset: str
     engine: str
+    gas: tuple[str, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -116,8 +138,11 @@ class Plan:
         return min(impact.rate_filter for impact in self.impacts)
 
 
-def plan(scene: Scene) -> Plan:
-    """Decide everything about a checked scene. Raises SceneError if it names a material that is not there."""
+def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
+    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness, for studies of the scheme.
+
+    Raises SceneError if the scene names a material that is not there.
+    """
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.derived.material(scene.substrate.material)
     decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
@@ -133,14 +158,15 @@ def plan(scene: Scene) -> Plan:
     loads = [estimates.home_load(points, n, scene.resolution.engine) for _, points, n in costs]
     conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
     return Plan(
-        scene=scene,
+        name=scene.name,
         impacts=impacts,
         target=target,
-        adhesion=scene.derived.adhesion_law if decided.on("adhesion") else Adhesion(kind="none"),
+        adhesion=scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none"),
         splat_method=scene.splat.method,
         splat_element_size=scene.derived.splat_element_size,
         mass_scaling=float(scene.splat.mass_scaling),
-        friction=scene.contact.friction if decided.on("friction") else 0.0,
+        friction=scene.contact.friction if decided.friction else 0.0,
+        contact_stiffness=contact_stiffness,
         effects=decided,
         dt_estimate=min(dt),
         steps_estimate=sum(steps),
@@ -153,6 +179,7 @@ def plan(scene: Scene) -> Plan:
         home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
         engine=scene.resolution.engine,
+        gas=tuple(describe_gas(scene)),
         warnings=tuple(_warnings(scene, impacts, base, decided)),
     )
 
@@ -196,11 +223,22 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         dwell=particle.dwell,
         end_at=end_at,
         window=scene.derived.window_of(particle),
+        velocity_ratio=_velocity_ratio(material, particle.temperature, v),
+        lengths=particle.form.lengths,
+        splat_elements=scene.derived.splat_elements_of(particle),
+        bands=of_measures(
+            Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)
+        ),
     )
 
 
+def _velocity_ratio(material: Material, temperature: float, velocity: float) -> float | None:
+    """Velocity (m/s) over the critical one; None for a material without a tensile strength."""
+    return None if material.sigma_TS is None else velocity / critical_velocity(material, temperature)
+
+
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
-    substrate, absorbing = scene.substrate, decided.on("absorbing_boundaries")
+    substrate, absorbing = scene.substrate, decided.absorbing_boundaries
     return TargetPlan(
         material=base,
         diameter=substrate.diameter,
@@ -210,6 +248,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
         sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
         bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
         element_size=scene.derived.element_size,
+        largest_element=estimates.COARSEST * min(substrate.diameter, substrate.height),
         centre=scene.derived.centre,
         refined_radius=scene.derived.refined_radius,
         growth=scene.resolution.growth,

@@ -5,7 +5,6 @@ import math
 from .. import units
 from . import cost as estimates
 from . import effects
-from .gas import describe as gas
 from .planning import ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
@@ -20,10 +19,10 @@ def describe(plan: Plan, outlook: str = "") -> str:
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
     middle = f" of {_at(*target.centre)}" if any(target.centre) else ""
     lines = [
-        f"{plan.scene.name} ({plan.preset})",
+        f"{plan.name} ({plan.preset})",
         *_impacts(plan),
         *_shapes(plan),
-        *gas(plan.scene),
+        *plan.gas,
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -124,7 +123,7 @@ def _splats(plan: Plan) -> list[str]:
         "velocity": f"where the velocity has reached {reached:g} of the critical one",
     }
     held += "" if a.kind == "none" else f", {where[a.criterion]}"
-    each = [plan.scene.derived.splat_elements_of(p) for p in plan.scene.particles]
+    each = [impact.splat_elements for impact in plan.impacts]
     count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
     size = units.rounded(plan.splat_element_size, "um")
     return [f"  adhesion   {held}", f"  splats     about {count} elements of {size} each, method {plan.splat_method}"]
@@ -156,10 +155,10 @@ def _range(times: list[float]) -> str:
 def _shapes(plan: Plan) -> list[str]:
     """What there is to say of shapes that are no spheres, a line for each of the first ones."""
     lines = []
-    for particle in plan.scene.particles:
+    for particle in plan.impacts:
         if particle.shape == "sphere":
             continue
-        lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.form.lengths)
+        lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)
         tilt = f" tilted {units.rounded(particle.tilt, 'deg')}" if particle.tilt else ""
         which = f"{particle.shape.replace('_', ' ')}: " if len(plan.impacts) > 1 else ""
         volume = f"{units.rounded(particle.diameter, 'um')} is the sphere of equal volume"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
-from ..errors import ColdsprayError, StoreError
+from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Result
 from .words import bands, columns, grouped, impacts, shown, words
@@ -132,58 +132,47 @@ def asked(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
 
 
 def effects(result: Result) -> str:
-    """Which effects took part, and why: decided again from the stored scene, as `coldspray check` does."""
-    from ..plan.planning import plan
-    from ..plan.reading import Scene
-
-    used = _taking_part(result.summary.get("effects"))
-    try:
-        rows = plan(Scene.from_text(result.scene_text)).effects.rows
-    except ColdsprayError as error:
-        said = f"Taking part: {', '.join(map(_plain, used))}. " if used else ""
-        return f'<p class="note">{escape(said)}The reasons cannot be shown: {escape(str(error))}</p>'
-    lines, differ = [], []
+    """The effects that took part, and the reasons, from the plan of the run."""
+    rows = plan_rows(result.plan, "effects", "rows")
+    if not rows:
+        used = _taking_part(result.summary.get("effects"))
+        text = f"Taking part: {', '.join(map(_plain, used))}. " if used else ""
+        return f'<p class="note">{escape(text)}The reasons are not known: this run has no readable plan.json.</p>'
+    lines = []
     for row in rows:
-        on = row.on if used is None else row.name in used
-        differ += [row.name] if on != row.on else []
-        sign = ">" if row.value > row.threshold else "≤"
-        number = f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}"
-        cells = (_plain(row.name), "on" if on else "off", number, row.why)
-        off = "" if on else ' class="off"'
+        value, threshold = _number(row, "value") or 0.0, _number(row, "threshold") or 0.0
+        number = f"{row['number']} = {value:.3g} {'>' if value > threshold else '≤'} {threshold:g}"
+        cells = (_plain(str(row["name"])), "on" if row["on"] else "off", number, str(row["why"]))
+        off = "" if row["on"] else ' class="off"'
         lines.append(f"<tr{off}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     head = "".join(f"<th>{text}</th>" for text in ("effect", "", "decided by", "because"))
-    found = f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
-    others = [name for name in used or [] if name not in {row.name for row in rows}]
-    if others:
-        found += f'<p class="caption">Also on: {escape(", ".join(map(_plain, others)))}.</p>'
-    if differ:
-        found += (
-            f'<p class="note">This version would decide otherwise on: {escape(", ".join(map(_plain, differ)))}.</p>'
-        )
-    return found
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
 
 
 def material_data(result: Result) -> str:
-    """The constants of the scene's materials with their sources, folded away; nothing if the scene cannot be read."""
-    from ..plan.reading import Scene
-
-    try:
-        scene = Scene.from_text(result.scene_text)
-        names = dict.fromkeys([*(one.material for one in scene.particles), scene.substrate.material])
-        metals = [scene.derived.material(name) for name in names]
-    except ColdsprayError:
+    """The constants of the run's materials with their sources, folded away; nothing without a plan."""
+    bodies = [*plan_rows(result.plan, "impacts"), *plan_rows({"target": [result.plan.get("target")]}, "target")]
+    metals = {str(m["name"]): m for body in bodies if isinstance(m := body.get("material"), Mapping) and "name" in m}
+    if not metals:
         return ""
     rows = [
-        (words_, *(f"{getattr(metal, key) * factor:.4g}" for metal in metals), unit)
-        for key, words_, factor, unit in CONSTANTS
+        (label, *(f"{float(metal[key]) * factor:.4g}" if key in metal else "" for metal in metals.values()), unit)
+        for key, label, factor, unit in CONSTANTS
     ]
-    head = ["", *(metal.name for metal in metals), ""]
     sources = "".join(
-        f'<p class="caption">{escape(metal.name)}: {escape(metal.source or "no source given")}. {escape(metal.note)}</p>'
-        for metal in metals
+        f'<p class="caption">{escape(name)}: {escape(str(m.get("source") or "no source given"))}. {escape(str(m.get("note", "")))}</p>'
+        for name, m in metals.items()
     )
-    whole = table(head, rows, numbers=range(1, len(head) - 1))
+    whole = table(["", *metals, ""], rows, numbers=range(1, len(metals) + 1))
     return f"<details><summary>Material data and their sources</summary>{whole}{sources}</details>"
+
+
+def plan_rows(plan: Mapping[str, object], *keys: str) -> list[Mapping[str, object]]:
+    """The list of objects at a place of a plan.json; empty if there is none."""
+    value: object = plan
+    for key in keys:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    return [row for row in value if isinstance(row, Mapping)] if isinstance(value, list) else []
 
 
 def warnings(given: object) -> str:
@@ -195,14 +184,9 @@ def warnings(given: object) -> str:
 
 
 def planned_warnings(result: Result) -> list[str]:
-    """What `coldspray check` warns of in the scene of a run that has no summary yet."""
-    from ..plan.planning import plan
-    from ..plan.reading import Scene
-
-    try:
-        return list(plan(Scene.from_text(result.scene_text)).warnings)
-    except ColdsprayError:
-        return []
+    """The warnings of the plan of a run that has no summary yet."""
+    texts = result.plan.get("warnings")
+    return [str(text) for text in texts] if isinstance(texts, list) else []
 
 
 def timing(summary: Mapping[str, object]) -> str:
