@@ -186,8 +186,9 @@ class Deposition:
 
     def __init__(self, plan: Plan, store: Store, options: RunOptions):
         self.plan, self.store, self.options = plan, store, options
+        scene = Result(store.directory).scene_text
         self._belongs_to = {
-            "version": __version__, "plan": hashlib.sha256(plan_text(plan).encode()).hexdigest(),
+            "version": __version__, "scene": hashlib.sha256((scene + plan_text(plan)).encode()).hexdigest(),
             "numerics": repr(sorted(options.numerics.items())),
         }  # fmt: skip
         self._started, self._before = clock.perf_counter(), 0.0
