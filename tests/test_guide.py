@@ -66,7 +66,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scene = folder / "workflows" / f"{name}.toml"
         assert main(["run", str(scene), "--out", str(folder / "runs" / name), "--threads", "1", "--quiet"]) == 0
     sweep = Sweep.load(folder / "workflows" / "map_ni.toml")
-    for point in [name for name in sweep.points if re.search(r"_(10|18|33)um_(250|400|600)ms", name)]:
+    for point in [name for name in sweep.points if re.search(r"_(10|33)um_(250|400|600)ms", name)]:
         scene = sweep.write(folder / "runs" / "map_ni", point)
         shutil.copytree(folder / "runs" / "single_ni", scene.with_suffix(""))
         (scene.with_suffix("") / "scene.toml").write_text(Scene.load(scene).to_toml())
