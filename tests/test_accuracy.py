@@ -173,7 +173,8 @@ def test_bands_narrow_with_points_and_say_what_they_rest_on():
 
 def test_bands_of_a_summary_are_in_the_measures_own_units():
     kind = bands.Kind(5000, 500.0)
-    found = bands.of_summary({"crater_depth_m": 5e-6, "T_mean_K": 400.0, "T_max_K": 900.0, "nodes": 7}, kind, 300.0)
+    values = {"crater_depth_m": 5e-6, "T_mean_K": 400.0, "T_max_K": 900.0, "nodes": 7}
+    found = bands.half_widths(bands.of_measures(kind), values, 300.0)
     assert set(found) == {"crater_depth_m", "T_mean_K"}
     of_crater, of_rise = (bands.band(m, kind) for m in ("crater_depth_m", "T_mean_K"))
     assert of_crater is not None
@@ -376,7 +377,8 @@ def test_a_run_carries_its_bands(climbed):
 
     scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.LadderPoint("points", "", 200))
     summary = run(scene, climbed / "one", threads=1).summary
-    found = bands.of_summary(summary, bands.Kind(summary["points"], 500.0), 300.0)
+    found = bands.half_widths(plan(scene).impact.bands, summary, 300.0)
+    assert plan(scene).impact.points == pytest.approx(summary["points"], rel=0.1)
     assert summary["bands"].keys() == found.keys()
     crater = summary["bands"]["crater_depth_m"]
     assert crater["half_width"] == pytest.approx(found["crater_depth_m"]["half_width"])
