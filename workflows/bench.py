@@ -1,7 +1,7 @@
 """What a step costs, part by part: python workflows/bench.py   # docs/tables/bench.csv
 
-Elements elastic and plastic; scikit-fem's own forms for the same forces; points in plain LAMMPS and with our
-law and contact in its step. Elements: the fastest of several repeats; points: medians. Machines differ, ratios within a table compare.
+Elements elastic and plastic; scikit-fem's own forms for the same forces; points with both engines, and part by part in an impact
+(medians; the rest: the fastest of several repeats). Machines differ, ratios within a table compare.
 """
 
 import argparse
@@ -24,6 +24,9 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
+from coupler.sph import packing
+from coupler.sph.engine import ENGINES
+from coupler.sph.threads import SecondThread
 
 STEPS, REPEATS = 40, 7
 
@@ -87,15 +90,52 @@ def forms(target: Target) -> float:
     return fastest(lambda: asm(form, basis, P=P), REPEATS) / len(m.conn) * 1e6
 
 
-def points(rows: list[tuple[str, float, str]], count: int) -> None:
-    """Microseconds per point and step of a real impact: LAMMPS, each part of the coupler, and the coupler's share.
+def engines(rows: list[tuple[str, float, str]], count: int) -> None:
+    """Microseconds per point and step of a whole LAMMPS step with the law, for both engines in turn: a sphere that flows all over.
 
-    The coupler's share is all that is neither the target nor LAMMPS itself: its commands, without the callback in them.
-    Plain LAMMPS, without our callback and law, runs the same deck on an unhurt body in turn with the impact, a stretch of
-    each at a time: what slows down one slows down the other.
+    What slows down one slows down the other. The passes of the compiled engine also on two threads, in wall time.
     """
-    from coupler.sph.engine import ENGINES
+    cloud, volume = packing.sphere(25e-6, count)
+    law = law_record(material("Ni"), rate_filter=5e-10)
+    particles = {name: engine(cloud, volume, law, (0.0, 0.0, 0.0), 300.0) for name, engine in ENGINES.items()}
+    for p in particles.values():
+        p.v[:] = p.X * np.array([4e7, 3e7, -7e7])
+        p._vest[:] = p.v
+        p.run(80, 1e-11, _nothing)
+    steps = max(STEPS, 40_000 // len(cloud))
+    times = {name: np.inf for name in particles}
+    for _ in range(REPEATS):
+        for name, p in particles.items():
+            times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, _nothing), 1))  # type: ignore[misc]
+    compiled, machdyn = particles["compiled"], particles["machdyn"]
+    n, unit = len(cloud), "us per point and step"
+    for name, seconds in times.items():
+        rows.append((f"whole step, {n} points, {name}", seconds / steps / n * 1e6, unit))
+    rows.append((f"machdyn over compiled, {n} points", times["machdyn"] / times["compiled"], ""))
 
+    def passes() -> None:
+        for _ in range(steps):
+            compiled._update_stress()
+
+    one = fastest(passes, REPEATS, time.perf_counter)
+    compiled.second = SecondThread()
+    two = fastest(passes, REPEATS, time.perf_counter)
+    compiled.second.close()
+    rows.append((f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit))
+    rows.append((f"one thread over two, {n} points", one / two, "of wall time"))
+    compiled.close()
+    machdyn.close()
+
+
+def _nothing() -> None:
+    """No forces from outside."""
+
+
+def points(rows: list[tuple[str, float, str]], count: int) -> None:
+    """Microseconds per point and step of a real impact, part by part.
+
+    LAMMPS itself: its integration and calling back. Contact, surface and search are the coupler's.
+    """
     scene = Scene.from_text(
         f'[particle]\nmaterial="Ni"\ndiameter="25 um"\nvelocity="500 m/s"\n[substrate]\nmaterial="SS304"\n'
         f'[resolution]\nspacing="{(np.pi / 6 * 25.0**3 / count) ** (1 / 3):.6f} um"\n',
@@ -104,16 +144,11 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     domains = build_domains(plan(scene))
     p = domains.particle
     impact = Impact(domains)
-    plain = ENGINES["machdyn"](p.local.X, p.local.volume_of_point, p.local.law, (0.0, 0.0, -500.0), 300.0)
-    plain.v += np.random.default_rng(1).standard_normal(plain.v.shape)  # no arithmetic with zeros
-    plain.lmp.command("unfix coupler")
-    plain.lmp.command("run 0 post no")
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
         advance_window(impact)
 
-    spent = dict.fromkeys(
-        ("target", "LAMMPS", "callback", "our law", "contact", "surface to points and back", "search"), 0.0
-    )
+    parts = ("LAMMPS itself", "stress and internal forces", "contact", "surface to points and back", "search")
+    spent = dict.fromkeys((*parts, "target", "callback"), 0.0)
 
     def timed(original: Callable[..., Any], part: str) -> Callable[..., Any]:
         def wrapper(*args: Any) -> Any:
@@ -128,8 +163,8 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         (impact.target, "advance", "target"),
         (impact.target, "finish", "target"),
         (impact.target, "stable_dt", "target"),
-        (p.local, "_update_stress", "our law"),
-        (p.local.lmp, "command", "LAMMPS"),
+        (p.local, "_update_stress", "stress and internal forces"),
+        (p.local.lmp, "command", "LAMMPS itself"),
         (domains.contact, "forces", "contact"),
         (domains.contact, "search", "search"),
         (domains.surface, "contacts", "surface to points and back"),
@@ -138,42 +173,27 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     ):
         setattr(owner, name, timed(getattr(owner, name), part))
     p.local.lmp.set_fix_external_callback("coupler", timed(p.local._callback, "callback"), None)
-    plain.lmp.command(f"timestep {p.dt:.17g}")
 
     def stretch() -> dict[str, float]:
         """Seconds per step of everything, over STEPS steps or a little more."""
-        for part in spent:
-            spent[part] = 0.0
+        spent.update(dict.fromkeys(spent, 0.0))
         before, start = p.steps, clock()
         while p.steps < before + STEPS:
             advance_window(impact)
         whole, steps = clock() - start, p.steps - before
-        spent["LAMMPS"] -= spent.pop("callback")
-        found = {part: seconds / steps for part, seconds in spent.items()}
-        spent["callback"] = 0.0
-        start = clock()
-        plain.lmp.command(f"run {STEPS} pre no post no")
-        return found | {"outside": whole / steps - found["target"], "plain": (clock() - start) / STEPS}
+        spent["LAMMPS itself"] -= spent["callback"]
+        return {part: seconds / steps for part, seconds in (spent | {"whole": whole - spent["target"]}).items()}
 
     stretch()
     found = [stretch() for _ in range(2 * REPEATS)]
-
-    def median(value: Callable[[dict[str, float]], float]) -> float:
-        return statistics.median(value(one) for one in found)
-
+    median = {part: statistics.median(times[part] for times in found) for part in found[0]}
     point, per_point = "us per point and step", 1e6 / p.n
-    rows.append(("points", float(p.n), ""))
-    rows.append(("plain LAMMPS, same deck", median(lambda f: f["plain"]) * per_point, point))
-    rows.append(("LAMMPS itself, in the impact", median(lambda f: f["LAMMPS"]) * per_point, point))
-    for part in ("our law", "contact", "surface to points and back", "search"):
-        rows.append((part, median(lambda f, part=part: f[part]) * per_point, point))  # type: ignore[misc]
-    rows.append(("all but the target, in the impact", median(lambda f: f["outside"]) * per_point, point))
-    share = median(lambda f: 1.0 - f["LAMMPS"] / f["outside"])
-    rows.append(("the coupler's share of the SPH step", share, "of all but the target"))
+    rows.append(("points of the impact", float(p.n), ""))
+    rows += [(f"{part}, in the impact", median[part] * per_point, point) for part in parts]
+    rows.append(("all but the target, in the impact", median["whole"] * per_point, point))
     elements = len(impact.target.mesh.conn)
-    rows.append(("target, in the impact", median(lambda f: f["target"]) / elements * 1e6, "us per element and step"))
+    rows.append(("target, in the impact", median["target"] / elements * 1e6, "us per element and step"))
     p.local.close()
-    plain.close()
 
 
 def main() -> None:
@@ -183,6 +203,8 @@ def main() -> None:
     a = parser.parse_args()
     rows: list[tuple[str, float, str]] = []
     elements(rows)
+    for count in (1000, 5000, 16000):
+        engines(rows, count)
     points(rows, a.points)
     for name, value, unit in rows:
         print(f"{name:45s} {value:10.4g} {unit}")
