@@ -72,7 +72,7 @@ WORDS = {
     "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings unless said",
     "resolution.growth": "of the edges, for each unit of distance from the impact",
     "resolution.engine": "of the particle's stress and internal forces: our compiled passes, or LAMMPS's MACHDYN; the same scheme"
-    " ([equations](../theory/particle.md))",
+    " ([particle](../theory/particle.md))",
     "end.at": '`"rest"` unless `at` or `time` is said; `"greatest"` is the greatest deformation',
     "end.time": "after the start of each impact; with `at`, whichever comes first",
     "output.every": "simulated time between two written steps; diameter / velocity / 25 unless said",

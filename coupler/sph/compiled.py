@@ -86,13 +86,13 @@ class CompiledParticle(Particle):
         order = np.lexsort((tag[other], point))
         order = order[point[order] < n]
         point, other, row = point[order], other[order], row[order]
-        g = (np.concatenate([w, w])[:, None] * np.concatenate([d, -d]))[order]
+        self._w_of = np.concatenate([w, w])[order]
+        d = X[other] - X[point]
         K = np.zeros((n, 3, 3))
-        np.add.at(K, point, -V * g[:, :, None] * (X[other] - X[point])[:, None, :])
+        np.add.at(K, point, self._w_of[:, None, None] * d[:, :, None] * d[:, None, :])
         stretch, axes = np.linalg.eigh(K)
-        inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=np.abs(stretch) > 1e-16)
+        inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=np.abs(V * stretch) > 1e-16)
         self._K_inverse = np.ascontiguousarray(np.einsum("nik,nk,njk->nij", axes, inverse, axes))
-        self._ghat = -V * np.einsum("kij,kj->ki", self._K_inverse[point], g)
         self._first = np.searchsorted(point, np.arange(n + 1)).astype(np.uint32)
         self._neighbour, self._signed = other.astype(np.uint32), row.astype(np.int32)
 
@@ -120,8 +120,8 @@ class CompiledParticle(Particle):
 
         def stress(lo: int, hi: int) -> None:
             point = k.stress_points(
-                lo, hi, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._ghat,
-                self._K_inverse, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
+                lo, hi, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
+                self._K_inverse, self._X, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
                 self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
             )  # fmt: skip
             if point >= 0:

@@ -1,9 +1,8 @@
 """Two passes of total-Lagrangian SPH in MACHDYN's form, compiled: stress of each point, then forces of each pair.
 
 The letters are those of the equations (Ganzenmueller 2015, Comput. Methods Appl. Mech. Eng. 286, 87-106): X, x reference and
-present positions; F = sum_j (x_j - x_i) (x) ghat_ij and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated
-Cauchy stress; V volume; g = w (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i| the kernel gradient, ghat = -V K^-1 g with
-K = -sum_j V g (x) (X_j - X_i).
+present positions; V volume; g = w (X_j - X_i) with w = W'(|X_j - X_i|) / |X_j - X_i| the kernel gradient; K = sum_j g (x) (X_j - X_i);
+F = sum_j (x_j - x_i) (x) g K^-1 and its rate Fdot; R the rotation of F = R U; J = det F; sigma the unrotated Cauchy stress.
 
 Each kernel works on a range [lo, hi) of points or of pairs and writes only its own rows: any split of the range over threads
 gives the same numbers to the last bit. Arrays n of this rank's points, N of these and of the neighbours' copies. SI units.
@@ -114,13 +113,13 @@ def rotation(F, R):
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo, hi, dt, laws, V, H, start, neighbour, ghat, K_inverse, x, v, R, F, Q, stress, effective, sigma_y, eps_p, rate, T, J, p,
+    lo, hi, dt, laws, V, H, start, neighbour, w, K_inverse, X, x, v, R, F, Q, stress, effective, sigma_y, eps_p, rate, T, J, p,
     energy, work,
 ):  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
-    start (n+1,), neighbour, ghat (m,3) 1/m: neighbours of each point and their corrected gradients; K_inverse (n,3,3). x, v
-    (N,3): positions and velocities at n+1. R, F (N,9); Q (N,9) N m receives V^2 J R sigma B K^-1 with B = U^-1; stress (n,6):
+    start (n+1,), neighbour, w (m,) 1/m5: neighbours of each point and their W'/r; K_inverse (n,3,3) m3; X (N,3). x, v (N,3):
+    positions and velocities at n+1. R, F (N,9); Q (N,9) receives -V J R sigma B K^-1 with B = U^-1; stress (n,6):
     unrotated Cauchy stress, xx xy xz yy yz zz, as LAMMPS keeps it; effective (N,): sigma_y / H and the plastic strain of the
     step, by which MACHDYN chooses its hourglass control. The plastic state is that of `physics.constitutive`; work (n,) J/m3 grows by
     the plastic work. A point fails where J leaves [J_MIN, J_MAX].
@@ -130,13 +129,14 @@ def stress_points(
     failed = -1
     for i in range(lo, hi):
         law = laws[0]
+        X0, X1, X2 = X[i, 0], X[i, 1], X[i, 2]
         x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
         v0, v1, v2 = v[i, 0], v[i, 1], v[i, 2]
         f00 = f01 = f02 = f10 = f11 = f12 = f20 = f21 = f22 = 0.0
         r00 = r01 = r02 = r10 = r11 = r12 = r20 = r21 = r22 = 0.0
         for k in range(start[i], start[i + 1]):
             j = neighbour[k]
-            g0, g1, g2 = ghat[k, 0], ghat[k, 1], ghat[k, 2]
+            g0, g1, g2 = w[k] * (X[j, 0] - X0), w[k] * (X[j, 1] - X1), w[k] * (X[j, 2] - X2)
             d0, d1, d2 = x[j, 0] - x0, x[j, 1] - x1, x[j, 2] - x2
             f00 += d0 * g0
             f01 += d0 * g1
@@ -157,7 +157,10 @@ def stress_points(
             r20 += d2 * g0
             r21 += d2 * g1
             r22 += d2 * g2
-        Fi = f00, f01, f02, f10, f11, f12, f20, f21, f22
+        M = K_inverse[i]
+        K1 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
+        Fi = _product((f00, f01, f02, f10, f11, f12, f20, f21, f22), K1)
+        Fdot = _product((r00, r01, r02, r10, r11, r12, r20, r21, r22), K1)
         Ri, U = rotation(Fi, (R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]))
         B, Ji = _inverse(U)
         if not J_MIN <= Ji <= J_MAX and failed < 0:
@@ -167,7 +170,7 @@ def stress_points(
             R[i, k] = Ri[k]
 
         # rate of deformation in the unrotated frame, D = sym(R^T Fdot B), and the trial deviator
-        L = _product(_product(_transposed(Ri), (r00, r01, r02, r10, r11, r12, r20, r21, r22)), B)
+        L = _product(_product(_transposed(Ri), Fdot), B)
         mean_rate = (L[0] + L[4] + L[8]) / 3.0
         mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
         c = 2.0 * law.G * dt
@@ -190,21 +193,20 @@ def stress_points(
         mean = -hugoniot_pressure(law, Ji)
         if on(law.Gamma0) and law.Gamma0 > 0.0:
             mean += (hugoniot_pressure(law, J[i]) - p[i]) * J[i] / Ji
-        eps_p[i], rate[i], T[i], sigma_y[i], w = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i])
+        eps_p[i], rate[i], T[i], sigma_y[i], done = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i])
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
-            heat = law.expansion * law.taylor_quinney * w
+            heat = law.expansion * law.taylor_quinney * done
         p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
         J[i] = Ji
-        work[i] += w
+        work[i] += done
 
         sxx, syy, szz = sxx + mean, syy + mean, szz + mean
         stress[i, 0], stress[i, 1], stress[i, 2] = sxx, sxy, sxz
         stress[i, 3], stress[i, 4], stress[i, 5] = syy, syz, szz
-        M = K_inverse[i]
         P = _product(_product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
-        P = _product(P, (M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]))
-        c = V * V * Ji
+        P = _product(P, K1)
+        c = -V * Ji
         for k in range(9):
             Q[i, k] = c * P[k]
     return failed
