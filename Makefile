@@ -10,36 +10,38 @@
 # make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build
-# make setup  system libraries and .venv; run and test do it themselves when it is needed
+# make fuzz-files  damaged files of every kind: each command ends with a result or one message; N=2000 SEED=1 say how many and which
+# make setup  system libraries and .venv for runs; test-setup: for tests too; the targets do it themselves when it is needed
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 PYTHON ?= python3
 VENV := .venv
-UV_VERSION := 0.13.8
 STAMP := $(VENV)/.setup-done
+TEST_STAMP := $(VENV)/.test-setup-done
 
-# Debian packages: gmsh's wheel needs the first line, vtk's and open3d's the second.
-LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1 \
-             libgl1 libegl1 libusb-1.0-0 libx11-6
-# The test of the report opens it in a browser.
-LIBRARIES += chromium
+# Debian packages. gmsh's wheel needs these:
+LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1
+# Tests and documents also need those of vtk and open3d, and a browser that opens the report:
+TEST_LIBRARIES := libgl1 libegl1 libusb-1.0-0 libx11-6 chromium
 
-.PHONY: setup run check test test-all bench studies effects accuracy stability fuzz validate maps docs clean
+.PHONY: setup test-setup run check test test-all bench studies effects accuracy stability fuzz fuzz-files validate maps docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
 
 setup: $(STAMP)
+test-setup: $(TEST_STAMP)
 
-$(STAMP): uv.lock pyproject.toml
+# $(call install,packages): with apt-get, as root; else says which are missing
+define install
 	@missing=(); \
 	if command -v dpkg-query >/dev/null; then \
-	  for package in $(LIBRARIES); do \
+	  for package in $(1); do \
 	    state=$$(dpkg-query -W -f='$${db:Status-Status}' $$package 2>/dev/null || true); \
 	    [ "$$state" = installed ] || missing+=($$package); \
 	  done; \
 	else \
-	  echo "setup: no dpkg here; these libraries must be there: $(LIBRARIES)"; \
+	  echo "setup: no dpkg here; these libraries must be there: $(1)"; \
 	fi; \
 	$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing+=(python3-venv); \
 	if [ $${#missing[@]} -gt 0 ]; then \
@@ -53,24 +55,34 @@ $(STAMP): uv.lock pyproject.toml
 	  apt-get update -qq; \
 	  apt-get install -y -qq --no-install-recommends "$${missing[@]}" >/dev/null; \
 	fi
+endef
+SYNC = UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(COMPILED) $(VENV)/bin/python -m uv sync --locked --inexact --quiet
+
+$(STAMP): uv.lock pyproject.toml .ci/uv.txt
+	$(call install,$(LIBRARIES))
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
 	  { echo "setup: Python 3.11 to 3.13 is needed; name one with make PYTHON=..." >&2; exit 1; }
 	@[ -x $(VENV)/bin/python ] && $(VENV)/bin/python -m pip --version >/dev/null 2>&1 || \
 	  $(PYTHON) -m venv --clear $(VENV)
-	@$(VENV)/bin/python -m uv --version >/dev/null 2>&1 || \
-	  $(VENV)/bin/python -m pip install -q --disable-pip-version-check uv==$(UV_VERSION)
-	UV_PROJECT_ENVIRONMENT=$(VENV) UV_SYSTEM_CERTS=true $(COMPILED) $(VENV)/bin/python -m uv sync --locked --inexact --quiet
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check --require-hashes -r .ci/uv.txt
+	$(SYNC) --no-dev
 	@echo "setup: compiling the kernels, once"
 	@OMP_NUM_THREADS=1 $(VENV)/bin/coldspray check workflows/single_ni.toml >/dev/null
+	@touch $@
+
+$(TEST_STAMP): $(STAMP)
+	$(call install,$(TEST_LIBRARIES))
+	$(SYNC)
 	@touch $@
 
 run: setup
 	$(VENV)/bin/coldspray run workflows/single_ni.toml --force
 
-check: setup
+check: test-setup
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	$(VENV)/bin/mypy
+	$(VENV)/bin/deptry coupler workflows tests
 
 WORKERS ?= 2
 
@@ -106,15 +118,18 @@ SEED ?= 1
 fuzz: setup
 	$(VENV)/bin/python workflows/fuzz.py --n $(N) --seed $(SEED)
 
+fuzz-files: test-setup
+	$(VENV)/bin/python workflows/fuzz_files.py --n $(N) --seed $(SEED)
+
 validate: setup
 	$(VENV)/bin/python workflows/validate.py
 
-maps: setup
+maps: test-setup
 	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
 	cp runs/map_ni/map.csv docs/tables/map_ni.csv
 	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/evidence/map_ni_$$name.png; done
 
-docs: setup
+docs: test-setup
 	$(VENV)/bin/python workflows/scene_page.py
 	$(VENV)/bin/sphinx-build -q -E -W --keep-going -b html docs docs/_build
 	@echo "site in docs/_build/index.html"
