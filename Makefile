@@ -97,7 +97,7 @@ bench: setup
 	$(VENV)/bin/python workflows/bench.py
 	$(VENV)/bin/python workflows/bench_ranks.py
 
-studies: setup
+studies: test-setup
 	$(VENV)/bin/python workflows/taylor_bar.py
 	$(VENV)/bin/python workflows/taylor_bar_sph.py
 	$(VENV)/bin/python workflows/convergence.py --parameters
