@@ -6,6 +6,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 from ..errors import StoreError
+from ..files.inputs import reading
 from .arguments import add_force, path
 
 if TYPE_CHECKING:
@@ -46,16 +47,19 @@ def run(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
-    measures = coating.measure(result, radius)
-    coating_files.write_measures(folder, measures)
-    heading = (
-        f"{measures.impacts} of {measures.of} impacts" if measures.impacts < measures.of else f"{measures.of} impacts"
-    )
-    coating_files.section(
-        result, folder / "section.png", 1.3 * measures.window_radius_m / coating.WINDOW, heading, plane
-    )
-    with contextlib.redirect_stdout(io.StringIO()):  # meshio speaks of what it thinks of the fields
-        meshes = coating_files.write_meshes(coating.read(result), folder)
+    with reading(arguments.run):
+        measures = coating.measure(result, radius)
+        coating_files.write_measures(folder, measures)
+        heading = (
+            f"{measures.impacts} of {measures.of} impacts"
+            if measures.impacts < measures.of
+            else f"{measures.of} impacts"
+        )
+        coating_files.section(
+            result, folder / "section.png", 1.3 * measures.window_radius_m / coating.WINDOW, heading, plane
+        )
+        with contextlib.redirect_stdout(io.StringIO()):  # meshio speaks of what it thinks of the fields
+            meshes = coating_files.write_meshes(coating.read(result), folder)
     print("\n".join(describe(measures)))
     print(f"coating.json, coating_depth.csv, section.png, coating.vtu and {len(meshes) - 1} surfaces in {folder}")
     return 0

@@ -6,11 +6,12 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ColdsprayError, speaks
-from ..files.inputs import bounded_memory
+from ..files.inputs import bounded_memory, reading
 from . import accuracy as accuracy_command
 from . import coating as coating_command
 from . import gas as gas_command
@@ -227,7 +228,9 @@ def _report(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / "report.html"
     claim_file(out, (".html", ".htm"), [arguments.run], arguments.force)
-    print(f"page in {write_report(result, out)}")
+    with reading(arguments.run):
+        page = write_report(result, out)
+    print(f"page in {page}")
     return 0
 
 
@@ -238,7 +241,9 @@ def _animate(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / f"{arguments.field}.mp4"
     claim_file(out, SUFFIXES, [arguments.run], arguments.force)
-    print(f"film in {animate(result, out, arguments.field, arguments.fps)}")
+    with reading(arguments.run):
+        film = animate(result, out, arguments.field, arguments.fps)
+    print(f"film in {film}")
     return 0
 
 
@@ -247,12 +252,35 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     from ..files.outputs import claim_file
     from ..files.result import Result
-    from ..report.compare import compare, comparison_table
+    from ..report.compare import compare, comparison_picture, comparison_table
 
-    results = [Result(folder) for folder in arguments.runs]
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
-    Console().print(comparison_table(results))
-    print(f"comparison in {compare(results, arguments.out)}")
+    problems: list[ColdsprayError] = []
+    results: list[Result] = []
+
+    def attempt(work: Callable[[], Any], folder: Path) -> Any:
+        try:
+            with reading(folder):
+                return work()
+        except ColdsprayError as error:
+            problems.append(error)
+            return None
+
+    for folder in arguments.runs:
+        if (result := attempt(partial(Result, folder), folder)) is not None:
+            results.append(result)
+    table = attempt(lambda: comparison_table(results), Path("the runs"))
+    if table is None or attempt(lambda: compare(results, arguments.out), Path("the runs")) is None:
+        sound = [r for r in results if attempt(partial(comparison_picture, [r, r]), r.directory) is not None
+                 and attempt(partial(comparison_table, [r, r]), r.directory) is not None]  # fmt: skip
+        if len(sound) < 2 or len(sound) == len(results):
+            raise problems[0]
+        compare(sound, arguments.out)
+        table = comparison_table(sound)
+    for problem in dict.fromkeys(map(str, problems)):
+        print(f"left out: {problem}", file=sys.stderr)
+    Console().print(table)
+    print(f"comparison in {arguments.out}")
     return 0
 
 

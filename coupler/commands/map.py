@@ -38,10 +38,12 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import StoreError
+    from ..files.inputs import reading
     from ..files.outputs import MARK, check_folder, claim_file
     from ..studies import maps
 
-    rows = maps.table(arguments.folder)
+    with reading(arguments.folder):
+        rows = maps.table(arguments.folder)
     out = arguments.out or arguments.folder
     check_folder(out)
     try:
@@ -69,6 +71,7 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
     Returns what is to be said of each: where it is and how good its interpolation, or why it is not drawn.
     """
     from ..errors import StoreError
+    from ..files.inputs import reading
     from ..studies.maps import interpolate, varying
 
     said = []
@@ -93,11 +96,12 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
                     said.append(f"{material}, {title}: no map; {material} has no tensile strength sigma_TS")
                 continue
             try:
-                fit = interpolate(mine, quantity, axes)
+                with reading(path.name):
+                    fit = interpolate(mine, quantity, axes)
+                    _figure(path, mine, axes, quantity, fit)
             except StoreError as error:
                 said.append(f"{material}, {title}: no map; {error}")
                 continue
-            _figure(path, mine, axes, quantity, fit)
             gaps = "".join(f", a whole {MEASURES[axis].short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
             said.append(
                 f"{material}, {title}: rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()

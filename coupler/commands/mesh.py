@@ -47,6 +47,7 @@ def add(commands: Any) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from .. import units
+    from ..files.inputs import reading
     from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert
 
@@ -68,7 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
     in_its_run = arguments.out is None and kind_of(out.parent) == "run"
     claim_file(out, SUFFIXES, [source], arguments.force or in_its_run)
     if source.is_dir():
-        cloud, notes = of_run(source, arguments.step, spacing)
+        with reading(source):
+            cloud, notes = of_run(source, arguments.step, spacing)
     else:
         cloud, notes = of_file(source, spacing, unit or 1.0)
     splat = convert(cloud, size or SIZE_OVER_SPACING * cloud.spacing, arguments.method)

@@ -10,6 +10,7 @@ import re
 import resource
 import stat
 import tomllib
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -152,6 +153,18 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text[:20]} is too large for a number")
     return value
+
+
+@contextmanager
+def reading(folder: str | Path) -> Iterator[None]:
+    """Within it, files of a folder that are sound each by itself but do not fit together raise InputError; warnings are not shown."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        reason = f"{type(error).__name__}: {error}"[:200]
+        raise InputError(folder, f"cannot be read: its files are damaged or do not fit together ({reason})") from error
 
 
 # --- limits of the machine

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import units
 from ..errors import ColdsprayError, SceneError, StoreError
-from ..files.inputs import read_json_object, read_toml
+from ..files.inputs import read_json_object, read_toml, reading
 from ..files.result import Result
 from ..physics.adhesion import critical_velocity
 from ..plan.reading import Scene
@@ -61,10 +61,20 @@ def table(folder: str | Path) -> list[Row]:
         raise StoreError(f"{folder} is not a folder of runs")
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
     names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
-    rows = [_row(folder, name) for name in names]
+    rows = [_readable_row(folder, name) for name in names]
     if not rows:
         raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
     return sorted(rows, key=lambda row: (row["material"], *(row[axis] or 0.0 for axis in AXES[::-1]), row["point"]))
+
+
+def _readable_row(folder: Path, name: str) -> Row:
+    """The row of a point; one whose files make no sense has failed, and does not end the map."""
+    try:
+        with reading(folder / name):
+            return _row(folder, name)
+    except StoreError as error:
+        nothing = {"point": name, "material": "", "substrate": "", "status": "failed", "reason": str(error)}
+        return dict.fromkeys(COLUMNS) | nothing
 
 
 def _row(folder: Path, name: str) -> Row:

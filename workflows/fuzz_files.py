@@ -1,0 +1,466 @@
+"""Damaged files of every kind that a command reads: python workflows/fuzz_files.py [--n 2000] [--seed 1] [--keep DIR]
+
+Each mutation is read by its command in a forked process with limits on memory and time. Allowed ends: a result (exit code 0) or one
+message (2, 3). After anything else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its files are
+kept in DIR, and the exit code is 1.
+"""
+
+import argparse
+import collections
+import hashlib
+import importlib
+import io
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import h5py  # noqa: E402
+import meshio  # noqa: E402
+import numpy as np  # noqa: E402
+
+from coupler.commands.main import main as coldspray  # noqa: E402
+from coupler.files import checkpoint  # noqa: E402
+from tests import made_up_run  # noqa: E402
+
+PRELOADED = (
+    "coupler.report.page", "coupler.report.animation", "coupler.report.compare", "coupler.studies.maps",
+    "coupler.studies.coating_files",
+    "coupler.plan.planning", "coupler.plan.text", "coupler.spray.flight", "coupler.splat.convert", "coupler.files.clouds",
+    "sklearn.gaussian_process", "matplotlib.backends.backend_agg", "plotly.offline", "rich.console", "coupler.deposition.run",
+)  # fmt: skip
+MEMORY = 6 * 1024**3  # bytes of address space
+PATIENCE = 120  # s of wall time
+VALUES = (
+    "nan", "inf", "-inf", "-1", "0", "-0.0", "1e999", "-1e999", "1e308", "-1e308", "1e-320", "9" * 400, "1" * 5000,
+    "18446744073709551616", "2147483648", '"text"', '""', "'", "true", "null", "[]", "{}", "[[]]", '"25 um"', '"nan um"', '"1e308 m"',
+    '"-5 K"', "\u0663", "\x00", "1_0", "0x10", ",", "{a=1}", '"' + "x" * 3000 + '"',
+)  # fmt: skip
+RUN_COMMANDS = (
+    ["report", "RUN", "--out", "OUT.html"], ["compare", "RUN", "GOOD", "--out", "OUT.png"],
+    ["compare", "GOOD", "RUN", "--out", "OUT.html"],
+    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"], ["map", "PARENT", "--out", "OUT"],
+    ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
+)  # fmt: skip
+SLOW = ("mesh", "animate")  # some seconds each
+GAS = [
+    "gas",
+    "--nozzles",
+    "FILE",
+    "--pressure",
+    "20 bar",
+    "--temperature",
+    "400 degC",
+    "--diameter",
+    "25 um",
+    "--nozzle",
+]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file. source: a sound one, within the folder of the case; weight: how often; commands: that read it."""
+
+    name: str
+    source: str
+    weight: int
+    commands: Sequence[Sequence[str]]
+
+
+KINDS = (
+    Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
+    Kind("coating scene", "coating.toml", 3, [["check", "FILE"]]),
+    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["gas", "--list", "--nozzles", "FILE"]]),
+    Kind("points as text", "cloud.csv", 2, [["mesh", "FILE", "--unit", "um", "--out", "OUT.vtu"]]),
+    Kind("points as .npz", "cloud.npz", 2, [["mesh", "FILE", "--out", "OUT.msh"]]),
+    Kind("points of meshio", "cloud.vtu", 2, [["mesh", "FILE", "--out", "OUT.vtk"]]),
+    Kind("points as .ply", "cloud.ply", 1, [["mesh", "FILE", "--out", "OUT.inp"]]),
+    Kind("scene of a run", "runs/one/scene.toml", 4, RUN_COMMANDS),
+    Kind("summary", "runs/one/summary.json", 6, RUN_COMMANDS),
+    Kind("history", "runs/one/history.csv", 4, RUN_COMMANDS[:3]),
+    Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
+    Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
+    Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
+    Kind("end of a point", "sweep/Ni_a.json", 2, [["map", "SWEEP", "--out", "OUT"]]),
+    Kind("summary of a point", "sweep/Ni_a/summary.json", 3, [["map", "SWEEP", "--out", "OUT"]]),
+    Kind("scene of a point", "sweep/Ni_a.toml", 3, [["map", "SWEEP", "--out", "OUT"]]),
+    Kind("checkpoint", "broken/checkpoint-000002.ckpt", 5, [["resume", "BROKEN", "--quiet"]]),
+)
+
+
+def prepare(folder: Path) -> None:
+    """One sound file of each kind."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ("scene.toml", "coating.toml"):
+        shutil.copy(
+            ROOT / "workflows" / {"scene.toml": "fast_ni.toml", "coating.toml": "coating_ni.toml"}[name], folder / name
+        )
+    text = (ROOT / "coupler" / "spray" / "nozzles.toml").read_text().replace("[D42PBI]", "[Mine]")
+    (folder / "nozzles.toml").write_text(text)
+    rng = np.random.default_rng(1)
+    grid = np.stack(np.meshgrid(*[np.arange(6.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    grid = grid[((grid - 2.5) ** 2).sum(1) < 7.0] + rng.uniform(-0.1, 0.1, 3)
+    n = len(grid)
+    rows = ["x,y,z,T,eps_p", *(",".join(f"{v:.6g}" for v in (*p, 300.0 + i, 0.1)) for i, p in enumerate(grid))]
+    (folder / "cloud.csv").write_text("\n".join(rows) + "\n")
+    np.savez_compressed(
+        folder / "cloud.npz", points=grid * 1e-6, T=np.full(n, 400.0), stress=np.full((n, 6), 1e8), velocity=grid
+    )
+    vertices = [("vertex", np.arange(n)[:, None])]
+    meshio.Mesh(grid * 1e-6, vertices, {"T": np.full(n, 300.0)}).write(folder / "cloud.vtu")
+    meshio.Mesh(grid * 1e-6, [("triangle", np.arange(9, dtype=np.int32).reshape(3, 3))]).write(
+        folder / "cloud.ply", binary=False
+    )
+    made_up_run.write(
+        folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}])
+    )
+    made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}]))
+    for name in ("runs/one", "good"):  # of one impact, its bodies told apart
+        table = folder / name / "history.csv"
+        head, *lines = table.read_text().splitlines()
+        table.write_text("\n".join([f"{head},impact", *(f"{line},1" for line in lines)]) + "\n")
+        with h5py.File(folder / name / "target.vtkhdf", "r+", locking=False) as file:
+            data, offsets = file["VTKHDF/CellData"], file["VTKHDF/Steps/CellDataOffsets"]
+            data["body"], offsets["body"] = np.zeros(len(data["T"]), np.float32), offsets["T"][()]
+    for k, name in enumerate(("Ni_a", "Ni_b", "Ni_c", "Ni_d", "Ni_e", "Ni_f", "Ni_g", "Ni_h")):
+        scene = made_up_run.SCENE.replace("500 m/s", f"{400 + 50 * (k % 4)} m/s").replace(
+            "25 um", f"{20 + k // 4 * 10} um"
+        )
+        (folder / "sweep" / name).mkdir(parents=True)
+        (folder / "sweep" / f"{name}.toml").write_text(scene)
+        (folder / "sweep" / f"{name}.json").write_text('{"status": "done", "reason": "", "exit_code": 0}')
+        (folder / "sweep" / name / "scene.toml").write_text(scene)
+        found = made_up_run.summary(flattening_ratio=0.4 + 0.02 * k, rebound_velocity_m_s=20.0 + k)
+        (folder / "sweep" / name / "summary.json").write_text(json.dumps(found))
+    made_up_run.write(folder / "broken", 2, 300, 20.0)
+    state = {
+        "running": None,
+        "records": [],
+        "store": {"columns": ["time"], "history": np.ones((3, 1)), "steps": {"target": 1}},
+        "n": 3,
+    }
+    for _ in range(2):
+        checkpoint.write(folder / "broken", state, {"version": "0", "scene": "x"})
+
+
+# --- mutations: a function of (dice, path) that damages the file there and says how
+
+
+def flip(dice: random.Random, data: bytearray) -> str:
+    count = dice.choice((1, 1, 3, 30))
+    for _ in range(count):
+        data[dice.randrange(len(data))] ^= 1 << dice.randrange(8)
+    return f"{count} bits flipped"
+
+
+def cut(dice: random.Random, data: bytearray) -> str:
+    at = dice.randrange(len(data))
+    del data[at:]
+    return f"cut at byte {at}"
+
+
+def hole(dice: random.Random, data: bytearray) -> str:
+    at, length = dice.randrange(len(data)), dice.choice((1, 16, 512))
+    del data[at : at + length]
+    return f"{length} bytes missing from {at}"
+
+
+def zeros(dice: random.Random, data: bytearray) -> str:
+    at, length = dice.randrange(len(data)), dice.choice((8, 512, 4096))
+    data[at : at + length] = bytes(len(data[at : at + length]))
+    return f"{length} zeros from {at}"
+
+
+def garbage(dice: random.Random, data: bytearray) -> str:
+    at = dice.randrange(len(data))
+    data[at:at] = dice.randbytes(dice.choice((1, 8, 200)))
+    return f"garbage at {at}"
+
+
+def doubled(dice: random.Random, data: bytearray) -> str:
+    a, b = sorted((dice.randrange(len(data)), dice.randrange(len(data))))
+    data[b:b] = data[a:b]
+    return f"bytes {a} to {b} twice"
+
+
+def number(dice: random.Random, data: bytearray) -> str:
+    spots = list(re.finditer(rb'"[^"\n]{0,80}"|-?\d+\.?\d*(?:e[+-]?\d+)?', bytes(data)))
+    if not spots:
+        return garbage(dice, data)
+    spot, value = dice.choice(spots), dice.choice(VALUES)
+    data[spot.start() : spot.end()] = value.encode()
+    return f"{spot.group()[:40]!r} became {value[:40]!r}"
+
+
+def lines(dice: random.Random, data: bytearray) -> str:
+    rows = bytes(data).split(b"\n")
+    i, j = dice.randrange(len(rows)), dice.randrange(len(rows))
+    how = dice.choice(("missing", "twice", "swapped"))
+    if how == "missing":
+        del rows[i]
+    elif how == "twice":
+        rows.insert(j, rows[i])
+    else:
+        rows[i], rows[j] = rows[j], rows[i]
+    data[:] = b"\n".join(rows)
+    return f"line {i} {how}"
+
+
+def whole(dice: random.Random, data: bytearray) -> str:
+    text = bytes(data)
+    how, new = dice.choice((
+        ("empty", b""), ("byte-order mark", b"\xef\xbb\xbf" + text), ("UTF-16", text.decode("latin-1").encode("utf-16")),
+        ("nested lists", b"a = " + b"[" * 600 + b"]" * 600), ("nested JSON", b'{"a": ' * 600 + b"1" + b"}" * 600),
+        ("dotted", b"a." * 100_000 + b"a = 1"), ("JSON list", b"[1, 2]"), ("2 MB of #", b"#" * 2_000_000), ("null bytes", bytes(1000)),
+        ("carriage returns", text.replace(b"\n", b"\r")), ("huge integer", b'{"points": ' + b"9" * 400 + b"}"),
+        ("windows lines", text.replace(b"\n", b"\r\n")), ("long line", b"x" * 300_000 + b"\n" + text),
+    ))  # fmt: skip
+    data[:] = new
+    return how
+
+
+BYTES = (flip, cut, hole, zeros, garbage, doubled, whole)
+TEXT = (number, number, number, number, lines, *BYTES)
+
+
+def special(dice: random.Random, path: Path) -> str:
+    """No regular file at all, where one is expected."""
+    path.unlink()
+    how = dice.choice(("pipe", "folder", "circle", "/dev/zero", "dangling", "missing", "hard link"))
+    if how == "pipe":
+        os.mkfifo(path)
+    elif how == "folder":
+        path.mkdir()
+    elif how == "circle":
+        path.symlink_to(path)
+    elif how in ("/dev/zero", "dangling"):
+        path.symlink_to("/dev/zero" if how == "/dev/zero" else path.with_name("nowhere"))
+    elif how == "hard link":
+        os.link(path.parents[len(path.parents) - 1] / ROOT.relative_to("/") / "README.md", path)
+    return how
+
+
+def hdf5(dice: random.Random, path: Path) -> str:
+    """A sound HDF5 file with contents that no run writes."""
+    with h5py.File(path, "r+", locking=False) as file:
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        name = dice.choice(names)
+        data = file[name]
+        how = dice.choice(
+            ("value", "value", "all", "missing", "huge", "text", "group", "link", "steps", "resized", "scalar", "chunk")
+        )
+        if how in ("value", "all"):
+            kind = data.dtype.kind
+            new = dice.choice(
+                (np.nan, np.inf, -np.inf, 1e308, -1e30, 0.0) if kind == "f" else (-1, 2**40, 2**62, 0, 7, 255)
+            )
+            with np.errstate(all="ignore"):
+                values = data[()]
+                new = np.array(new).astype(data.dtype)
+                values[... if how == "all" else dice.randrange(len(values))] = new
+                data[()] = values
+            how += f" {new}"
+        elif how == "steps":
+            new = dice.choice((0, -1, 1, 3, 10**12, "two", [1, 2], 1.5, float("nan"), np.zeros(1000)))
+            file["VTKHDF/Steps"].attrs["NSteps"] = new
+            how += f" {str(new)[:20]}"
+        elif how == "resized":
+            data.resize(dice.choice((0, 1, len(data) + 1, 10**9)), axis=0)
+        else:
+            width = data.shape[1:]
+            del file[name]
+            if how == "huge":
+                file.create_dataset(name, (10**10, *width), dtype="f8")
+            elif how == "chunk":
+                file.create_dataset(name, (10**9, *width), dtype="f8", chunks=(10**8, *width), compression=1)
+            elif how == "text":
+                file.create_dataset(name, data=np.array([b"some text"] * 5))
+            elif how == "group":
+                file.create_group(name)
+            elif how == "link":
+                file[name] = h5py.ExternalLink("/dev/zero", "/x")
+            elif how == "scalar":
+                file[name] = 1.0
+    return f"{name}: {how}"
+
+
+def npz(dice: random.Random, path: Path) -> str:
+    """A sound archive of arrays that no cloud has."""
+    with np.load(path) as file:
+        arrays = dict(file)
+    name = dice.choice(list(arrays))
+    n = len(arrays["points"])
+    how, new = dice.choice((
+        ("nan", np.full((n, 3), np.nan)), ("1e308", np.full((n, 3), 1e308)), ("text", np.array([["a"] * 3] * n)),
+        ("complex", np.ones((n, 3), complex)),
+        ("flat", np.zeros((n, 3))), ("one row", np.ones((1, 3))), ("scalar", np.array(1.0)), ("cube", np.ones((n, 3, 3))),
+        ("none", np.zeros((0, 3))),
+        ("integers", np.arange(3 * n).reshape(n, 3)), ("objects", np.array([None] * n)),
+        ("huge claim", np.zeros(1)), ("bomb", np.zeros(1)),
+        ("mixed", np.where(np.arange(3 * n).reshape(n, 3) == 5, 1e200, arrays["points"])),
+    ))  # fmt: skip
+    arrays[name] = new
+    np.savez_compressed(path, **arrays)
+    if how in ("huge claim", "bomb"):
+        head = io.BytesIO()
+        np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (10**11, 3)})
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("points.npy", head.getvalue() + bytes(10**7 if how == "bomb" else 10))
+    return f"{name}: {how}"
+
+
+def crafted(dice: random.Random, path: Path) -> str:
+    """A checkpoint with other contents and a checksum that fits."""
+    raw = path.read_bytes()
+    _, line, content = raw.split(b"\n", 2)
+    header, payload = bytearray(line), bytearray(content)
+    how = number(dice, header) if dice.random() < 0.7 else dice.choice(BYTES)(dice, payload)
+    try:
+        head = json.loads(header)
+        head["sha256"], head["bytes"] = hashlib.sha256(payload).hexdigest(), len(payload)
+        header = bytearray(json.dumps(head).encode())
+    except (ValueError, TypeError):
+        pass
+    new = bytes(header) + b"\n"
+    path.write_bytes(hashlib.sha256(new).hexdigest().encode() + b"\n" + new + bytes(payload))
+    return f"checksum fits, {how}"
+
+
+def mutate(dice: random.Random, path: Path) -> str:
+    """Damage a file, and say how."""
+    own: dict[str, Callable[[random.Random, Path], str]] = {".vtkhdf": hdf5, ".npz": npz, ".ckpt": crafted}
+    draw = dice.random()
+    if draw < 0.05:
+        return special(dice, path)
+    if path.suffix in own and draw < 0.7:
+        return own[path.suffix](dice, path)
+    ways = TEXT if path.suffix in (".toml", ".json", ".csv", ".vtu", ".ply") else BYTES
+    data, said = bytearray(path.read_bytes()), []
+    for _ in range(dice.choice((1, 1, 2, 3))):
+        if data:
+            said.append(dice.choice(ways)(dice, data))
+    path.write_bytes(data)
+    return "; ".join(said)
+
+
+# --- running them
+
+
+def case(seed: int, sound: Path, folder: Path, quick: bool) -> tuple[str, list[str]]:
+    """Make the files of a seed in a folder. Returns what was done, and the command."""
+    dice = random.Random(seed)
+    slow = SLOW if quick else ()
+    kinds = [k for k in KINDS if any(command[0] not in slow for command in k.commands)]
+    kind = dice.choices(kinds, [k.weight for k in kinds])[0]
+    shutil.copytree(sound, folder)
+    path = folder / kind.source
+    said = mutate(dice, path)
+    words = {"FILE": path, "RUN": path.parent, "PARENT": path.parent.parent, "GOOD": folder / "good", "SWEEP": folder / "sweep",
+             "BROKEN": folder / "broken"}  # fmt: skip
+    command = [str(words.get(word, word)) for word in dice.choice([c for c in kind.commands if c[0] not in slow])]
+    command = [str(folder / word) if word.startswith("OUT") else word for word in command]
+    return f"{kind.name}: {said}", command
+
+
+def child(command: list[str], log: Path) -> None:
+    """Run a command in this forked process, and end it with the command's exit code; 99 for an exception."""
+    code = 99
+    try:
+        with open(log, "w") as stream:
+            os.dup2(stream.fileno(), 1)
+            os.dup2(stream.fileno(), 2)
+            sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", buffering=1) for k in (1, 2))
+            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            os.setpgid(0, 0)
+            try:
+                code = coldspray(command)
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else 1
+            except BaseException:
+                traceback.print_exc()
+            sys.stdout.flush()
+            sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
+def run(command: list[str], log: Path) -> tuple[str, float]:
+    """What is wrong with how a command ends, "" if nothing; and the seconds it took."""
+    started = time.monotonic()
+    pid = os.fork()
+    if pid == 0:
+        child(command, log)
+    while True:
+        done, status = os.waitpid(pid, os.WNOHANG)
+        took = time.monotonic() - started
+        if done:
+            break
+        if took > PATIENCE:
+            os.killpg(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            return f"no end after {PATIENCE} s", took
+        time.sleep(0.005)
+    text = log.read_text(errors="replace")
+    code = os.waitstatus_to_exitcode(status)
+    if code not in (0, 2, 3):
+        return f"exit code {code}", took
+    if "Traceback" in text or "Warning" in text:
+        return "a traceback" if "Traceback" in text else "a warning of a library", took
+    if code and text.count("coldspray: ") != 1 and "usage:" not in text:
+        return f"exit code {code} without one message", took
+    return "", took
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=2000)
+    parser.add_argument("--seed", type=int, default=1, help="the first one")
+    parser.add_argument("--keep", type=Path, default=Path("runs/fuzz-files"))
+    parser.add_argument("--quick", action="store_true", help="leave out the commands that take seconds")
+    arguments = parser.parse_args(argv)
+    ends: collections.Counter[str] = collections.Counter()
+    longest, bad = (0.0, ""), 0
+    for module in PRELOADED:  # once, not in every process
+        importlib.import_module(module)
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as name:
+        sound = Path(name) / "sound"
+        prepare(sound)
+        for seed in range(arguments.seed, arguments.seed + arguments.n):
+            folder, log = Path(name) / "case", Path(name) / "log"
+            said, command = case(seed, sound, folder, arguments.quick)
+            wrong, took = run(command, log)
+            longest = max(longest, (took, f"seed {seed}, {said}"))
+            ends[said.split(":")[0] + (" wrong" if wrong else "")] += 1
+            if wrong:
+                bad += 1
+                kept = arguments.keep / str(seed)
+                shutil.rmtree(kept, ignore_errors=True)
+                kept.mkdir(parents=True)
+                shutil.copy(log, kept / "log")
+                print(f"seed {seed}: {said}\n  {' '.join(command)}\n  {wrong}; see {kept}", flush=True)
+            shutil.rmtree(folder)
+    print(f"{arguments.n} mutations, {bad} ended badly; the longest {longest[0]:.1f} s ({longest[1]})")
+    print(", ".join(f"{kind} {count}" for kind, count in sorted(ends.items())))
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
