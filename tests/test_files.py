@@ -21,7 +21,7 @@ from coupler.files import checkpoint, inputs
 from coupler.files.inputs import InputError, LimitError, parse_json, parse_toml
 from coupler.files.outputs import MARK, claim_file, claim_folder, is_ours
 from coupler.files.result import Result
-from coupler.files.store import Store
+from coupler.files.store import Store, StoreState
 from coupler.plan.reading import Scene
 from coupler.report import picture
 from tests import made_up_run
@@ -152,11 +152,11 @@ def test_the_history_comes_back_from_the_checkpoint(tmp_path: Path, damage: str)
     sound = path.read_text()
     new = {"cut": sound[:30], "hole": sound[:20] + sound[45:], "garbage": "\x00\xff" + sound, "gone": ""}[damage]
     path.write_text(new, encoding="latin-1")
-    checkpoint.write(tmp_path, {"store": state}, {})
-    kept = checkpoint.latest(tmp_path, {})
+    checkpoint.write(tmp_path, state, {})
+    kept = checkpoint.latest(tmp_path, StoreState, {})
     assert kept is not None
     with Store.reopen(tmp_path) as store:
-        store.go_on(kept[0]["store"], lambda _: None)
+        store.go_on(kept, lambda _: None)
         store.record({"time": 9.0, "step": 9.0})
     assert path.read_text() == sound
 

@@ -58,7 +58,7 @@ RUN_COMMANDS = (
     ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"], ["map", "PARENT", "--out", "OUT"],
     ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
 )  # fmt: skip
-SLOW = ("mesh", "animate")  # some seconds each
+SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
 GAS = [
     "gas",
     "--nozzles",
@@ -93,7 +93,7 @@ KINDS = (
     Kind("points as .ply", "cloud.ply", 1, [["mesh", "FILE", "--out", "OUT.inp"]]),
     Kind("scene of a run", "runs/one/scene.toml", 4, RUN_COMMANDS),
     Kind("summary", "runs/one/summary.json", 6, RUN_COMMANDS),
-    Kind("history", "runs/one/history.csv", 4, RUN_COMMANDS[:3]),
+    Kind("history", "runs/one/history.csv", 4, RUN_COMMANDS[:5]),
     Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
     Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
     Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
