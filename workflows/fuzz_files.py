@@ -55,7 +55,7 @@ VALUES = (
 RUN_COMMANDS = (
     ["report", "RUN", "--out", "OUT.html"], ["compare", "RUN", "GOOD", "--out", "OUT.png"],
     ["compare", "GOOD", "RUN", "--out", "OUT.html"],
-    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"], ["map", "PARENT", "--out", "OUT"],
+    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"], ["map", "PARENT", "--out", "OUT", "--show", "flattening_ratio"],
     ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
 )  # fmt: skip
 SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
@@ -97,9 +97,14 @@ KINDS = (
     Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
     Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
     Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
-    Kind("end of a point", "sweep/Ni_a.json", 2, [["map", "SWEEP", "--out", "OUT"]]),
-    Kind("summary of a point", "sweep/Ni_a/summary.json", 3, [["map", "SWEEP", "--out", "OUT"]]),
-    Kind("scene of a point", "sweep/Ni_a.toml", 3, [["map", "SWEEP", "--out", "OUT"]]),
+    Kind("end of a point", "sweep/Ni_a.json", 2, [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]),
+    Kind(
+        "summary of a point",
+        "sweep/Ni_a/summary.json",
+        3,
+        [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]],
+    ),
+    Kind("scene of a point", "sweep/Ni_a.toml", 3, [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]),
     Kind("checkpoint", "broken/checkpoint-000002.ckpt", 5, [["resume", "BROKEN", "--quiet"]]),
 )
 
