@@ -55,7 +55,8 @@ VALUES = (
 RUN_COMMANDS = (
     ["report", "RUN", "--out", "OUT.html"], ["compare", "RUN", "GOOD", "--out", "OUT.png"],
     ["compare", "GOOD", "RUN", "--out", "OUT.html"],
-    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"], ["map", "PARENT", "--out", "OUT", "--show", "flattening_ratio"],
+    ["animate", "RUN", "--out", "OUT.gif"], ["coating", "RUN", "--out", "OUT"],
+    ["map", "PARENT", "--out", "OUT", "--show", "flattening_ratio"],
     ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
 )  # fmt: skip
 SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
