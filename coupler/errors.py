@@ -49,6 +49,12 @@ class PlacementError(ColdsprayError):
     """Ranks that cannot be arranged as asked."""
 
 
+class NoContactError(ColdsprayError):
+    """A particle that has not touched the target: there is no impact to measure."""
+
+    exit_code = 3
+
+
 class SolverError(ColdsprayError):
     """A computation that broke down: says where, when, and what to try. What was written before stays readable."""
 

@@ -23,6 +23,19 @@ def seconds(text: str) -> float:
     return value
 
 
+def simulated_time(text: str) -> float:
+    """A positive simulated time with its unit, in s, for argparse. Raises ArgumentTypeError."""
+    from ..units import parse
+
+    try:
+        value = parse(text, "time")
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r} must be positive")
+    return value
+
+
 def add_force(parser: argparse.ArgumentParser) -> None:
     """The option that lets a command replace files that this program did not write."""
     parser.add_argument("--force", action="store_true", help="replace a file that coldspray did not write")

@@ -17,7 +17,7 @@ from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
-from .arguments import add_force, path, seconds
+from .arguments import add_force, path, seconds, simulated_time
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -40,6 +40,7 @@ _PACKAGES = {
 }
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
+_UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
@@ -113,8 +114,14 @@ def _parser() -> argparse.ArgumentParser:
                          help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
     add_force(compare)
     compare.set_defaults(command=_compare)
-    resume = commands.add_parser("resume", help="go on with an unfinished run")
+    resume = commands.add_parser(
+        "resume", help="go on with an unfinished run, or one that was not at rest at its time limit"
+    )
     resume.add_argument("folder", type=path, metavar="DIR", help="folder of the run")
+    resume.add_argument(
+        "--until", type=simulated_time, metavar="TIME",
+        help='time limit of its impact, such as "300 ns" (default: as long again as it has had)',
+    )  # fmt: skip
     resume.set_defaults(command=_resume)
     for computing in (run, resume):
         computing.add_argument("--quiet", action="store_true", help="print errors only")
@@ -189,7 +196,7 @@ def _resume(arguments: argparse.Namespace) -> int:
     def work(**how: Any) -> "Result":
         from ..deposition.run import resume
 
-        return resume(arguments.folder, **how)
+        return resume(arguments.folder, until=arguments.until, **how)
 
     return _compute(arguments, arguments.folder, work)
 
@@ -216,9 +223,11 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
 
         from ..report import summary_table
 
+        if result.undecided is not None:
+            print(f"undecided: {result.undecided}; go on with coldspray resume {out}")
         Console().print(summary_table(result))
         print(f"results in {out}")
-    return 0
+    return 0 if result.undecided is None else _UNDECIDED
 
 
 def _report(arguments: argparse.Namespace) -> int:

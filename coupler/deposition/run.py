@@ -79,20 +79,26 @@ def resume(
     placement: str | None = None,
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
+    until: float | None = None,
 ) -> Result:
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
-    The number of ranks and their placement may differ from before. A finished run is returned as it is. Arguments and errors
-    as for `run`; raises CheckpointError for a checkpoint of another version or another scene.
+    The number of ranks and their placement may differ from before. A finished run is returned as it is; an undecided one goes on: its
+    last impact until `until` (s, of that impact), or for as long again as it has had. Arguments and errors as for `run`; raises
+    CheckpointError for a checkpoint of another version or another scene, or where `until` has passed.
     """
     folder = Path(out)
     result = Result(folder)
-    if result.finished:
+    if result.finished and not result.undecided:
         _complete(result)
         return result
+    if result.undecided and until is not None and until <= float(result.impacts[-1]["sim_time_s"]):
+        raise CheckpointError(
+            f"impact {len(result.impacts)} has come to {float(result.impacts[-1]['sim_time_s']) * 1e9:.4g} ns: give a later time"
+        )
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
-    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every)
+    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every, until)
     return _compute(decided, folder, requested, None)
 
 
@@ -128,6 +134,7 @@ class _Requested:
     placement: str | None
     probe: Probe | None
     checkpoint_every: float
+    until: float | None = None
 
 
 def _compute(decided: Plan, folder: Path, requested: _Requested, create: Callable[[], Store] | None) -> Result:
@@ -143,6 +150,7 @@ def _compute(decided: Plan, folder: Path, requested: _Requested, create: Callabl
         numerics=requested.numerics,
         probe=requested.probe,
         checkpoint_every=requested.checkpoint_every,
+        until=requested.until,
     )
     if not ranks.is_root:
         parallel.follow(
@@ -218,8 +226,11 @@ class Deposition:
         for i in range(len(self.records), len(self.plan.impacts)):
             bodies, skin = self._impact(i, bodies, running)
             running = None
+            if self.records[-1]["undecided"] is not None:
+                break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
         self.store.finish(self._summary(bodies, skin))
-        checkpoint.clear(self.store.directory)
+        if self.records[-1]["undecided"] is None:
+            checkpoint.clear(self.store.directory)
 
     def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> tuple[Bodies, np.ndarray]:
         """Impact i on the bodies, and the joining of its splat: the bodies of the next impact, and the particle's surface (k,3) m."""
@@ -230,7 +241,7 @@ class Deposition:
             domains = outcome.domains
             self.records.append(outcome.record)
             skin = domains.surface.positions(domains.particle.x)
-            if i + 1 == len(self.plan.impacts):
+            if i + 1 == len(self.plan.impacts) or outcome.record["undecided"] is not None:
                 return domains.bodies, skin
             bodies, report = join(self.plan, i, domains, self.options.log, outcome.hold)
             self.joins.append(report)

@@ -71,6 +71,12 @@ class Result:
         return (self.directory / "summary.json").is_file()
 
     @property
+    def undecided(self) -> str | None:
+        """Why the run ended before its end criterion was met; None where it was met, or the run is not finished."""
+        reason = self.summary.get("undecided")
+        return str(reason) if reason is not None else None
+
+    @property
     def summary(self) -> dict[str, Any]:
         """Contents of summary.json; empty while the run is not finished. StoreError if it is damaged."""
         if not self._summary and self.finished:

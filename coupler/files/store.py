@@ -120,6 +120,8 @@ class Store:
         be read starts anew, with a line to log(text).
         """
         steps = state.steps if state else {}
+        with _named(self.directory / SUMMARY):  # of an undecided run
+            (self.directory / SUMMARY).unlink(missing_ok=True)
         for domain in DOMAINS:
             path = self.directory / f"{domain}.vtkhdf"
             with _named(path):

@@ -44,11 +44,35 @@ class EndCriterion:
         return self._state.turned
 
     def reached(self, time: float) -> bool:
-        """Whether the impact is over at `time` s, the time last observed."""
-        s = self._state
-        settled = s.turned is not None and s.peak > 0 and time - s.loud > self.quiet
-        over = {"rest": settled, "greatest": s.turned is not None, "time": False}[self.at]
-        return over or time >= self.end_time * (1 - 1e-12)
+        """Whether the impact is over at `time` s, the time last observed: its criterion is met, or its time limit has come."""
+        return self.met(time) or self.at_limit(time)
+
+    def met(self, time: float) -> bool:
+        """Whether the criterion itself is met at `time` s."""
+        return {
+            "rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)
+        }[self.at]  # fmt: skip
+
+    def settled(self, time: float) -> bool:
+        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s."""
+        return self.turned is not None and time - self._state.loud > self.quiet
+
+    def at_limit(self, time: float) -> bool:
+        """Whether the time limit has come at `time` s."""
+        return time >= self.end_time * (1 - 1e-12)
+
+    @property
+    def touched(self) -> bool:
+        """Whether there has been any contact force."""
+        return self._state.peak > 0.0
+
+    def undecided(self, time: float, sinking: float) -> str | None:
+        """Why the impact ended at `time` s without its criterion; None where it is met. sinking: m/s."""
+        if self.met(time):
+            return None
+        aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]
+        motion = f"sinks at {sinking:.3g} m/s" if sinking > 0.0 else f"rises at {-sinking:.3g} m/s"
+        return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def state(self) -> EndState:
         """What it has seen so far."""

@@ -23,24 +23,29 @@ def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
     return not bonded and upwards > REBOUND
 
 
-def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None) -> dict[str, Any]:
+def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None, settled: bool) -> dict[str, Any]:
     """What is to be said of the finished impact i beside its measures.
 
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
-    bonded_area_m2, bonded_area_end_m2: where it bonded at its greatest deformation, and what of that held.
+    bonded_area_m2, bonded_area_end_m2: where it bonded at its greatest deformation, and what of that held. settled: whether the
+    contact has come to an end; before that rebound and restitution are undecided, None.
     """
     mass = float(particle.mass.sum())
     upwards = float(particle.momentum()[2]) / mass
     left = rebounds(plan, i, upwards, hold)
     first, last = hold.area if hold is not None else (0.0, 0.0)
-    found: dict[str, Any] = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
+    found: dict[str, Any] = {"rebounded": None, "restitution": None}
+    if settled:
+        found = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
     if plan.adhesion.in_impact:
         found |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
     return found | {"velocity_ratio": plan.impacts[i].velocity_ratio, "particle_mass_kg": mass}
 
 
-def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float:
-    """Mass of the particles that stayed over the mass of all, from the summaries of their impacts."""
+def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float | None:
+    """Mass of the particles that stayed over the mass of all, from the summaries of their impacts; None while one is undecided."""
+    if any(record["rebounded"] is None for record in records):
+        return None
     mass = [record["particle_mass_kg"] for record in records]
     stayed = [m for m, record in zip(mass, records, strict=True) if not record["rebounded"]]
     return float(sum(stayed) / sum(mass))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..contact.hold import Hold
-from ..errors import SolverError
+from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
 from ..plan.planning import ImpactPlan, Plan
 from ..progress import Progress
@@ -31,7 +31,7 @@ class RunOptions:
 
     threads: 2 computes the target beside the particle; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
     called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log: takes lines of text; log_file:
-    LAMMPS's.
+    LAMMPS's; until: time limit (s) of an impact that goes on after its own one, None for as long again.
     """
 
     log: Callable[[str], None]
@@ -42,6 +42,7 @@ class RunOptions:
     numerics: Mapping[str, float] = field(default_factory=dict)
     probe: Callable[[Impact], None] | None = None
     checkpoint_every: float = 60.0
+    until: float | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,8 @@ def run_impact(
 
     before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state, whose bodies are
     `bodies`. After a failure the impact goes back to a kept state and tries the next remedy (`impact.retry`); all domains are built
-    anew for it. Raises SolverError when no remedy is left, StoreError, or Stopped after a signal.
+    anew for it. An impact that has not met its end criterion at its time limit is undecided: it writes a checkpoint, and goes on when
+    it is resumed from it. Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
     """
     state, retries, watch = resume_from, Retries[_Kept](options.numerics), _WallClock()
     if state is not None:
@@ -101,13 +103,13 @@ def run_impact(
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
             impact = Impact(domains, options.threads)
             try:
-                ending, recorder = (
-                    _end_criterion(plan.impacts[i], i),
-                    Recorder(plan, i, store, options.progress, before),
-                )
+                ending = _end_criterion(plan.impacts[i], i)
+                recorder = Recorder(plan, i, store, options.progress, before)
                 if state is not None:
                     impact.restore(state.impact)
                     ending.restore(state.ending)
+                    if ending.at_limit(impact.time):
+                        ending.end_time = options.until or impact.time + ending.end_time
                     recorder.restore(state.recorder)
                     impact.dt_factor = retries.made[-1].dt_factor if retries.made else 1.0
                 keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
@@ -115,7 +117,17 @@ def run_impact(
                 watch.start_loop()
                 advance_to_end(impact, ending, recorder, keeper.keep, options.probe)
                 impact.close()
-                record = summarise(impact, recorder, retries.made, watch.wall, watch.looped)
+                if not ending.touched:
+                    raise NoContactError(
+                        f"particle {i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
+                        " offset in its files, or give it more time (end.time)"
+                    )
+                undecided = ending.undecided(impact.time, impact.sinking)
+                if undecided is not None:
+                    save(keeper.state())
+                record = summarise(
+                    impact, recorder, retries.made, watch.wall, watch.looped, undecided, ending.settled(impact.time)
+                )
                 return ImpactOutcome(domains, impact.hold, record)
             except SolverError as error:
                 _give_up(impact)

@@ -20,9 +20,16 @@ DISSIPATION_ALARM = (
 
 
 def summarise(
-    impact: Impact, recorder: Recorder, retries: Sequence[Retry], wall: float, looped: float
+    impact: Impact,
+    recorder: Recorder,
+    retries: Sequence[Retry],
+    wall: float,
+    looped: float,
+    undecided: str | None,
+    settled: bool,
 ) -> dict[str, Any]:
-    """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop."""
+    """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop; undecided: why it
+    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end."""
     particle, target, ledger = impact.particle, impact.target, impact.ledger
     plan, impact_plan = recorder.plan, recorder.impact_plan
     end = recorder.measures(impact)
@@ -67,7 +74,8 @@ def summarise(
             impact_plan.bands, end | {"rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0)}, impact_plan.temperature
         ),
         "version": __version__,
-        **outcome(plan, recorder.i, particle, impact.hold),
+        "undecided": undecided,
+        **outcome(plan, recorder.i, particle, impact.hold, settled),
     }
 
 
