@@ -1,0 +1,96 @@
+"""When an impact is over, and what is said of one that is not."""
+
+import numpy as np
+import pytest
+from scenes import TINY, scene
+
+from coupler import Result
+from coupler.commands.main import main
+from coupler.impact.ending import EndCriterion
+
+LIMITED = scene(("Ni", 25, 500), **TINY, more='[end]\nat = "rest"\ntime = "20 ns"\n')
+
+
+def observed(ending, *instants):
+    """The criterion after instants of (time in ns, sinking in m/s, force in N)."""
+    for time, sinking, force in instants:
+        ending.observe(time * 1e-9, sinking, force)
+    return ending
+
+
+def test_rest_needs_a_turn_and_a_silent_contact():
+    ending = observed(
+        EndCriterion(100e-9, "rest", 5e-9), (1, 500.0, 0.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (32, -30.0, 0.0)
+    )
+    assert not ending.reached(32e-9), "silent for 2 ns, 5 are asked"
+    observed(ending, (36, -30.0, 0.0))
+    assert ending.met(36e-9)
+    assert ending.undecided(36e-9, -30.0) is None
+
+
+def test_a_time_limit_is_not_rest():
+    ending = observed(EndCriterion(40e-9, "rest", 5e-9), (10, 200.0, 3.0), (40, 138.0, 2.0))
+    assert ending.reached(40e-9)
+    assert not ending.met(40e-9)
+    assert ending.undecided(40e-9, 138.0) == "not at rest at its time limit of 40 ns: the particle sinks at 138 m/s"
+
+
+def test_an_end_by_time_is_met_by_time():
+    ending = observed(EndCriterion(40e-9, "time", 5e-9), (40, 138.0, 2.0))
+    assert ending.met(40e-9)
+    assert ending.touched
+    assert not ending.settled(40e-9)
+
+
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory):
+    """A run whose time limit comes before its greatest deformation: folder and exit code."""
+    folder = tmp_path_factory.mktemp("limited")
+    (folder / "limited.toml").write_text('effects = "all"\n' + LIMITED)
+    return folder, main(
+        ["run", str(folder / "limited.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"]
+    )
+
+
+def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
+    folder, code = limited
+    result = Result(folder / "out")
+    assert code == 4
+    assert result.undecided.startswith("not at rest at its time limit of 20 ns")
+    assert result.rebounded is None
+    assert result.restitution is None
+    assert result.deposition_efficiency is None
+    assert main(["resume", str(folder / "out"), "--until", "15 ns"]) == 2
+    assert "give a later time" in capsys.readouterr().err
+    assert Result(folder / "out").undecided, "a refused resumption changes nothing"
+
+
+def test_an_undecided_run_goes_on_as_if_it_had_not_stopped(limited, tmp_path):
+    """The limit changes neither the step nor the windows of steps, so that every digit is that of a run with a later limit."""
+    folder, _ = limited
+    later = tmp_path / "later.toml"
+    later.write_text('effects = "all"\n' + LIMITED.replace("20 ns", "150 ns"))
+    assert main(["run", str(later), "--out", str(tmp_path / "later"), "--quiet", "--threads", "1"]) == 0
+    assert main(["resume", str(folder / "out"), "--until", "150 ns", "--quiet", "--threads", "1"]) == 0
+    one, other = Result(folder / "out"), Result(tmp_path / "later")
+    assert one.undecided is None
+    for name in ("flattening_ratio", "crater_depth_m", "restitution", "energy_drift", "steps"):
+        assert getattr(one, name) == getattr(other, name)
+    np.testing.assert_array_equal(one.history("kinetic"), other.history("kinetic"))
+
+
+def test_a_particle_that_never_touches_is_an_error(tmp_path, capsys):
+    """At 80 degrees the second particle starts above the first splat and leaves it sideways: the substrate is 115 ns away."""
+    text = scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY | {"diameter": 160}, end=12)
+    text = text.replace('velocity = "500 m/s"\n', 'velocity = "500 m/s"\noffset = ["-10 um", "0 um"]\n', 1)
+    head, tail = text.rsplit("[[particle]]", 1)
+    tail = tail.replace(
+        'velocity = "500 m/s"\n',
+        'velocity = "500 m/s"\nangle = "80 deg"\ngap = "0.5 um"\noffset = ["8 um", "0 um"]\n',
+        1,
+    )
+    (tmp_path / "past.toml").write_text(f"{head}[[particle]]{tail}")
+    assert main(["run", str(tmp_path / "past.toml"), "--out", str(tmp_path / "out"), "--quiet"]) == 3
+    assert "particle 2 has not touched the target" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "summary.json").exists()
+    assert len(Result(tmp_path / "out").times()), "what was computed stays readable"
