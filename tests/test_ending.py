@@ -79,6 +79,7 @@ def test_an_undecided_run_goes_on_as_if_it_had_not_stopped(limited, tmp_path):
     np.testing.assert_array_equal(one.history("kinetic"), other.history("kinetic"))
 
 
+@pytest.mark.slow
 def test_a_particle_that_never_touches_is_an_error(tmp_path, capsys):
     """At 80 degrees the second particle starts above the first splat and leaves it sideways: the substrate is 115 ns away."""
     text = scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY | {"diameter": 160}, end=12)
