@@ -6,7 +6,7 @@ result.flattening_ratio, result.history("kinetic"), result.fields(-1)
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .deposition.run import run
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 __all__ = ["Result", "Scene", "run"]
 
-_HOME = {"Scene": "plan.reading", "run": "deposition.run", "Result": "files.result"}
+_MODULES = {"Scene": "plan.reading", "run": "deposition.run", "Result": "files.result"}
 
 
-def __getattr__(name: str) -> Any:
-    if name in _HOME:  # loaded when first asked for: the command line must answer --help at once
-        return getattr(import_module(f".{_HOME[name]}", __name__), name)
+def __getattr__(name: str) -> object:
+    if name in _MODULES:  # imported at first use, so that --help stays fast
+        return getattr(import_module(f".{_MODULES[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

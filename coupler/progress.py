@@ -1,11 +1,12 @@
-"""How far a run has come: a bar on a terminal, now and then a plain line elsewhere."""
+"""How far a run has come: a bar on a terminal, a line every few seconds elsewhere."""
 
 import sys
 import time
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn
+from rich.progress import Progress as Bar
 
 _BAR_EVERY = 0.1  # s of wall time between two drawings of the bar
 _LINE_EVERY = 5.0  # between two log lines
@@ -13,9 +14,9 @@ _FIRST_LINE = 0.5  # after the start
 
 
 class Progress:
-    """Shows simulated time, kinetic energy left, dt and time to go. Cheap enough to be told about every step.
+    """Shows simulated time, kinetic energy left, dt and time to go. An update costs little and may come at every step.
 
-    stream: where it goes, standard error by default. quiet: show nothing, but still know the time reached.
+    stream: where it goes, standard error by default. quiet: show nothing, but keep the time reached.
     `time` is the simulated time reached, s; nan before the first update.
     """
 
@@ -26,7 +27,7 @@ class Progress:
         self._end_time = float("nan")
         self._running = False
         self._state = (float("nan"), float("nan"), 0)  # kinetic fraction, dt, step
-        self._bar: RichProgress | None = None
+        self._bar: Bar | None = None
         self._first = (0.0, float("nan"))  # wall clock and simulated time of the first update
         self._next = 0.0
 
@@ -37,12 +38,12 @@ class Progress:
         terminal = not self.quiet and self.stream.isatty()
         self._next = time.monotonic() + (0.0 if terminal else _FIRST_LINE)
         if terminal:
-            self._bar = _rich_bar(self.stream)
+            self._bar = _bar(self.stream)
             self._bar.add_task("", total=end_time, status="starting")
             self._bar.start()
 
     def update(self, time_: float, kinetic_fraction: float, dt: float, step: int) -> None:
-        """Tell how far it is. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
+        """Report the state. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
         self.time = time_
         self._state = (kinetic_fraction, dt, step)
         now = time.monotonic()
@@ -94,9 +95,6 @@ class Progress:
             print(self.status(now), file=self.stream, flush=True)
 
 
-def _rich_bar(stream: TextIO) -> "RichProgress":
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
+def _bar(stream: TextIO) -> Bar:
     columns = (BarColumn(bar_width=30), TextColumn("{task.fields[status]}", markup=False))
-    return Progress(*columns, console=Console(file=stream), refresh_per_second=10)
+    return Bar(*columns, console=Console(file=stream), refresh_per_second=10)

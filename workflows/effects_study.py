@@ -237,7 +237,7 @@ def write(influence: StudyTable, against: StudyTable) -> None:
     """Write the tables into the page, and the one that `coldspray check` reads into the package."""
     now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
-    costs, kernels = table_rows("effects_costs"), table_rows("effects_kernels")
+    costs = table_rows("effects_costs")
     saves = {row["effects"].removeprefix("without "): row["saves"] for row in costs}
     rows = [{**row, "cost_share": saves.get(row["effect"], "")} for row in known]
     write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
@@ -247,7 +247,6 @@ def write(influence: StudyTable, against: StudyTable) -> None:
         "costs": markdown(["effects", "ms per step", "saves"], (
             [marked(row["effects"], row), f"{float(row['ms_per_step']):.2f}", f"{100 * float(row['saves']):.1f} %"] for row in costs
         )),
-        "kernels": kernels_part(kernels),
         "proof": proof_part(against.rows),
     })  # fmt: skip
 
@@ -286,17 +285,6 @@ def study_part(rows: list[Row]) -> list[str]:
         for row in ordered
     ]
     return markdown(["effect left out", "scene", "number", *MEASURES], lines)
-
-
-def kernels_part(rows: list[Row]) -> list[str]:
-    """Time of the kernels without each effect."""
-    columns = [f"{part}_{name}_ns" for part in ("element", "point") for name in ("off", "zero", "cannot")]
-    heads = [f"{part}, {name}" for part in ("element", "point") for name in ("off", "as a zero", "cannot be on")]
-    lines = [
-        [marked(row["effect"], row), *(f"{float(row[name]):.0f}" for name in columns), f"{float(row['compile_s']):.1f}"]
-        for row in rows
-    ]
-    return markdown(["ns per step, left out", *heads, "compiling, s"], lines)
 
 
 def proof_part(rows: list[Row]) -> list[str]:

@@ -5,10 +5,10 @@ import math
 import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import add_force, path
+from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -20,7 +20,7 @@ _NAMES = ("scene.toml", "accuracy.csv", "accuracy.png", "accuracy.html")
 _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
-def add(commands: Any) -> None:
+def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("accuracy", help="compute a scene at many settings: what accuracy costs in time")
     parser.set_defaults(command=run)
@@ -117,29 +117,29 @@ def here(recalibrate: bool = False) -> "Pace":
     return pace.of_this_machine(measure, recalibrate, say)
 
 
-def kind_of(what: "Plan") -> "Kind":
+def kind_of(plan: "Plan") -> "Kind":
     """What the bands of a plan depend on: its last impact, which the summary is about."""
     from ..plan.bands import Kind
 
-    last = what.impacts[-1]
+    last = plan.impacts[-1]
     plain = last.shape == "sphere" and last.velocity[0] == 0.0
-    return Kind(last.points, math.hypot(*last.velocity), len(what.impacts), plain)
+    return Kind(last.points, math.hypot(*last.velocity), len(plan.impacts), plain)
 
 
-def outlook(what: "Plan", pace: "Pace") -> str:
+def outlook(plan: "Plan", pace: "Pace") -> str:
     """How long a plan takes here, and how accurate it will be, as lines for `check`."""
     from ..measures import BANDED, MEASURES
     from ..plan.bands import band
     from ..plan.text import duration
 
-    kind = kind_of(what)
-    found = {name: got for name in BANDED if (got := band(name, kind)) is not None}
-    lines = [f"  wall time  about {duration(pace.seconds(what))} on one core here, after compilation; {pace.said}"]
-    if found:
-        cells = [f"{MEASURES[name].short} {100 * got.share:.2g} %" for name, got in found.items()]
+    kind = kind_of(plan)
+    bands = {name: width for name in BANDED if (width := band(name, kind)) is not None}
+    lines = [f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.said}"]
+    if bands:
+        cells = [f"{MEASURES[name].short} {100 * width.share:.2g} %" for name, width in bands.items()]
         half = -(-len(cells) // 2)
         lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
-        widest = max(found.values(), key=lambda got: got.share)
+        widest = max(bands.values(), key=lambda width: width.share)
         lines.append(f"             the widest by {widest.why}")
         lines.append(
             "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
@@ -206,10 +206,13 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
             middle = round(math.sqrt(low * high))
             low, high = (middle, high) if takes(middle) <= limit else (low, middle)
         points = high if takes(high) <= limit else low
-    made = at_points(scene, points)
-    name, width = worst(kind_of(plan(made)))
-    took = f", about {duration(takes(points))} here" if pace else ""
-    return made, f"resolution chosen: {points} points{took}; shape within {100 * width:.2g} % ({MEASURES[name].short})"
+    resolved = at_points(scene, points)
+    name, width = worst(kind_of(plan(resolved)))
+    duration_text = f", about {duration(takes(points))} here" if pace else ""
+    return (
+        resolved,
+        f"resolution chosen: {points} points{duration_text}; shape within {100 * width:.2g} % ({MEASURES[name].short})",
+    )
 
 
 def at_points(scene: "Scene", points: int) -> "Scene":

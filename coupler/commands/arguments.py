@@ -3,6 +3,9 @@
 import argparse
 import math
 from pathlib import Path
+from typing import TypeAlias
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
 
 
 def path(text: str) -> Path:

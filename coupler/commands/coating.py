@@ -3,17 +3,17 @@
 import argparse
 import contextlib
 import io
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import StoreError
 from ..files.inputs import reading
-from .arguments import add_force, path
+from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
 
 
-def add(commands: Any) -> None:
+def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("coating", help="measure a coating: thickness, roughness, porosity, stress over depth")
     parser.set_defaults(command=run)

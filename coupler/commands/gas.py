@@ -4,9 +4,9 @@ import argparse
 import shlex
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .arguments import add_force, path
+from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
     from ..scene.model import GasConditions
@@ -18,7 +18,7 @@ DIAMETERS = ("5 um", "10 um", "15 um", "20 um", "25 um", "30 um", "40 um", "50 u
 _FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "powder_temperature", "drag")
 
 
-def add(commands: Any) -> None:
+def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("gas", help="impact velocity and temperature from gas, nozzle and particle diameter")
     parser.set_defaults(command=run)
@@ -76,12 +76,12 @@ def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple
     from ..plan import gas as scene_gas
     from ..spray.nozzles import unknown
 
-    given = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}
-    conditions, found = scene_gas.read(given | {"bow_shock": arguments.bow_shock})
+    options = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}
+    conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
     problems = []
-    for field, problem in found:
-        said = f' "{given[field][:40]}"' if field in given else ""
-        problems.append(f"{_option(field)}{said} {problem}")
+    for field, problem in field_problems:
+        value = f' "{options[field][:40]}"' if field in options else ""
+        problems.append(f"{_option(field)}{value} {problem}")
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
     if arguments.material not in materials.names():
@@ -118,9 +118,9 @@ def _shown(nozzle: "Nozzle") -> str:
     from ..units import show
 
     lengths = ("inlet", "throat", "exit", "converging", "diverging", "barrel", "chamber")
-    said = ", ".join(f"{name} {show(getattr(nozzle, name), 'mm')}" for name in lengths if getattr(nozzle, name))
+    dimensions = ", ".join(f"{name} {show(getattr(nozzle, name), 'mm')}" for name in lengths if getattr(nozzle, name))
     texts = [f"  {name}: {text}" for name in ("source", "assumed") if (text := getattr(nozzle, name))]
-    return "\n".join([f"{nozzle.name}: {said}", *texts])
+    return "\n".join([f"{nozzle.name}: {dimensions}", *texts])
 
 
 def _table(flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> list[str]:
@@ -147,23 +147,23 @@ def _table(flow: "Flow", material: str, diameters: list[float], flights: "list[F
 
 
 def _at_exit(flow: "Flow", flight: "Flight") -> float:
-    """The particle's velocity at the nozzle's exit, m/s: where the piece inside the nozzle ends."""
+    """The particle's velocity at the nozzle's exit, m/s: at its last point inside the nozzle."""
     return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
 
 
 def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
     from ..files.outputs import MARK, replacing
 
-    said = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
-    options = [f"{_option(field)}={value}" for field, value in said.items() if value is not None]
+    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
+    options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
     switches = ["--bow-shock"] if arguments.bow_shock else []
     rows = [
         f"# {MARK} gas; remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}",
         "diameter_um,exit_velocity_m_s,velocity_m_s,temperature_K,flight_time_ms",
     ]
     for D, flight in zip(diameters, flights, strict=True):
-        values = (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
-        rows.append(",".join(f"{value:.6g}" for value in values))
+        row = (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
+        rows.append(",".join(f"{value:.6g}" for value in row))
     with replacing(arguments.csv) as part:
         part.write_text("\n".join(rows) + "\n", encoding="utf-8")
 

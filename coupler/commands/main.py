@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 from ..errors import ColdsprayError, speaks
 from ..files.inputs import bounded_memory, reading
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..progress import Progress
 
+T = TypeVar("T")
 # shared library that a wheel expects from the system -> Debian package
 _PACKAGES = {
     "libGLU.so.1": "libglu1-mesa",
@@ -44,6 +45,15 @@ _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
+class _Options(TypedDict, total=False):
+    """Arguments of `run` and `resume` that the command line sets."""
+
+    progress: "Progress"
+    checkpoint_every: float
+    placement: str
+    threads: int
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
     arguments = _parser().parse_args(argv)
@@ -55,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
     except ColdsprayError as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        # the reader went away (`| head`): also keep the interpreter from flushing into it at exit
+        # the reader has closed the pipe (`| head`); the redirection keeps the interpreter from flushing into it at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     except KeyboardInterrupt:
@@ -70,7 +80,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def missing_library(error: Exception) -> str | None:
-    """What to install when an import lacked a shared library or a package; None if that is not what happened."""
+    """The remedy for an import without its shared library or package; None for another error."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         return f"the Python package {error.name} is missing: set the environment up again with `make setup`"
     match = re.match(r"(\S+\.so[.\d]*): cannot open shared object file", str(error))
@@ -165,9 +175,9 @@ def _check(arguments: argparse.Namespace) -> int:
     from ..plan.reading import Scene
     from ..plan.text import describe
 
-    what = plan(Scene.load(arguments.scene))
-    outlook = accuracy_command.outlook(what, accuracy_command.here(arguments.recalibrate))
-    print(describe(what, outlook))
+    planned = plan(Scene.load(arguments.scene))
+    outlook = accuracy_command.outlook(planned, accuracy_command.here(arguments.recalibrate))
+    print(describe(planned, outlook))
     return 0
 
 
@@ -180,39 +190,39 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out)
     keep_inputs(out, RUN_FILES, [arguments.scene])
     if arguments.within or arguments.accuracy:
-        scene, said = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
+        scene, remark = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
         if not arguments.quiet and speaks():
-            print(said)
+            print(remark)
 
-    def work(**how: Any) -> "Result":
+    def work(**options: Unpack[_Options]) -> "Result":
         from ..deposition.run import run
 
-        return run(scene, out=out, force=arguments.force, **how)
+        return run(scene, out=out, force=arguments.force, **options)
 
     return _compute(arguments, out, work)
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    def work(**how: Any) -> "Result":
+    def work(**options: Unpack[_Options]) -> "Result":
         from ..deposition.run import resume
 
-        return resume(arguments.folder, until=arguments.until, **how)
+        return resume(arguments.folder, until=arguments.until, **options)
 
     return _compute(arguments, arguments.folder, work)
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
-    """Run or go on, show how far it is, and what came out."""
+    """Run or resume, show the progress, print the results."""
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
-    how: dict[str, Any] = {"progress": progress, "checkpoint_every": arguments.checkpoint}
+    options: _Options = {"progress": progress, "checkpoint_every": arguments.checkpoint}
     if arguments.placement:
-        how["placement"] = arguments.placement
+        options["placement"] = arguments.placement
     if arguments.threads is not None:
-        how["threads"] = max(arguments.threads, 1)
+        options["threads"] = max(arguments.threads, 1)
     try:
-        result = work(**how)
+        result = work(**options)
     except KeyboardInterrupt as interrupt:
         number = getattr(interrupt, "signal", signal.SIGINT)
         return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
@@ -267,7 +277,7 @@ def _compare(arguments: argparse.Namespace) -> int:
     problems: list[ColdsprayError] = []
     results: list[Result] = []
 
-    def attempt(work: Callable[[], Any], folder: Path) -> Any:
+    def attempt(work: Callable[[], T], folder: Path) -> T | None:
         try:
             with reading(folder):
                 return work()

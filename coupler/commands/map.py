@@ -3,12 +3,16 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..measures import MEASURES, axis_label
-from .arguments import add_force, path
+from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
     from ..studies.maps import Interpolation, Row
 
 # measure -> colour map (all of them in even steps of lightness)
@@ -21,7 +25,7 @@ DRAWN = ("flattening_ratio", "T_p99_K", "restitution", "velocity_ratio")
 GRID = 61  # places along each side of a map
 
 
-def add(commands: Any) -> None:
+def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("map", help="draw maps of a sweep, or of any folder of runs")
     parser.set_defaults(command=run)
@@ -68,18 +72,18 @@ def run(arguments: argparse.Namespace) -> int:
 def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) -> list[str]:
     """Draw quantities of a map's table into out/map_<material>_<quantity>.png, one row of panels for each value of a third axis.
 
-    Returns what is to be said of each: where it is and how good its interpolation, or why it is not drawn.
+    Returns one remark on each: its file and the error of its interpolation, or why it is not drawn.
     """
     from ..errors import StoreError
     from ..files.inputs import reading
     from ..studies.maps import interpolate, varying
 
-    said = []
+    remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
-        mine = [row for row in rows if row["material"] == material]
-        axes = varying([row for row in mine if row["status"] == "done"])
+        of_material = [row for row in rows if row["material"] == material]
+        axes = varying([row for row in of_material if row["status"] == "done"])
         if len(axes) < 2:
-            said.append(
+            remarks.append(
                 f"{material}: no map; its points that are done vary in {len(axes)} of velocity, diameter and temperature, and a"
                 " map needs two: coldspray compare puts single runs side by side"
             )
@@ -89,25 +93,25 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
             m = MEASURES[quantity]
             title, unit, factor = m.label, m.unit, m.factor
             if quantity == "velocity_ratio":
-                if any(row[quantity] for row in mine):
-                    _figure(path, mine, axes, quantity, None)
-                    said.append(f"{material}, {title}: by the formula, nothing interpolated; {path}")
+                if any(row[quantity] for row in of_material):
+                    _figure(path, of_material, axes, quantity, None)
+                    remarks.append(f"{material}, {title}: by the formula, nothing interpolated; {path}")
                 else:
-                    said.append(f"{material}, {title}: no map; {material} has no tensile strength sigma_TS")
+                    remarks.append(f"{material}, {title}: no map; {material} has no tensile strength sigma_TS")
                 continue
             try:
                 with reading(path.name):
-                    fit = interpolate(mine, quantity, axes)
-                    _figure(path, mine, axes, quantity, fit)
+                    fit = interpolate(of_material, quantity, axes)
+                    _figure(path, of_material, axes, quantity, fit)
             except StoreError as error:
-                said.append(f"{material}, {title}: no map; {error}")
+                remarks.append(f"{material}, {title}: no map; {error}")
                 continue
             gaps = "".join(f", a whole {MEASURES[axis].short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
-            said.append(
+            remarks.append(
                 f"{material}, {title}: rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
                 + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band; {path}"
             )
-    return said or ["no map: no point is done"]
+    return remarks or ["no map: no point is done"]
 
 
 def _figure(
@@ -149,7 +153,7 @@ def _figure(
 
 def _fields(
     done: "Sequence[Row]", axes: tuple[str, ...], quantity: str, value: float | None, fit: "Interpolation | None"
-) -> tuple[Any, ...]:
+) -> "tuple[NDArray, ...]":
     """x, y, mean and half width of the band on a grid over the range of the points; of a formula, x, y and its value."""
     import numpy as np
 
@@ -176,7 +180,7 @@ def _fields(
     return x, y, mean, BAND * std
 
 
-def _levels(fields: Sequence[Any], quantity: str, band: bool) -> Any:
+def _levels(fields: "Sequence[NDArray]", quantity: str, band: bool) -> "NDArray":
     """Round levels over the range of several fields; about 1 in the middle for a ratio to a critical value."""
     import numpy as np
     from matplotlib.ticker import MaxNLocator
@@ -189,11 +193,17 @@ def _levels(fields: Sequence[Any], quantity: str, band: bool) -> Any:
         low, high = 1.0 - reach, 1.0 + reach
     if high - low < 1e-12 * max(abs(high), 1e-12):
         high = low + max(abs(low), 1e-12)
-    return MaxNLocator(6 if band else 10).tick_values(low, high)
+    return np.asarray(MaxNLocator(6 if band else 10).tick_values(low, high))
 
 
 def _panel(
-    figure: Any, at: Any, field: tuple[Any, Any, Any], levels: Any, band: bool, quantity: str, unit: str
+    figure: "Figure",
+    at: "Axes",
+    field: "tuple[NDArray, NDArray, NDArray]",
+    levels: "NDArray",
+    band: bool,
+    quantity: str,
+    unit: str,
 ) -> None:
     x, y, values = field
     colours = at.contourf(x, y, values, levels, cmap="Greys" if band else COLOURS[quantity], extend="neither")
@@ -205,22 +215,22 @@ def _panel(
     bar.ax.set_ylabel(unit, rotation=0, labelpad=10)
 
 
-def _points(at: Any, rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:
+def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:
     """The points: full where done, open where the run says that the particle did not bond, crosses where failed."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     from ..studies.maps import LOGARITHMIC
 
     kinds = {
-        "done": ([r for r in rows if r["status"] == "done" and r["bonded"] in (None, True)], {"marker": "o", "c": "w"}),
-        "not bonded": ([r for r in rows if r["status"] == "done" and r["bonded"] not in (None, True)], {"marker": "v", "c": "w"}),
-        "failed": ([r for r in rows if r["status"] != "done"], {"marker": "X", "c": "#d55e00"}),
+        "done": ([r for r in rows if r["status"] == "done" and r["bonded"] in (None, True)], "o", "w"),
+        "not bonded": ([r for r in rows if r["status"] == "done" and r["bonded"] not in (None, True)], "v", "w"),
+        "failed": ([r for r in rows if r["status"] != "done"], "X", "#d55e00"),
     }  # fmt: skip
-    for label, (mine, look) in kinds.items():
-        mine = [row for row in mine if row[x_axis] is not None and row[y_axis] is not None]
-        if mine:
-            at.scatter([r[x_axis] for r in mine], [r[y_axis] for r in mine], s=22, edgecolors="k", linewidths=0.8,
-                       label=label, zorder=3, clip_on=False, **look)  # fmt: skip
+    for label, (points, marker, colour) in kinds.items():
+        points = [row for row in points if row[x_axis] is not None and row[y_axis] is not None]
+        if points:
+            at.scatter([r[x_axis] for r in points], [r[y_axis] for r in points], s=22, edgecolors="k", linewidths=0.8,
+                       label=label, zorder=3, clip_on=False, marker=marker, c=colour)  # fmt: skip
     for name, axis, side in (("x", at.xaxis, x_axis), ("y", at.yaxis, y_axis)):
         if side in LOGARITHMIC:
             getattr(at, f"set_{name}scale")("log")

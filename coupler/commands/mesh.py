@@ -4,10 +4,10 @@ import argparse
 import contextlib
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import SplatError
-from .arguments import add_force, path
+from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
     import numpy as np
@@ -22,7 +22,7 @@ _SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's 
 _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 
 
-def add(commands: Any) -> None:
+def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     parser = commands.add_parser("mesh", help="turn points into tetrahedra: of a run, or of any file of points")
     parser.set_defaults(command=run)
@@ -114,9 +114,9 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
 
 
 def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tuple["Cloud", list[str]]:
-    """The points of a file in units of `unit` m, with the fields whose names we know; and remarks.
+    """The points of a file in units of `unit` m, with the fields of known names; and remarks.
 
-    Raises InputError if it cannot be read or has no points, SplatError if no spacing can be told.
+    Raises InputError if it cannot be read or has no points, SplatError if no spacing can be estimated.
     """
     import numpy as np
 
@@ -141,11 +141,16 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
     if spacing is None:
         spacing = estimated_spacing(x) if volume is None else float(np.cbrt(np.median(volume)))
         if volume is None:
-            notes.append(f"spacing estimated: {spacing:.4g} m (say --spacing if you know it; the volume hangs on it)")
+            notes.append(
+                f"spacing estimated: {spacing:.4g} m (give --spacing if it is known: the volume depends on it)"
+            )
     if volume is None:
         volume = np.full(len(x), spacing**3)
-    given: dict[str, Any] = fields
-    return Cloud(x, volume, spacing, 1.0, **given), notes
+    cloud = Cloud(
+        x, volume, spacing, 1.0, velocity=fields.get("velocity"), stress=fields.get("stress"), eps_p=fields.get("eps_p"),
+        T=fields.get("T"), J=fields.get("J"), energy=fields.get("energy"),
+    )  # fmt: skip
+    return cloud, notes
 
 
 def estimated_spacing(x: "np.ndarray") -> float:
@@ -181,8 +186,10 @@ def write(path: Path, splat: "Splat") -> None:
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])
     tets = np.concatenate([body.tets + at for body, at in zip(splat.bodies, offsets, strict=False)])
-    cells: dict[str, Any] = {"body": np.repeat(np.arange(len(splat.bodies)), [len(b.tets) for b in splat.bodies])}
-    nodes: dict[str, Any] = {}
+    cells: dict[str, np.ndarray] = {
+        "body": np.repeat(np.arange(len(splat.bodies)), [len(b.tets) for b in splat.bodies])
+    }
+    nodes: dict[str, np.ndarray] = {}
     gmsh = path.suffix.lower() == ".msh"
     for into, names in ((cells, ("stress", "eps_p", "T", "J")), (nodes, ("velocity", "energy"))):
         for name in names:
@@ -192,9 +199,9 @@ def write(path: Path, splat: "Splat") -> None:
         cells["stress"] = cells["stress"][:, [0, 5, 4, 5, 1, 3, 4, 3, 2] if gmsh else _SWAP_BACK]
     mesh = meshio.Mesh(points, [("tetra", tets)], nodes, {name: [values] for name, values in cells.items()})
     kind = {"file_format": "gmsh22"} if gmsh else {"data_format": "XML"} if path.suffix.lower() == ".xdmf" else {}
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said), replacing(path) as part:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), replacing(path) as part:
             meshio.write(part, mesh, **kind)
             if path.suffix.lower() == ".vtu":
                 with part.open("a", encoding="utf-8") as file:
@@ -218,7 +225,7 @@ def _show(cloud: "Cloud", splat: "Splat", notes: list[str]) -> None:
         f" {r['dihedral_min_deg']:.0f} deg",
         "explicit step": f"{r['step_length_min_m'] * 1e6:.3g} um / wave speed"
         + (f" = {r['dt_s'] * 1e12:.3g} ps" if "dt_s" in r else ""),
-        "volume": f"{r['volume_error_before']:+.2%} before it was put right by {r['moved_m'] * 1e6:+.2g} um",
+        "volume": f"{r['volume_error_before']:+.2%} before the correction by {r['moved_m'] * 1e6:+.2g} um",
         "width": f"{r['width_m'] * 1e6:.4g} um (source {r['source_width_m'] * 1e6:.4g} um)",
         "points outside": f"{r['outside_half']:.2%} by more than half a spacing, at most {r['outside_max']:.2g} spacings",
         "momentum": f"{t['momentum']:.0e} linear, {t['angular_momentum']:.0e} angular" if "momentum" in t else "",

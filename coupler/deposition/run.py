@@ -29,6 +29,7 @@ from ..plan.reading import Scene
 from ..plan.record import FILE, plan_from, plan_text
 from ..progress import Progress
 from ..ranks import ranks as parallel
+from ..report import section_picture
 from .joining import join, splats_at_end
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
@@ -104,8 +105,6 @@ def resume(
 
 def _complete(result: Result) -> None:
     """Do what a run does after its summary, where it was ended before."""
-    from ..report import section_picture
-
     if speaks():
         checkpoint.clear(result.directory)
         if not (result.directory / PICTURE).exists():
@@ -161,8 +160,6 @@ def _compute(decided: Plan, folder: Path, requested: _Requested, create: Callabl
         with create() if create is not None else Store.reopen(folder) as store:
             Deposition(decided, store, options).run(anew=create is not None)
         result = Result(folder)
-        from ..report import section_picture
-
         section_picture(result)
     except (ColdsprayError, KeyboardInterrupt) as error:
         parallel.dismiss(ranks, error)

@@ -18,7 +18,7 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -31,6 +31,7 @@ from ..errors import CheckpointError, StoreError
 from ..state.records import Shape
 from . import checkpoint
 from .outputs import RUN_FILES, check_folder, claim_folder
+from .result import Result
 from .vtkhdf import VtkHdfWriter
 
 DOMAINS = ("particle", "surface", "target")
@@ -113,7 +114,7 @@ class Store:
             {domain: writer.steps for domain, writer in self._writers.items()}, list(self._columns), history
         )
 
-    def go_on(self, state: StoreState | None, log: Any) -> None:
+    def go_on(self, state: StoreState | None, log: Callable[[str], None]) -> None:
         """Make the files those of the moment of a `state`: what was written later is written again. None: start the files anew.
 
         Files are made new from the old, which stay until then: nothing is lost if this is interrupted. A file that can no longer
@@ -141,7 +142,7 @@ class Store:
             else:
                 path.unlink(missing_ok=True)
 
-    def go_back(self, state: StoreState, log: Any) -> None:
+    def go_back(self, state: StoreState, log: Callable[[str], None]) -> None:
         """As `go_on`, of a store that has gone on writing since."""
         with _named(self.directory):
             for writer in self._writers.values():
@@ -151,9 +152,7 @@ class Store:
         self._writers, self._history, self._rows = {}, None, array("d")
         self.go_on(state, log)
 
-    def _copy_steps(self, domain: str, path: Path, steps: int, log: Any) -> None:
-        from .result import Result
-
+    def _copy_steps(self, domain: str, path: Path, steps: int, log: Callable[[str], None]) -> None:
         old, part = Result(self.directory), path.with_suffix(".part")
         writer = VtkHdfWriter(part)
         try:
