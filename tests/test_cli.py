@@ -2,6 +2,7 @@ import io
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -156,6 +157,7 @@ def test_the_results_go_where_they_are_told(run_that, tmp_path):
 
     def act(out, progress):
         seen.append(out)
+        return SimpleNamespace(undecided=None)
 
     run_that(act)
     cli.main(["run", str(WORKFLOWS / "single_ni.toml"), "--quiet"])
