@@ -184,6 +184,25 @@ def test_a_rank_that_raises_ends_all(
     assert not (tmp_path / "out" / "summary.json").exists()
 
 
+@pytest.mark.slow
+def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) -> None:
+    """With points on both ranks they exchange between the passes of each step: the one that fails goes on with that."""
+    patch = """
+    import coupler.sph.compiled_kernels as k
+    good, calls = k.stress_points, []
+    def bad(*arguments):
+        calls.append(good(*arguments))
+        return 3 if len(calls) > 20 else calls[-1]
+    k.stress_points = bad
+"""
+    scene = tmp_path / "short.toml"
+    scene.write_text(SHORT)
+    arguments = ("run", str(scene), "--out", str(tmp_path / "out"), "--quiet", "--placement", "spread")
+    code, _, err = finish(start(2, *arguments, code=PATCHED.format(rank=1, patch=patch.strip())), timeout=120)
+    assert code == 3
+    assert "was distorted beyond what the kernel can follow" in err
+
+
 @pytest.mark.parametrize("victim", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_rank_that_dies_takes_the_others_along(tmp_path: Path, victim: int) -> None:
     scene = tmp_path / "ni.toml"
