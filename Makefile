@@ -5,8 +5,8 @@
 # make studies effects  Taylor bars and convergence, into docs/tables (hours; rows in the convergence table are not computed again)
 # make accuracy  what accuracy costs in time, into docs/evidence/accuracy.md and coupler/plan/bands.csv (an hour; rows in the tables are not computed again)
 # make effects  what each effect changes and costs, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
-# make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (10 minutes; goes on where it was stopped)
-# make fuzz   random scenes: each a result or a clear refusal; N=300 SEED=1 say how many and which
+# make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; goes on where it was stopped)
+# make fuzz   random scenes: each a result that an independent check finds no fault in, or a clear refusal; N=1000 SEED=1 say how many and which
 # make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build

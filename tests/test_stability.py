@@ -1,10 +1,13 @@
 """Runs in trouble: they go back, try again and say so; and the hard and random scenes that watch over it."""
 
 import json
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from runs import SharedRuns, Stopped, assert_same_files, assert_same_numbers
@@ -12,10 +15,11 @@ from scenes import NI, SHORT, SHORT_DOUBLE, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
-from coupler.errors import SolverError
+from coupler.errors import SceneError, SolverError
 from coupler.impact import retry
 from coupler.impact.retry import REMEDIES, Remedy, Retries
-from workflows import fuzz, stability
+from coupler.studies.table import read_rows
+from workflows import fuzz, stability, verify
 
 
 class Lines:
@@ -196,35 +200,133 @@ def test_the_first_and_the_last_two_states_are_kept() -> None:
 # ---- the battery and the random scenes --------------------------------------------------------------------------------
 
 
-def test_the_battery_is_sixty_scenes_and_more() -> None:
-    scenes = stability.battery()
-    assert len(scenes) + len(stability.SPECIAL) >= 60
-    for name, said in scenes.items():
-        checked = Scene.from_dict(said, name.replace(",", ""))
-        assert checked.derived.points <= 2100, name
+def test_the_battery_has_eighty_scenes_and_more() -> None:
+    """All scenes can be read but two, which are there to be refused."""
+    scenes, refused = stability.battery(), []
+    assert len(scenes) + len(stability.SPECIAL) >= 80
+    for name, tables in scenes.items():
+        try:
+            assert Scene.from_dict(tables, "battery").derived.points <= 2100, name
+        except SceneError:
+            refused.append(name)
+    assert refused == ["Ni at 80 degrees, gap of 25 um", "Ni on a thinner free substrate of Al, 800 m/s"]
 
 
-def test_the_judge_sees_each_fault() -> None:
-    good = {
-        "energy_drift": 0.001, "momentum_error": 1e-12, "numerical_dissipation": 0.09, "penetration_max_m": 1e-7, "spacing_m": 1e-6,
-        "points": 400, "eps_p_max": 2.0, "target_eps_p_max": 1.0, "T_max_K": 900.0, "target_T_max_K": 900.0, "material": "Ni",
-    }  # fmt: skip
-    about = {"steps": 10, "sim_time_s": 5e-8, "flattening_ratio": 0.5, "retries": [], "warnings": []}
-    melting = {"Ni": 1726.0, "substrate": 1673.0}
+def altered_field(
+    folder: Path, domain: str, name: str, change: Callable[[np.ndarray], np.ndarray], step: int = -1
+) -> None:
+    """Replace the values of one step in a file of fields. name: of the data set below PointData or CellData, or "Points"."""
+    count = Result(folder).fields(step, domain)
+    with h5py.File(folder / f"{domain}.vtkhdf", "r+") as file:
+        group = file["VTKHDF"]
+        data = next(group[path] for path in (name, f"PointData/{name}", f"CellData/{name}") if path in group)
+        rows = len(count.points) if data.name.split("/")[2] != "CellData" else len(count.cells)
+        data[len(data) - rows :] = change(data[len(data) - rows :])
 
-    def wrong(seen: stability.Watching | None = None, warnings: tuple[str, ...] = (), **bad: float) -> list[str]:
-        summary = about | {"impacts": [good, good | bad], "warnings": list(warnings)}
-        return stability.judged(summary, seen or stability.Watching(), melting)[1]
 
-    assert wrong() == []
-    for name, value in {
-        "energy_drift": -0.011, "momentum_error": 1e-5, "numerical_dissipation": 0.25, "penetration_max_m": 6e-7, "T_max_K": 1800.0,
-        "target_T_max_K": 1730.0,
-    }.items():  # fmt: skip
-        assert len(wrong(**{name: value})) == 1, name
-    assert len(wrong(numerical_dissipation=-0.02)) == 1
-    assert wrong(T_max_K=1800.0, warnings=("impact 1: the particle went beyond melting",)) == []
-    assert len(wrong(stability.Watching(fallen=0.1))) == 1
+def altered_history(folder: Path, column: str, change: Callable[[float], float]) -> None:
+    """Replace the last value of a column of history.csv."""
+    lines = (folder / "history.csv").read_text().splitlines()
+    place, cells = lines[0].split(",").index(column), lines[-1].split(",")
+    cells[place] = repr(change(float(cells[place])))
+    (folder / "history.csv").write_text("\n".join([*lines[:-1], ",".join(cells), ""]))
+
+
+def altered_summary(folder: Path, name: str, value: float) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    record = summary["impacts"][-1]
+    for place in (record, record["end"]):
+        if name in place:
+            place[name] = value
+    (folder / "summary.json").write_text(json.dumps(summary))
+
+
+def one_nan(values: np.ndarray) -> np.ndarray:
+    values[3] = np.nan
+    return values
+
+
+ENERGY = 0.5 * 8906 * np.pi / 6 * 25e-6**3 * 500**2  # of the particle, J
+WRONG: dict[str, tuple[Callable[[Path], None], str]] = {
+    "NaN in the particle": (lambda f: altered_field(f, "particle", "stress", one_nan), "stress is not a number"),
+    "NaN in the target": (lambda f: altered_field(f, "target", "T", one_nan), "T is not a number"),
+    "NaN in the surface": (lambda f: altered_field(f, "surface", "velocity", one_nan), "velocity is not a number"),
+    "volume of the target off by 2 %": (
+        lambda f: altered_field(f, "target", "Points", lambda x: x * 1.02 ** (1 / 3)), "volume of body 0"
+    ),
+    "inverted element": (lambda f: altered_field(f, "target", "Points", lambda x: x * [1, 1, -1]), "inverted"),
+    "torn surface": (lambda f: altered_field(f, "surface", "Points", lambda x: 1.1 * x), "volume inside"),
+    "surface deep in the target": (lambda f: altered_field(f, "surface", "Points", lambda x: x - [0, 0, 9e-6]), "inside the target"),
+    "elastic energy that does not add up": (
+        lambda f: altered_history(f, "elastic_target", lambda e: e + 0.001 * ENERGY), "do not add up"
+    ),
+    "kinetic energy of other velocities": (
+        lambda f: altered_field(f, "particle", "velocity", lambda v: v + 60.0), "kinetic energy of the particle"
+    ),
+    "open ledger": (lambda f: altered_history(f, "drift", lambda _: 0.012), "ledger is open"),
+    "lost momentum": (lambda f: altered_history(f, "momentum_error", lambda _: 1e-9), "momentum"),
+    "plastic strain that falls": (lambda f: altered_field(f, "target", "eps_p", lambda e: 0.9 * e), "fell"),
+    "negative plastic strain": (lambda f: altered_field(f, "target", "eps_p", lambda e: e - 0.1), "negative"),
+    "heat from nowhere": (lambda f: altered_field(f, "particle", "T", lambda T: T + 30.0), "heat against plastic work"),
+    "colder than at the start": (lambda f: altered_field(f, "target", "T", lambda T: T - 20.0), "colder"),
+    "beyond melting, without a warning": (
+        lambda f: altered_field(f, "particle", "T", lambda T: np.where(T == T.max(), 1900.0, T)), "without a warning"
+    ),
+    "stress above the law's": (lambda f: altered_field(f, "target", "von_mises", lambda s: s + 6e9), "von Mises"),
+    "a measure of another run": (lambda f: altered_summary(f, "thickness_m", 17e-6), "thickness_m is"),
+    "flattening outside its range": (lambda f: altered_summary(f, "flattening_ratio_total", 1.2), "whole thickness"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def copied(whole: Result, tmp_path: Path) -> Path:
+    """A copy of a finished run to be altered."""
+    return Path(shutil.copytree(whole.directory, tmp_path / "copied"))
+
+
+def test_a_result_has_no_fault(whole: Result) -> None:
+    """Of 200 points; the figures are those of an independent calculation, from float32 fields."""
+    findings = verify.check(whole)
+    assert findings.faults == []
+    assert findings.figures["kinetic"] < 1e-5
+    assert findings.figures["heat"] < 0.01
+
+
+@pytest.mark.parametrize("name", list(WRONG))
+def test_a_wrong_result_is_seen(name: str, copied: Path) -> None:
+    alter, expected = WRONG[name]
+    alter(copied)
+    faults = verify.check(Result(copied)).faults
+    assert any(expected in fault for fault in faults), faults
+
+
+def test_without_contact_there_is_no_impact(copied: Path) -> None:
+    lines = (copied / "history.csv").read_text().splitlines()
+    place = lines[0].split(",").index("contact_force")
+    cells = [line.split(",") for line in lines[1:]]
+    lines[1:] = [",".join([*row[:place], "0", *row[place + 1 :]]) for row in cells]
+    (copied / "history.csv").write_text("\n".join([*lines, ""]))
+    assert any("never touched" in fault for fault in verify.check(Result(copied)).faults)
+
+
+def test_volumes_and_depths_of_a_cube() -> None:
+    """Six tetrahedra of the unit cube; its centre lies half deep, a point above it not at all."""
+    points = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
+    paths = [
+        (0, 4, 6),
+        (0, 4, 5),
+        (0, 2, 6),
+        (0, 2, 3),
+        (0, 1, 5),
+        (0, 1, 3),
+    ]  # from one corner to the opposite along edges
+    cells = np.array([[*path, 7] for path in paths])
+    inverted = verify.tetrahedra_volumes(points, cells) < 0
+    cells[inverted] = cells[inverted][:, [1, 0, 2, 3]]
+    assert verify.tetrahedra_volumes(points, cells) == pytest.approx(np.full(6, 1 / 6))
+    assert len(verify.boundary_faces(cells)) == 12
+    depth = verify.depths(np.array([[0.5, 0.51, 0.49], [0.5, 0.4, 0.9], [0.5, 0.5, 1.1]]), points, cells)
+    assert depth == pytest.approx([0.49, 0.1, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -233,20 +335,20 @@ def test_the_judge_sees_each_fault() -> None:
         "Ni elements smaller than the spacing",
         *(
             pytest.param(name, marks=pytest.mark.slow)
-            for name in ("Ni 1500 m/s", "Ni flake on edge", "Ni on the rim of a Ni splat")
+            for name in ("Ni 1500 m/s", "Ni flake, tilt 90, on SS304, 500 m/s", "Ni on the rim of a Ni splat")
         ),
     ],
 )
 def test_hard_scenes_of_the_battery(name: str, tmp_path: Path) -> None:
-    row, wrong = stability.play(name, stability.battery()[name], tmp_path)
-    assert wrong == [], row
+    verdict, _, reasons = stability.play(stability.battery()[name], tmp_path)
+    assert verdict == "passes", reasons
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(stability.SPECIAL))
 def test_special_cases_of_the_battery(name: str, tmp_path: Path) -> None:
-    row, wrong = stability.SPECIAL[name](tmp_path)
-    assert wrong == [], row
+    verdict, _, reasons = stability.SPECIAL[name](tmp_path)
+    assert verdict == "passes", reasons
 
 
 @pytest.mark.slow
@@ -278,15 +380,24 @@ def test_random_scenes_are_made_from_their_seed() -> None:
     assert ways == {"null", '"none"', '"tied"', '"cohesive"'}
 
 
-def test_only_a_result_or_one_message_is_a_good_end() -> None:
-    assert [fuzz.verdict(code, "coldspray: no") for code in (2, 3)] == ["", ""]
-    assert fuzz.verdict(0, "") == ""
-    for code, said in (
-        (1, "x"),
-        (-11, ""),
-        (None, ""),
-        (2, ""),
-        (3, "coldspray: a\ncoldspray: b"),
-        (0, "Traceback (most recent call last)"),
-    ):
-        assert fuzz.verdict(code, said), (code, said)
+def test_only_a_result_without_fault_or_one_message_is_a_good_end() -> None:
+    for code, said in ((0, ""), (4, ""), (2, "coldspray: no"), (3, "coldspray: no")):
+        assert fuzz.verdict(code, said, []) == "", (code, said)
+    for code, said, faults in (
+        (1, "x", []), (-11, "", []), (None, "", []), (2, "", []), (3, "coldspray: a\ncoldspray: b", []),
+        (0, "Traceback (most recent call last)", []), (0, "", ["a NaN"]), (4, "", ["a NaN"]),
+    ):  # fmt: skip
+        assert fuzz.verdict(code, said, faults), (code, said)
+
+
+@pytest.mark.slow
+def test_random_scenes_go_on_where_they_were_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seeds 1 and 3 are refused; a row of the table is not computed again."""
+    for arguments, seeds in ((["--n", "1"], ["1"]), (["--n", "3", "--workers", "2"], ["1", "2", "3"])):
+        monkeypatch.setattr("sys.argv", ["fuzz.py", "--keep", str(tmp_path), *arguments])
+        assert fuzz.main() == 0
+        rows = read_rows(tmp_path / "table.csv")
+        assert sorted(row["seed"] for row in rows) == seeds
+    assert rows[0] == {"seed": "1", "end": "refused"} | {
+        name: rows[0][name] for name in ("seconds", "message", "version")
+    }

@@ -1,32 +1,42 @@
 """Random scenes over the whole allowed range of every field: python workflows/fuzz.py [--n 100] [--seed 1] [--keep DIR]
 
-Each that reads as a scene is computed by the command, coarse and for a short time, many by one process, which saves starting it.
-Allowed ends: a result (exit code 0), or a refusal in one message (2: the scene, 3: the solver), within the time. After anything
-else (a traceback, a signal, no end) the scene is tried again in a process of its own; if that ends no better it is printed
-and kept in DIR, and the exit code is then 1.
+Each is computed by the command, coarse and for a short time, in a process that computes many. Allowed ends: a result (exit code 0; 4:
+not at rest in its time, which it says) in which `verify.check` finds no fault, or one message (2: the scene is refused, 3: the solver
+gives up), within the time. All else (a fault, a traceback, a signal, no end) is printed and kept in DIR, and the exit code is then 1.
+DIR/table.csv has a row for each seed; its seeds are not computed again.
 """
 
 import argparse
 import contextlib
 import json
 import math
+import multiprocessing
 import os
 import random
 import resource
 import signal
-import subprocess
 import sys
 import tempfile
-import threading
 import time
 import traceback
+from collections import Counter
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
+
+import verify
+
+from coupler import Result
+from coupler.commands.main import main as coldspray
+from coupler.studies.table import StudyTable
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
 PATIENCE = 120  # s of processor time; of wall time ten times as many
 SCENES = 25  # by one process, at most: what it forgets to give back stays small
+ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
+COLUMNS = ("seed", "end", "seconds", "message")
+Played = tuple[int | None, str, list[str], float]  # exit code (None: no end), what was said, faults of the result, s
 
 
 def log_between(dice: random.Random, low: float, high: float) -> float:
@@ -36,21 +46,32 @@ def log_between(dice: random.Random, low: float, high: float) -> float:
 
 def particle(dice: random.Random, alone: bool, diameter: float) -> dict[str, Any]:
     """A table [particle], any field left out now and then."""
+    velocity, angle = log_between(dice, 10, 2000), dice.uniform(0, 80)
+    fall = 1e-3 * velocity * math.cos(math.radians(angle))  # um/ns
     table: dict[str, Any] = {
         "material": dice.choice(MATERIALS),
         "diameter": f"{diameter:.4g} um",
-        "velocity": f"{log_between(dice, 10, 2000):.4g} m/s",
+        "velocity": f"{velocity:.4g} m/s",
     }
     maybe = {
         "shape": dice.choice(SHAPES),
-        "angle": f"{dice.uniform(0, 80):.4g} deg",
+        "angle": f"{angle:.4g} deg",
         "tilt": f"{dice.uniform(-90, 90):.4g} deg",
         "temperature": f"{log_between(dice, 100, 1700):.4g} K",
         "offset": [f"{dice.uniform(-1, 1) * diameter:.4g} um" for _ in "xy"],
-        "gap": f"{dice.uniform(0, 1) * diameter:.4g} um",
+        "gap": f"{dice.uniform(0, 1) * min(diameter, 20.0 * diameter / 25.0 * fall):.4g} um",  # 20 ns in flight, for 25 um
         "dwell": f"{dice.uniform(0, 10):.4g} us",
     }
     return table | {name: value for name, value in maybe.items() if dice.random() < (0.4 if alone else 0.25)}
+
+
+def flight_time(table: dict[str, Any], spacing: float) -> float:
+    """Time in ns from the start of a particle to its contact. spacing: um; half of it is the gap unless said."""
+    gap, velocity, angle = (
+        float(table.get(name, default).split()[0])
+        for name, default in (("gap", f"{spacing / 2} um"), ("velocity", ""), ("angle", "0 deg"))
+    )
+    return 1e3 * gap / (velocity * math.cos(math.radians(angle)))
 
 
 def scene(seed: int) -> dict[str, Any]:
@@ -81,11 +102,14 @@ def scene(seed: int) -> dict[str, Any]:
     crossing = diameter / float(particles[0]["velocity"].split()[0]) * 1e3  # ns
     # as many steps as a second or two can make: a particle at 10 m/s is not followed to its rest
     end = min(1.5 * crossing, 60.0 * diameter / 25.0)
+    flight = max(flight_time(table, spacing) for table in particles)
     said: dict[str, Any] = {
         "particle": particles, "substrate": substrate, "resolution": resolution,
-        "end": {"time": f"{max(end * dice.uniform(0.2, 1.0), 0.01):.4g} ns"} | ({"at": "greatest"} if dice.random() < 0.2 else {}),
+        "end": {"time": f"{max(flight + end * dice.uniform(0.2, 1.0), 0.01):.4g} ns"},
         "effects": dice.choice(("auto", "auto", "all", "none")),
     }  # fmt: skip
+    if dice.random() < 0.2:
+        said["end"]["at"] = "greatest"
     if dice.random() < 0.5:
         said["contact"] = {"friction": round(dice.uniform(0, 2), 3)}
     if dice.random() < 0.3:
@@ -113,125 +137,51 @@ def toml(said: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def verdict(code: int | None, err: str) -> str:
+def verdict(code: int | None, said: str, faults: list[str]) -> str:
     """What is wrong with an end; nothing if it is allowed."""
-    if code is None or code == -signal.SIGXCPU:
+    if code is None or code in (-signal.SIGXCPU, -signal.SIGALRM):
         return f"no end in {PATIENCE} s"
-    if code not in (0, 2, 3):
+    if code not in ENDS:
         return f"exit code {code}"
-    if "Traceback" in err:
+    if "Traceback" in said:
         return "a traceback"
-    said = [line for line in err.splitlines() if line.startswith("coldspray: ")]
-    if code and len(said) != 1:
-        return f"exit code {code} with {len(said)} messages"
-    return ""
+    messages = [line for line in said.splitlines() if line.startswith("coldspray: ")]
+    if code in (2, 3) and len(messages) != 1:
+        return f"exit code {code} with {len(messages)} messages"
+    return f"silently wrong: {'; '.join(faults)}" if faults else ""
 
 
-def read(text: str) -> tuple[int | None, str, float]:
-    """As `tried`, for a text that is no scene: refused, as the command would; None for one that is."""
-    from coupler.errors import SceneError
-    from coupler.plan.reading import Scene
-
-    try:
-        Scene.from_text(text, "scene.toml")
-    except SceneError as error:
-        return error.exit_code, f"coldspray: {error}", 0.0
-    except Exception:
-        return 1, traceback.format_exc(), 0.0
-    return None, "", 0.0
-
-
-def tried(text: str, folder: Path) -> tuple[int | None, str, float]:
-    """Exit code (None: no end), what it said, and the seconds of wall time it took, in a process of its own."""
-    path, started = folder / "scene.toml", time.perf_counter()
-    path.write_text(text)
-    try:
-        done = subprocess.run(
-            [sys.executable, "-m", "coupler", *command(folder)],
-            capture_output=True,
-            text=True,
-            timeout=10 * PATIENCE,
-            env=os.environ | ONE_THREAD,
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, (PATIENCE, PATIENCE + 5)),
-        )
-    except subprocess.TimeoutExpired:
-        return None, "", time.perf_counter() - started
-    return done.returncode, done.stderr, time.perf_counter() - started
+def played(seed: int, folder: Path) -> Played:
+    """Compute the scene of a seed in this process, and check its result."""
+    started = time.process_time()
+    resource.setrlimit(resource.RLIMIT_CPU, (int(started) + PATIENCE, resource.RLIM_INFINITY))
+    signal.alarm(10 * PATIENCE)
+    (folder / "scene.toml").write_text(toml(scene(seed)))
+    faults: list[str] = []
+    with (folder / "said.txt").open("w+") as said:
+        os.dup2(said.fileno(), 1)
+        os.dup2(said.fileno(), 2)
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            try:
+                code = coldspray(
+                    ["run", str(folder / "scene.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"]
+                )
+            except SystemExit as end:
+                code = end.code if isinstance(end.code, int) else 1
+            except Exception:
+                code = 1
+                traceback.print_exc()
+        if code in (0, 4):
+            faults = verify.check(Result(folder / "out")).faults
+        said.flush()
+        return code, (folder / "said.txt").read_text(), faults, time.process_time() - started
 
 
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def command(folder: Path) -> list[str]:
-    """What is said to coldspray of the scene in a folder."""
-    return ["run", str(folder / "scene.toml"), "--out", str(folder / "out"), "--force", "--quiet"]
-
-
-class Worker:
-    """A process that computes one scene after another."""
-
-    def __init__(self) -> None:
-        self.process: subprocess.Popen[str] | None = None
-        self.count = 0
-
-    def tried(self, text: str, folder: Path) -> tuple[int | None, str, float]:
-        """As the function `tried`, with seconds of processor time."""
-        if self.process is None:
-            arguments = [sys.executable, str(Path(__file__).resolve()), "--serve"]
-            self.process = subprocess.Popen(
-                arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=os.environ | ONE_THREAD
-            )
-            self.count = 0
-        (folder / "scene.toml").write_text(text)
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        late = threading.Timer(10 * PATIENCE, self.process.kill)
-        late.start()
-        try:
-            self.process.stdin.write(f"{folder}\n")
-            self.process.stdin.flush()
-            answer = self.process.stdout.readline()
-        finally:
-            late.cancel()
-        said = (folder / "said.txt").read_text() if (folder / "said.txt").exists() else ""
-        self.count += 1
-        if not answer:
-            code = self.process.wait()
-            self.process = None
-            return (None if code == -signal.SIGKILL else code), said, float("nan")
-        if self.count == SCENES:
-            self.close()
-        code, seconds = json.loads(answer)
-        return code, said, seconds
-
-    def close(self) -> None:
-        if self.process is not None:
-            assert self.process.stdin is not None
-            self.process.stdin.close()
-            self.process.wait()
-            self.process = None
-
-
-def serve() -> None:
-    """Compute the scenes in the folders that come in, one a line; answer with exit code and seconds of processor time."""
-    from coupler.commands.main import main as coldspray
-
-    out = os.fdopen(os.dup(1), "w")
-    for line in sys.stdin:
-        folder, started = Path(line.strip()), time.process_time()
-        resource.setrlimit(resource.RLIMIT_CPU, (int(started) + PATIENCE, resource.RLIM_INFINITY))
-        with (folder / "said.txt").open("w") as said:
-            os.dup2(said.fileno(), 1)
-            os.dup2(said.fileno(), 2)
-            with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-                try:
-                    code = coldspray(command(folder))
-                except SystemExit as end:
-                    code = end.code if isinstance(end.code, int) else 1
-                except BaseException:
-                    code = 1
-                    traceback.print_exc()
-        print(json.dumps([code, time.process_time() - started]), file=out, flush=True)
+def serve(seeds: list[int], results: Connection) -> None:
+    """Compute the scenes of some seeds, one after another; send each end."""
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            results.send(played(seed, Path(folder)))
 
 
 def main() -> int:
@@ -240,39 +190,55 @@ def main() -> int:
     parser.add_argument("--n", type=int, default=100)
     parser.add_argument("--seed", type=int, default=1, help="of the first scene; those after it count on")
     parser.add_argument(
-        "--keep", type=Path, default=Path("runs/fuzz"), help="where scenes with a bad end go (default: runs/fuzz)"
+        "--keep", type=Path, default=Path("runs/fuzz"), help="for the table and the scenes with a bad end"
     )
-    parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--quiet", action="store_true", help="print bad ends and the sum only")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--again", action="store_true", help="compute bad ends of the table again")
     a = parser.parse_args()
-    if a.serve:
-        serve()
-        return 0
-    worker = Worker()
-    ends: dict[str, int] = {}
-    bad = 0
-    for seed in range(a.seed, a.seed + a.n):
-        text = toml(scene(seed))
-        code, err, seconds = read(text)
-        if code is None:
-            with tempfile.TemporaryDirectory() as place:
-                code, err, seconds = worker.tried(text, Path(place))
-                if verdict(code, err):
-                    code, err, seconds = tried(text, Path(place))
-        wrong = verdict(code, err)
-        end = f"BAD: {wrong}" if wrong else {0: "a result", 2: "refused", 3: "the solver gave up"}[int(code or 0)]
-        ends[end] = ends.get(end, 0) + 1
-        last = err.strip().splitlines()
-        if wrong:
-            bad += 1
-            a.keep.mkdir(parents=True, exist_ok=True)
-            (a.keep / f"seed{seed}.toml").write_text(text)
-            (a.keep / f"seed{seed}.txt").write_text(err)
-        if wrong or not a.quiet:
-            print(f"{seed} {end} ({seconds:.0f} s)", last[-1][:200] if last else "", flush=True)
-    worker.close()
-    print("; ".join(f"{count} {end}" for end, count in sorted(ends.items())))
-    return int(bad > 0)
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    table = StudyTable(a.keep / "table.csv", COLUMNS, ("seed",), "random scenes: workflows/fuzz.py")
+    done = {row["seed"] for row in table.rows if not (a.again and row["end"] == "BAD")}
+    waiting = [seed for seed in range(a.seed, a.seed + a.n) if str(seed) not in done]
+    context = multiprocessing.get_context("spawn")
+    running: dict[
+        Connection, tuple[Any, list[int]]
+    ] = {}  # results of a process -> it, and the seeds it has still to play
+    while waiting or running:
+        while waiting and len(running) < a.workers:
+            seeds, waiting = waiting[:SCENES], waiting[SCENES:]
+            results, sender = context.Pipe(duplex=False)
+            process = context.Process(target=serve, args=(seeds, sender))
+            process.start()
+            sender.close()
+            running[results] = process, seeds
+        for results in wait(list(running)):
+            process, seeds = running[results]
+            try:
+                end: Played = results.recv()
+            except EOFError:  # it is done, or has died of the scene it was at
+                process.join()
+                del running[results]
+                if not seeds:
+                    continue
+                end = process.exitcode, "", [], math.nan
+                waiting = seeds[1:] + waiting
+            record(table, seeds.pop(0), end, a.keep)
+    chosen = [row for row in table.rows if a.seed <= int(row["seed"]) < a.seed + a.n]
+    print("; ".join(f"{count} {end}" for end, count in sorted(Counter(row["end"] for row in chosen).items())))
+    return int(any(row["end"] == "BAD" for row in chosen))
+
+
+def record(table: StudyTable, seed: int, end: Played, keep: Path) -> None:
+    """Put the end of a seed's scene into the table; keep the scene if the end is bad."""
+    code, said, faults, seconds = end
+    wrong = verdict(code, said, faults)
+    last = said.strip().splitlines()[-1:] if code else []
+    row = {"seed": seed, "end": "BAD" if wrong else ENDS[code or 0], "seconds": f"{seconds:.0f}"}
+    new = table.add(row | {"message": wrong or " ".join(last)})
+    if wrong:
+        (keep / f"seed{seed}.toml").write_text(toml(scene(seed)))
+        (keep / f"seed{seed}.txt").write_text(said)
+    print(*new.values(), flush=True)
 
 
 if __name__ == "__main__":

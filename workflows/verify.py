@@ -1,0 +1,388 @@
+"""Independent check of a finished run, from its files and its scene alone: volumes, energies, ranges and contact.
+
+Nothing here uses the program's own measures, laws or contact search: volumes are sums over tetrahedra and closed surfaces, energies
+come from the fields' velocities and stresses, the equation of state is inverted here. `check` returns the figures and the faults.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from coupler import Result, Scene
+from coupler.files.result import DOMAINS, Fields
+from coupler.physics.materials import Material
+from coupler.plan.planning import plan
+
+Array = NDArray[np.float64]
+
+# Energies over the initial kinetic energy E_0, volumes over that of the particle V_p.
+LEDGER = 0.01  # largest |drift| of the ledger at the end of an impact
+SUM = 1e-6  # sum of the ledger's columns against its drift
+MOMENTUM = 1e-10  # over the initial momentum
+KINETIC = 0.005  # from the velocities of the fields, against the history
+ELASTIC = 0.05  # from the stresses of the fields, against the history, which counts what heat adds to the pressure
+HEAT = 0.10  # rise of c_p T, over plastic work and friction, against the share of plastic work that heats
+JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
+VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
+SKIN = 0.20  # change of the volume inside the particle's surface, which is carried between the points
+IMPULSE = 0.3  # integral of the contact force, known at the rows of the history, over the change of momentum
+REST = 0.05  # of the impact speed, downwards: faster is not at rest
+SAME = 1e-3  # figures of the summary against those of the fields
+YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
+DISSIPATION = 0.2  # both schemes together; more needs a warning
+STORED = (
+    "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
+    "numerical_target", "contact", "friction", "boundary", "bodies", "bond",
+)  # fmt: skip
+
+
+def tetrahedra_volumes(points: Array, cells: NDArray[np.int64]) -> Array:
+    """(m,) m3, negative where inverted. points (n,3) m, cells (m,4)."""
+    a, b, c, d = (points[cells[:, k]] for k in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def enclosed_volume(points: Array, triangles: NDArray[np.int64]) -> float:
+    """Volume (m3) inside a closed surface, by the divergence theorem. points (n,3) m, triangles (m,3)."""
+    p = points - points.mean(axis=0)
+    a, b, c = (p[triangles[:, k]] for k in range(3))
+    return abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6.0
+
+
+def boundary_faces(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Faces (k,3) of tetrahedra (m,4) that belong to one of them only."""
+    faces = np.concatenate([cells[:, [1, 2, 3]], cells[:, [0, 2, 3]], cells[:, [0, 1, 3]], cells[:, [0, 1, 2]]])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def depths(points: Array, nodes: Array, cells: NDArray[np.int64], near: int = 64) -> Array:
+    """Depth (k,) m of points (k,3) inside tetrahedra (m,4) of nodes (n,3), below their boundary; 0 outside."""
+    corners = nodes[cells]
+    tree = cKDTree(corners.mean(axis=1))
+    candidates = np.atleast_2d(tree.query(points, min(near, len(cells)))[1])
+    base = corners[candidates, 0]
+    frame = np.moveaxis(corners[candidates, 1:] - base[:, :, None], -1, -2)  # (k, near, 3, 3), edges as columns
+    weights = np.linalg.solve(frame, (points[:, None] - base)[..., None])[..., 0]
+    inside = np.any((weights.min(axis=2) > 1e-9) & (weights.sum(axis=2) < 1.0 - 1e-9), axis=1)
+    depth = np.zeros(len(points))
+    if inside.any():
+        faces = nodes[boundary_faces(cells)]
+        nearest = np.atleast_2d(cKDTree(faces.mean(axis=1)).query(points[inside], min(near, len(faces)))[1])
+        depth[inside] = _to_triangles(points[inside][:, None], faces[nearest]).min(axis=1)
+    return depth
+
+
+def _to_triangles(p: Array, triangles: Array) -> Array:
+    """Distance (...,) of points p (...,3) to triangles (...,3,3): to the plane where the foot lies inside, else to the edges."""
+    a, b, c = (triangles[..., k, :] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    height = np.einsum("...i,...i", p - a, normal)
+    foot = p - height[..., None] * normal
+    sides = [np.einsum("...i,...i", np.cross(e - s, foot - s), normal) for s, e in ((a, b), (b, c), (c, a))]
+    edges = []
+    for s, e in ((a, b), (b, c), (c, a)):
+        t = np.clip(np.einsum("...i,...i", p - s, e - s) / np.einsum("...i,...i", e - s, e - s), 0.0, 1.0)
+        edges.append(np.linalg.norm(p - s - t[..., None] * (e - s), axis=-1))
+    return np.where(np.min(sides, axis=0) >= 0.0, np.abs(height), np.min(edges, axis=0))
+
+
+def volume_ratios(metal: Material, pressure: Array, T: Array, T_0: float) -> tuple[Array, Array]:
+    """Bounds (m,) of J at a pressure (m,) Pa and a temperature (m,) K, over the equations of state that a scene may have.
+
+    Linear, p = K (1 - J); on the Hugoniot with the thermal pressure Gamma0 rho c_p (T - T_0), and without it.
+    """
+    thermal = metal.Gamma0 * metal.rho * np.interp(T, *np.transpose(metal.cp)) * np.maximum(T - T_0, 0.0)
+    candidates = [1.0 - pressure / metal.K]
+    for p in (pressure, pressure - thermal):
+        eta = p / metal.K
+        for _ in range(8):  # p (1 - s eta)^2 = K eta (1 - Gamma0 eta / 2)
+            eta = p * (1.0 - metal.s * eta) ** 2 / (metal.K * (1.0 - 0.5 * metal.Gamma0 * eta))
+        candidates.append(1.0 - eta)
+    return np.min(candidates, axis=0), np.max(candidates, axis=0)
+
+
+def mean_pressure(stress: Array) -> Array:
+    """(n,) Pa of stress (n,6), xx yy zz xy yz xz."""
+    return -np.asarray(stress[:, :3], float).mean(axis=1)
+
+
+def elastic_energy(metal: Material, stress: Array, volume: Array) -> float:
+    """J of linear elasticity. stress (n,6) Pa; volume (n,) m3."""
+    s, p = np.array(stress, float), mean_pressure(stress)
+    s[:, :3] += p[:, None]
+    shear = np.einsum("ij,ij->i", s[:, :3], s[:, :3]) + 2.0 * np.einsum("ij,ij->i", s[:, 3:], s[:, 3:])
+    return float(volume @ (shear / (4.0 * metal.G) + p**2 / (2.0 * metal.K)))
+
+
+def heat(metal: Material, T_0: Array, T: Array, varies: bool) -> Array:
+    """(n,) J/kg from T_0 to T (n,) K: Simpson's rule over c_p(T), which is linear between two temperatures, or constant."""
+    (low, first), (high, last) = metal.cp
+    if not varies:
+        return first * (T - T_0)
+    cp = [np.interp(t, (low, high), (first, last)) for t in (T_0, 0.5 * (T_0 + T), T)]
+    return (T - T_0) * (cp[0] + 4.0 * cp[1] + cp[2]) / 6.0
+
+
+def greatest_flow_stress(metal: Material, eps_p: Array) -> Array:
+    """(n,) Pa at plastic strains (n,): Johnson-Cook when cold, at a strain rate of 1e10 1/s."""
+    rate = 1.0 + metal.C * np.log(1e10 / metal.eps_dot_0)
+    return (metal.A + metal.B * np.maximum(eps_p, 0.0) ** metal.n) * rate
+
+
+def value(record: Mapping[str, Any], name: str) -> Any:
+    """A figure of an impact's record in the summary, at its end."""
+    return record[name] if name in record else record.get("end", {}).get(name)
+
+
+def of_run(summary: Mapping[str, Any], name: str) -> Any:
+    """A figure of the whole run in the summary."""
+    return summary[name] if name in summary else summary.get("run", {}).get(name)
+
+
+@dataclass
+class Findings:
+    """faults: in words; figures: the worst of each kind over all impacts; undecided, warned: as the run says itself."""
+
+    faults: list[str] = field(default_factory=list)
+    figures: dict[str, float] = field(default_factory=dict)
+    undecided: str | None = None
+    warned: list[str] = field(default_factory=list)
+
+    def fault(self, wrong: bool, text: str) -> None:
+        """Note a fault where something is wrong, once."""
+        if wrong and text not in self.faults:
+            self.faults.append(text)
+
+    def hold(self, name: str, number: float, limit: float, text: str) -> None:
+        """Keep the largest figure of a kind; a fault where it is not within the limit."""
+        self.figures[name] = max(self.figures.get(name, 0.0), abs(float(number)))
+        self.fault(not abs(number) <= limit, f"{text}: {number:.3g}, allowed {limit:.3g}")
+
+
+Instant = dict[str, Fields]  # by domain
+
+
+def check(result: Result) -> Findings:
+    """Figures and faults of a finished run. Raises StoreError for files that cannot be read."""
+    scene = Scene.from_text(result.scene_text, "scene")
+    warnings = of_run(result.summary, "warnings") or []
+    found = Findings(undecided=result.undecided)
+    found.warned = [text for text in warnings if "beyond melting" in text or "of the kinetic energy" in text]
+    records, history = result.summary["impacts"], result.history()
+    instants = [{domain: result.fields(k, domain) for domain in DOMAINS} for k in range(len(result.times("target")))]
+    for name, column in history.items():
+        found.fault(not np.all(np.isfinite(column)), f"history: {name} is not a number")
+    for step, instant in enumerate(instants):
+        for domain, f in instant.items():
+            for name, data in {"points": f.points, **f.data}.items():
+                found.fault(not np.all(np.isfinite(data)), f"{domain}, step {step}: {name} is not a number")
+            found.fault(f.data["eps_p"].min() < 0.0, f"{domain}, step {step}: a plastic strain is negative")
+    impacts = _by_impact(instants)
+    n, last = len(impacts), len(scene.particles)
+    complete = n == len(records) == len(np.unique(history["impact"])) and (n == last or found.undecided is not None)
+    found.fault(not complete, f"fields of {n} impacts, records of {len(records)}, {last} particles")
+    if found.faults:  # the rest would be about numbers that are none
+        return found
+    stayed: list[int] = []  # impacts whose splats are bodies 1, 2, ... of the target
+    for i, own in enumerate(impacts):
+        if i and own[0]["target"].data["body"].max() > len(stayed):
+            stayed.append(i - 1)
+        rows = {name: column[history["impact"] == i + 1] for name, column in history.items()}
+        _ImpactCheck(found, scene, i, stayed, own, rows, records[i]).all()
+    return found
+
+
+def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
+    """The instants of each impact: it begins where all points of a particle have one velocity again."""
+    impacts: list[list[Instant]] = []
+    flying = False
+    for instant in instants:
+        velocity = instant["particle"].data["velocity"]
+        before, flying = flying, float(np.ptp(velocity, axis=0).max()) < 1e-3
+        if flying and not before:
+            impacts.append([])
+        if impacts:
+            impacts[-1].append(instant)
+    return impacts
+
+
+class _ImpactCheck:
+    """One impact. rows: of its history; record: of the summary; bodies: material, initial temperature (K) and volume from its mass
+    (m3) of the substrate and of each splat; mass kg, energy J: of the particle at the start."""
+
+    def __init__(
+        self, found: Findings, scene: Scene, i: int, stayed: list[int], instants: list[Instant], rows: dict[str, Array],
+        record: Mapping[str, Any],
+    ):  # fmt: skip
+        self.found, self.scene, self.where = found, scene, f"impact {i + 1}"
+        self.instants, self.rows, self.record = instants, rows, record
+        self.first, self.last = instants[0], instants[-1]
+        self.p = p = scene.particles[i]
+        self.metal = scene.derived.material(p.material)
+        self.mass = self.metal.rho * p.volume
+        self.energy = 0.5 * self.mass * p.velocity**2
+        self.effects = plan(scene).effects
+        base, splats = scene.substrate, [scene.particles[k] for k in stayed]
+        parts = [(base.material, base.temperature, np.nan), *((s.material, s.temperature, s.volume) for s in splats)]
+        self.bodies = [(scene.derived.material(name), T, volume) for name, T, volume in parts]
+        self.body = self.last["target"].data["body"].astype(int)
+        self.volumes = [tetrahedra_volumes(f["target"].points, f["target"].cells) for f in instants]
+
+    def hold(self, name: str, number: float, limit: float, text: str) -> None:
+        self.found.hold(name, number, limit, f"{self.where}: {text}")
+
+    def all(self) -> None:
+        bodies = int(self.body.max())
+        self.found.fault(bodies >= len(self.bodies), f"{self.where}: {bodies} splats in the target, more than joined")
+        self.found.fault(not self.rows["contact_force"].max() > 0.0, f"{self.where}: the particle never touched")
+        if bodies < len(self.bodies):
+            self.ledger()
+            self.contact()
+            self.volume()
+            self.kinetic_and_elastic()
+            self.heat()
+            self.ranges()
+            self.measures()
+
+    def ledger(self) -> None:
+        rows = self.rows
+        total = sum(rows[name] for name in STORED) / self.energy - rows["drift"]
+        self.hold("sum", np.ptp(total), SUM, "the ledger's columns do not add up to its drift")
+        self.hold("drift", rows["drift"][-1], LEDGER, "the energy ledger is open")
+        self.hold("momentum", rows["momentum_error"].max(), MOMENTUM, "momentum")
+        dissipated = (rows["numerical_particle"][-1] + rows["numerical_target"][-1]) / self.energy
+        warned = any("of the kinetic energy" in text for text in self.found.warned)
+        self.hold("dissipated", dissipated, np.inf if warned else DISSIPATION, "dissipated, without a warning")
+
+    def contact(self) -> None:
+        """Impulse of the contact force, depth of the particle's surface in the target, motion at the end."""
+        rows, skin, target = self.rows, self.last["surface"].points, self.last["target"]
+        taken = self.mass * (rows["velocity_z"][-1] - rows["velocity_z"][0])
+        impulse = np.trapezoid(rows["contact_force"], rows["time"]) - taken
+        if len(rows["time"]) > 20:
+            self.hold("impulse", impulse / (self.mass * self.p.velocity), IMPULSE, "impulse of the contact force")
+        depth = float(depths(skin, target.points, target.cells).max()) / self.scene.derived.spacing
+        self.hold("depth", depth, 1.0, "the particle's surface lies inside the target, spacings")
+        if self.scene.end.at == "rest" and self.scene.end.time is None and not self.found.undecided:
+            self.hold(
+                "sinking", max(-rows["velocity_z"][-1] / self.p.velocity, 0.0), REST, "said to be at rest, but sinks"
+            )
+
+    def volume(self) -> None:
+        """Volumes of the bodies against their pressure and mass, and of the particle's surface."""
+        self.found.fault(
+            min(v.min() for v in self.volumes) <= 0.0, f"{self.where}: an element of the target is inverted"
+        )
+        closed = [
+            enclosed_volume(f["surface"].points, f["surface"].cells) / self.p.volume for f in (self.first, self.last)
+        ]
+        data = self.last["particle"].data
+        J = np.mean(volume_ratios(self.metal, mean_pressure(data["stress"]), data["T"], self.p.temperature))
+        self.hold("skin", closed[1] / closed[0] - J, SKIN, "volume inside the particle's surface")
+        for b, (metal, T_0, expected) in enumerate(self.bodies):
+            own = self.body == b
+            bounds = []  # of the change of volume that the pressure makes, m3, at the first and the last instant
+            for f, volume in ((self.first, self.volumes[0]), (self.last, self.volumes[-1])):
+                data = f["target"].data
+                ratios = volume_ratios(metal, mean_pressure(data["stress"][own]), data["T"][own], T_0)
+                bounds.append([float(volume[own] @ (J - 1.0)) for J in ratios])
+            (low_0, high_0), (low, high) = bounds
+            start, end = self.volumes[0][own].sum(), self.volumes[-1][own].sum()
+            excess = max(end - start - (high - low_0), low - high_0 - (end - start), 0.0)
+            self.hold(
+                "volume", excess / (start if b else self.p.volume), VOLUME, f"volume of body {b} against its pressure"
+            )
+            if b:
+                self.hold("joined", start / expected - 1.0, JOINED, f"volume of splat {b} against its mass")
+
+    def kinetic_and_elastic(self) -> None:
+        """Energies of the fields at the end against those of the history."""
+        points, cells = self.last["particle"].data, self.last["target"].data
+        each = self.mass / len(self.last["particle"].points)
+        rho = np.array([metal.rho for metal, *_ in self.bodies])[self.body]
+        shares = np.repeat(self.volumes[0] * rho / 4.0, 4)
+        nodal = np.bincount(self.last["target"].cells.ravel(), shares, len(self.last["target"].points))
+        energies = {
+            "kinetic_particle": 0.5 * each * float(np.sum(points["velocity"].astype(float) ** 2)),
+            "kinetic_target": 0.5 * float(nodal @ np.sum(cells["velocity"].astype(float) ** 2, axis=1)),
+            "elastic_particle": elastic_energy(
+                self.metal, points["stress"], np.full(len(points["T"]), each / self.metal.rho)
+            ),
+            "elastic_target": 0.0,
+        }
+        for b, (metal, *_) in enumerate(self.bodies):
+            own = self.body == b
+            before, after = (f["target"].data["stress"][own] for f in (self.first, self.last))
+            volume = self.volumes[0][own]
+            energies["elastic_target"] += elastic_energy(metal, after, volume) - elastic_energy(metal, before, volume)
+        for name, energy in energies.items():
+            kind, body = name.split("_")
+            off = (energy - self.rows[name][-1]) / self.energy
+            self.hold(kind, off, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
+
+    def heat(self) -> None:
+        """Rise of temperature against plastic work and friction: conduction only moves it."""
+        varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
+        warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
+        for b, (metal, *_) in enumerate(self.bodies):
+            own = self.body == b
+            before, after = (f["target"].data["T"][own].astype(float) for f in (self.first, self.last))
+            warmed += metal.rho * float(self.volumes[0][own] @ heat(metal, before, after, varies))
+        work = [float(self.rows[name][-1]) for name in ("plastic_particle", "plastic_target", "friction")]
+        shares = [metal.taylor_quinney for metal, *_ in self.bodies]
+        low, high = (self.metal.taylor_quinney * work[0] + share * work[1] for share in (min(shares), max(shares)))
+        if not self.effects.plastic_heating:
+            low = high = 0.0
+        high += work[2] if self.effects.friction_heat else 0.0
+        excess = max(warmed - high, low - warmed, 0.0) / (sum(work) + 0.01 * self.energy)
+        self.hold("heat", excess, HEAT, "heat against plastic work")
+
+    def ranges(self) -> None:
+        """Temperatures, stresses and plastic strains of every written step."""
+        coldest = min(self.p.temperature, *(T for _, T, _ in self.bodies)) - 1.0
+        before: dict[str, Array] = {}
+        for instant in self.instants:
+            parts = [("particle", self.metal, np.full(len(instant["particle"].points), True))]
+            parts += [("target", metal, self.body == b) for b, (metal, *_) in enumerate(self.bodies)]
+            for name, metal, own in parts:
+                data = {key: instant[name].data[key][own].astype(float) for key in ("T", "eps_p", "von_mises")}
+                place = f"{self.where}: {name} at {data['T'].min():.0f} K, colder than all at the start"
+                self.found.fault(data["T"].min() < coldest, place)
+                molten = any("beyond melting" in text for text in self.found.warned)
+                self.hold(
+                    "melting", data["T"].max() / metal.T_m, np.inf if molten else 1.0, "T over T_m, without a warning"
+                )
+                stress = float((data["von_mises"] / greatest_flow_stress(metal, data["eps_p"])).max())
+                self.hold("yield", stress, YIELD, f"von Mises stress of the {name} over the law's")
+                self.hold("eps_p", data["eps_p"].max(), np.inf, "")
+            for name in ("particle", "target"):
+                strain = instant[name].data["eps_p"]
+                fallen = float((before.get(name, strain) - strain).max())
+                self.hold("fallen", max(fallen, 0.0), 1e-6, f"a plastic strain of the {name} fell")
+                before[name] = strain
+
+    def measures(self) -> None:
+        """The record of the summary against the fields at the end; None is no number."""
+        points, cells = self.last["particle"].data, self.last["target"].data
+        thickness = float(np.ptp(self.last["surface"].points[:, 2]))
+        expected = {  # value, size below which a difference does not count
+            "thickness_m": (thickness, 1e-2 * self.p.diameter), "flattening_ratio_total": (1.0 - thickness / self.p.diameter, 0.1),
+            "eps_p_max": (points["eps_p"].max(), 0.1), "eps_p_mean": (points["eps_p"].mean(), 0.1), "T_max_K": (points["T"].max(), 1.0),
+            "target_eps_p_max": (cells["eps_p"].max(), 0.1), "target_T_max_K": (cells["T"].max(), 1.0),
+            "velocity_z_m_s": (points["velocity"][:, 2].mean(), self.p.velocity),
+        }  # fmt: skip
+        for name, (number, size) in expected.items():
+            reported = value(self.record, name)
+            off = 0.0 if reported is None else abs(reported - number) / max(abs(number), size)
+            self.found.fault(
+                off > SAME, f"{self.where}: {name} is {reported} in the summary, {number:.6g} from the fields"
+            )
+        flattening = value(self.record, "flattening_ratio_total")
+        bad = self.p.shape == "sphere" and flattening is not None and not -0.01 <= flattening <= 1.0
+        self.found.fault(bad, f"{self.where}: flattening of the whole thickness is {flattening}")
