@@ -290,7 +290,33 @@ def test_the_time_between_checkpoints_is_a_time(value: str, capsys: pytest.Captu
     assert "is not a number of seconds above zero" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("limit", "amount", "says"), [("v", 500_000, "address space"), ("n", 20, "open files")])
+def test_one_rank_says_what_is_wrong(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("PMI_RANK", "1")
+    with pytest.raises(SystemExit):
+        main(["run", "x.toml", "--checkpoint=nan"])
+    assert capsys.readouterr().err == ""
+
+
+def test_a_file_that_reaches_its_limit_is_named(tmp_path: Path) -> None:
+    program = f"""
+import resource, numpy as np
+from coupler.files.store import Store
+resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
+with Store.create({str(tmp_path / "run")!r}, "") as store:
+    for k in range(50):
+        points = np.random.default_rng(k).random((2000, 3))
+        store.write("particle", float(k), points, np.arange(2000)[:, None])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert "particle.vtkhdf: File too large; steps written before are kept" in done.stderr.splitlines()[-1]
+    assert len(Result(tmp_path / "run").times()) > 0
+
+
+@pytest.mark.parametrize(
+    ("limit", "amount", "says"),
+    [("v", 500_000, "address space"), ("n", 20, "open files"), ("f", 9000, "files are limited")],
+)
 def test_tight_limits_of_the_process_are_one_message(limit: str, amount: int, says: str) -> None:
     command = f"ulimit -{limit} {amount}; exec '{sys.executable}' -m coupler check x.toml"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=60)

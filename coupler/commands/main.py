@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, NoReturn, TypedDict, TypeVar, Unpack
 
 from ..errors import ColdsprayError, speaks
 from ..files.inputs import bounded_memory, reading
@@ -93,7 +93,7 @@ def missing_library(error: Exception) -> str | None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="coldspray", description="Cold spray impacts: SPH particle, FE target.")
+    parser = _Parser(prog="coldspray", description="Cold spray impacts: SPH particle, FE target.")
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
@@ -160,6 +160,15 @@ def _parser() -> argparse.ArgumentParser:
     accuracy_command.add(commands)
     map_command.add(commands)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """Of several ranks, one says what is wrong with the command line."""
+
+    def error(self, message: str) -> NoReturn:
+        if not speaks():
+            self.exit(2)
+        super().error(message)
 
 
 class _Version(argparse.Action):

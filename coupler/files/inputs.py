@@ -24,6 +24,7 @@ DEPTH_LIMIT = 32  # tables within tables
 INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
+_LEAST_FILE = 16 * 1024**2  # bytes: MPI keeps its messages in files in memory
 # tomllib keeps a copy of every prefix of a dotted key: the memory grows with the square of its length
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
 
@@ -212,6 +213,9 @@ def _check_own_limits() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         if wanted < _LEAST_DESCRIPTORS:
             raise LimitError(f"only {hard} open files are allowed, {_LEAST_DESCRIPTORS} are needed: raise ulimit -n")
+    longest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    if 0 <= longest < _LEAST_FILE:
+        raise LimitError(f"files are limited to {_bytes(longest)}, {_bytes(_LEAST_FILE)} are needed: raise ulimit -f")
     space = resource.getrlimit(resource.RLIMIT_AS)[0]
     if 0 <= space < _LEAST_ADDRESS_SPACE:
         raise LimitError(

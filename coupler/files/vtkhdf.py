@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
+import resource
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -129,6 +131,8 @@ class VtkHdfWriter:
         # Better not to begin a step that has no room: one that breaks off may take an index with it.
         if shutil.disk_usage(self.path.parent).free < size + SPARE:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        if self._file.id.get_filesize() + size + SPARE > _longest_file():
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
         state = replace(self._state, rows=dict(self._state.rows), steps=self._state.steps + 1)
         self._topology(state, cells, len(xyz))
         names = (sorted(fields["PointData"]), sorted(fields["CellData"]))
@@ -204,6 +208,12 @@ class VtkHdfWriter:
             data[start:] = values
         state.rows[name] = start + len(values)
         return start
+
+
+def _longest_file() -> float:
+    """Bytes that a file of this process may have."""
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
+    return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
 def _fields(data: Mapping[str, ArrayLike], count: int, what: str) -> dict[str, NDArray[np.float32]]:
