@@ -53,6 +53,9 @@ class Report(TypedDict, total=False):
     wall_s: float
 
 
+LARGEST = 1e30  # of any value, SI: its square is still a number
+
+
 @dataclass(frozen=True)
 class Cloud:
     """Points of one splat and their state; a field that the cloud does not have is None. SI units.
@@ -111,20 +114,20 @@ class Cloud:
             shape = (n, columns) if columns else (n,)
             if np.shape(values) != shape:
                 raise SplatError(f"{name} must have the shape {shape}, has {np.shape(values)}")
-            bad = np.flatnonzero(~np.isfinite(np.asarray(values).reshape(n, -1)).all(axis=1))
+            bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
             if len(bad):
                 raise SplatError(
-                    f"{name} of {len(bad)} points is not a number (first: point {bad[0]}): remove or mend them"
+                    f"{name} of {len(bad)} points is not a number, or beyond {LARGEST:g} (first: point {bad[0]}): remove or mend them"
                 )
         for name in ("spacing", "rho"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise SplatError(f"{name} must be positive, is {getattr(self, name):g}")
+            if not 1.0 / LARGEST < getattr(self, name) < LARGEST:
+                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {getattr(self, name):g}")
         if not np.min(self.volume) > 0.0 or (self.J is not None and not np.min(self.J) > 0.0):
             raise SplatError("volume and J of every point must be positive")
         self._check_places(x)
         if self.surface is not None:
             vertices, triangles = self.surface
-            if not np.isfinite(vertices).all():
+            if not (np.abs(vertices) < LARGEST).all():
                 raise SplatError("the carried surface has vertices that are not numbers: leave it out, or mend it")
             if problem := open_or_double(np.asarray(triangles, np.int64)):
                 raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or mend it")

@@ -200,6 +200,8 @@ def main(folder: Path) -> None:
         summary = {"error": None, "bodies": reports, "report": _total(reports, sorting)}
     except SplatError as problem:
         summary = {"error": str(problem)}
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
+        summary = {"error": f"no body can be made of this cloud ({type(problem).__name__}: {problem})"}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
