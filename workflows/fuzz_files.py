@@ -463,6 +463,8 @@ def main(argv: list[str] | None = None) -> int:
                 shutil.copy(log, kept / "log")
                 print(f"seed {seed}: {said}\n  {' '.join(command)}\n  {wrong}; see {kept}", flush=True)
             shutil.rmtree(folder)
+            if (count := ends.total()) % 50 == 0:
+                print(f"{count} mutations, {bad} ended badly", file=sys.stderr, flush=True)
     print(f"{arguments.n} mutations, {bad} ended badly; the longest {longest[0]:.1f} s ({longest[1]})")
     print(", ".join(f"{kind} {count}" for kind, count in sorted(ends.items())))
     return 1 if bad else 0
