@@ -93,7 +93,9 @@ def missing_library(error: Exception) -> str | None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="coldspray", description="Cold spray impacts: SPH particle, FE target.")
+    parser: argparse.ArgumentParser = _Parser(
+        prog="coldspray", description="Cold spray impacts: SPH particle, FE target."
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
