@@ -4,11 +4,15 @@ from math import sqrt
 
 from numba import njit
 
+from ..state.arrays import Bools, Floats, Ints
 from .kernels import closest_on_triangle
 
 
 @njit(cache=True, nogil=True)
-def facing(points, outward, start, boxes, ids, facets, x, face, weights, gap):
+def facing(
+    points: Floats, outward: Floats, start: Ints, boxes: Ints, ids: Ints, facets: Ints, x: Floats, face: Ints, weights:
+    Floats, gap: Floats,
+) -> None:  # fmt: skip
     """The closest triangle that each point looks at, if any: face (n,), weights (n,3), signed gap (n,) m are written.
 
     outward (n,3): normals of the surface at the points; a triangle is looked at when its normal is against it. start,
@@ -42,7 +46,7 @@ def facing(points, outward, start, boxes, ids, facets, x, face, weights, gap):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _area_vector(A, B, C):
+def _area_vector(A: Floats, B: Floats, C: Floats) -> tuple[float, float, float]:
     """(B - A) x (C - A): twice the area along the outward normal."""
     u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
     v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
@@ -50,7 +54,9 @@ def _area_vector(A, B, C):
 
 
 @njit(cache=True, nogil=True)
-def damage_at(open2, slip2, k, weakness_n, weakness_s, ease_n, ease_s, alpha):
+def damage_at(
+    open2: float, slip2: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
+) -> float:  # fmt: skip
     """Damage (0 to 1) of a bond that is opened so far for the first time. Camanho & Davila (2002), NASA/TM-2002-211737.
 
     open2, slip2: squares of the opening and the slip, m2; k: penalty stiffness, Pa/m; weakness: 1/strength in tension and
@@ -78,8 +84,9 @@ def damage_at(open2, slip2, k, weakness_n, weakness_s, ease_n, ease_s, alpha):
 
 @njit(cache=True, nogil=True)
 def bond_forces(
-    x, nodes, triangles, weights, gap, area, stiffness, weakness, ease, alpha, loose, damage, opening, traction, f, sums
-):  # fmt: skip
+    x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
+    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, f: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
 
     x (N,3) m; nodes (n,), triangles (n,3), weights (n,3): node i is tied to the point sum w x of its triangle; gap (n,)
@@ -156,7 +163,7 @@ def bond_forces(
 
 
 @njit(cache=True, nogil=True)
-def spring_load(nodes, triangles, weights, strength, load):
+def spring_load(nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, load: Floats) -> None:
     """Row sums of the springs' stiffness, N/m, added to load (N,): the largest load / mass bounds omega^2 (Gershgorin).
 
     strength (n,) N/m: of the spring between each node and its foot, in any direction.

@@ -2,10 +2,13 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from ..state.arrays import Floats, Ints
 
 
 @njit(cache=True, nogil=True)
-def facet_boxes(x, facets, ids, corners, low, high):
+def facet_boxes(x: Floats, facets: Ints, ids: Ints, corners: Floats, low: Floats, high: Floats) -> None:
     """Corners (k,3,3) of the triangles `ids` and the boxes (k,3) around them."""
     for r in range(len(ids)):
         t = facets[ids[r]]
@@ -17,7 +20,7 @@ def facet_boxes(x, facets, ids, corners, low, high):
 
 
 @njit(cache=True, nogil=True)
-def bounds(low, high):
+def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Smallest of low (n,3) and largest of high (n,3)."""
     least, most = np.full(3, np.inf), np.full(3, -np.inf)
     for i in range(len(low)):
@@ -28,7 +31,7 @@ def bounds(low, high):
 
 
 @njit(cache=True, nogil=True)
-def points_within(points, low, high):
+def points_within(points: Floats, low: Floats, high: Floats) -> Ints:
     """Which of points (n,3) lie in the box [low, high], ascending."""
     found = np.empty(len(points), np.int64)
     count = 0
@@ -41,7 +44,9 @@ def points_within(points, low, high):
 
 
 @njit(cache=True, nogil=True)
-def candidates(points, low, high, cell, capacity):
+def candidates(
+    points: Floats, low: Floats, high: Floats, cell: float, capacity: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
     """Pairs of points and boxes that overlap, by a hash-free grid over the points within the bounds of all boxes.
 
     points (n,3); low, high (k,3) boxes; cell: grid spacing. Returns (start (n+1,), box indices, needed): CSR of the
@@ -113,7 +118,7 @@ def candidates(points, low, high, cell, capacity):
 
 
 @njit(cache=True, nogil=True)
-def boxes_within(ids, low, high, least, most):
+def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floats) -> NDArray[np.int64]:
     """Those of the boxes `ids`, rows of low and high (k,3), that overlap the box [least, most]."""
     found = np.empty(len(ids), np.int64)
     count = 0

@@ -5,9 +5,11 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from ..state.arrays import Floats, Ints
+
 
 @njit(cache=True, nogil=True, inline="always")
-def closest_on_triangle(p, a, b, c):
+def closest_on_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float]:
     """Barycentric weights (wa, wb, wc) of the point of triangle abc closest to p. Ericson (2005), section 5.1.5."""
     ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -43,7 +45,9 @@ def closest_on_triangle(p, a, b, c):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _solve3(a, b, c, d, e, f, r0, r1, r2):
+def _solve3(
+    a: float, b: float, c: float, d: float, e: float, f: float, r0: float, r1: float, r2: float,
+) -> tuple[float, float, float]:  # fmt: skip
     """Solve the symmetric system [[a, f, e], [f, b, d], [e, d, c]] g = r."""
     m00, m01, m02 = b * c - d * d, d * e - f * c, f * d - b * e
     det = a * m00 + f * m01 + e * m02
@@ -57,7 +61,7 @@ def _solve3(a, b, c, d, e, f, r0, r1, r2):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _box_distance2(p, low, high):
+def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
     """Square of the distance of p from the box [low, high], m2."""
     u = max(low[0] - p[0], p[0] - high[0], 0.0)
     v = max(low[1] - p[1], p[1] - high[1], 0.0)
@@ -66,7 +70,7 @@ def _box_distance2(p, low, high):
 
 
 @njit(cache=True, nogil=True)
-def moved(corners, before):
+def moved(corners: Floats, before: Floats) -> float:
     """The farthest that any corner (k,3,3) is from where it was before, m."""
     most = 0.0
     for r in range(len(corners)):
@@ -81,7 +85,7 @@ def moved(corners, before):
 
 
 @njit(cache=True, nogil=True)
-def due(rows, xp, seen, room, shift):
+def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, shift: float) -> Ints:
     """Those of `rows` that may have come within reach of the triangles since they were looked at.
 
     seen (n,3): where each point was then; room (n,): how far it and the triangles could move before, m, less how far
@@ -100,7 +104,7 @@ def due(rows, xp, seen, room, shift):
 
 
 @njit(cache=True, nogil=True)
-def note(rows, xp, gap, lead, seen, room):
+def note(rows: Ints, xp: Floats, gap: Floats, lead: float, seen: Floats, room: Floats) -> None:
     """Remember for `due` where the points of `rows` are, and their gaps less `lead`, m."""
     for q in range(len(rows)):
         i = rows[q]
@@ -109,7 +113,10 @@ def note(rows, xp, gap, lead, seen, room):
 
 
 @njit(cache=True, nogil=True)
-def closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap):
+def closest_facets(
+    xp: Floats, rows: Ints, start: Ints, boxes: Ints, corners: Floats, low: Floats, high: Floats, nearest: Ints, foot: Floats,
+    gap: Floats,
+) -> None:  # fmt: skip
     """Which of its candidate triangles each point of `rows` is closest to, where, and how far away.
 
     xp, start, boxes as in `contact_forces`; corners (k,3,3), low, high (k,3): the triangles now and the boxes around
@@ -157,9 +164,10 @@ def closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, ga
 
 @njit(cache=True, nogil=True)
 def contact_forces(
-    dt, tiny, stiffness, tangential, mu, xp, vp, rows, boxes, facet_ids, nearest, foot, gaps, facets, x, v,
-    f_point, f_node, spring, heat_point, heat_facet, share, sums, depth,
-):  # fmt: skip
+    dt: float, tiny: float, stiffness: float, tangential: float, mu: float, xp: Floats, vp: Floats, rows: Ints, boxes: Ints,
+    facet_ids: Ints, nearest: Ints, foot: Floats, gaps: Floats, facets: Ints, x: Floats, v: Floats, f_point: Floats, f_node:
+    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats, depth: Floats,
+) -> None:  # fmt: skip
     """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
 
     xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (indices into facet_ids) with

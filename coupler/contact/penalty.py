@@ -6,6 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
+from ..state.arrays import Floats
 from ..state.records import Shape, assign, collect
 from . import broad
 from . import kernels as k
@@ -161,7 +162,9 @@ class PointContact:
         self._nearest[rows[self._gap[rows] < -deepest]] = -1
         k.note(rows, xp, self._gap, shift, self._seen, self._room)
 
-    def forces(self, dt: float, xp, vp, x, v, f_point, f_node) -> None:
+    def forces(
+        self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats
+    ) -> None:  # fmt: skip
         """Add the contact forces of this instant to f_point (n,3) and f_node (N,3), N; friction moves on by dt s.
 
         Of xp, vp (n,3) only `rows` are read, of f_point only they are written.

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..physics.constitutive import von_mises_squared
+from ..state.arrays import Floats, Ints, Matrix, Symmetric
 
 BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
 ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN
@@ -20,7 +21,7 @@ CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root 
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _gradient(a0, a1, a2, a3, B):
+def _gradient(a0: Floats, a1: Floats, a2: Floats, a3: Floats, B: Floats) -> Matrix:
     """Sum over the four nodes of a_I (x) dN_I/dX, row by row; node 0 carries minus the gradients of the others."""
     d10, d11, d12 = a1[0] - a0[0], a1[1] - a0[1], a1[2] - a0[2]
     d20, d21, d22 = a2[0] - a0[0], a2[1] - a0[1], a2[2] - a0[2]
@@ -39,7 +40,9 @@ def _gradient(a0, a1, a2, a3, B):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _cofactor(f00, f01, f02, f10, f11, f12, f20, f21, f22):
+def _cofactor(
+    f00: float, f01: float, f02: float, f10: float, f11: float, f12: float, f20: float, f21: float, f22: float,
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
     """Cofactor matrix of F (that is J F^-T), row by row, and J."""
     c00 = f11 * f22 - f12 * f21
     c01 = f12 * f20 - f10 * f22
@@ -54,7 +57,7 @@ def _cofactor(f00, f01, f02, f10, f11, f12, f20, f21, f22):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _nine(rows, i):
+def _nine(rows: Floats, i: int) -> Matrix:
     """Column i of nine rows: a matrix, row by row."""
     return (
         rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
@@ -62,7 +65,9 @@ def _nine(rows, i):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _turned(wx, wy, wz, sxx, syy, szz, syz, sxz, sxy):
+def _turned(
+    wx: float, wy: float, wz: float, sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float,
+) -> Symmetric:  # fmt: skip
     """R s R^T with the rotation R = (1 - W/2)^-1 (1 + W/2) (Cayley) of a step; (wx, wy, wz): axial vector of W/2."""
     ww = 2.0 / (1.0 + wx * wx + wy * wy + wz * wz)
     r00, r11, r22 = 1.0 - ww * (wy * wy + wz * wz), 1.0 - ww * (wx * wx + wz * wz), 1.0 - ww * (wx * wx + wy * wy)
@@ -79,7 +84,9 @@ def _turned(wx, wy, wz, sxx, syy, szz, syz, sxz, sxy):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _row_times(a, b, c, sxx, syy, szz, syz, sxz, sxy):
+def _row_times(
+    a: float, b: float, c: float, sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float,
+) -> tuple[float, float, float]:  # fmt: skip
     """The row (a, b, c) times a symmetric matrix."""
     return a * sxx + b * sxy + c * sxz, a * sxy + b * syy + c * syz, a * sxz + b * syz + c * szz
 
@@ -107,7 +114,7 @@ ROWS = 51
 
 
 @njit(cache=True, nogil=True, inline="always")
-def rows_of(w):
+def rows_of(w: Floats) -> Rows:
     """The rows of w by name."""
     return Rows(
         w[0:9], w[9:18], w[18:27], w[27:33], w[33:42],
@@ -116,7 +123,10 @@ def rows_of(w):
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
-def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w):
+def kinematics(
+    first: int, hi: int, dt: float, x: Floats, v: Floats, conn: Ints, B: Floats, V0: Floats, volume: Floats, p: Floats, two_G:
+    Floats, law_of: Ints, s: Floats, w: Floats,
+) -> None:  # fmt: skip
     """Lay out the block of elements that begins with `first`, and what its motion from n to n+1 does, into w.
 
     Arrays as in `coupler.fe.kernels.element_forces`; two_G (k,) Pa, twice the shear modulus of each law; w (ROWS, BLOCK).
@@ -183,7 +193,7 @@ def kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w)
 
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
-def nodal_forces(first, hi, B, w, fe):
+def nodal_forces(first: int, hi: int, B: Floats, w: Floats, fe: Floats) -> None:
     """P = sigma cof(F) of a block and what it puts on the nodes, f_I = -V0 P B_I into fe (m,4,3)."""
     b = rows_of(w)
     C, S, P, pressure = b.C, b.S, b.P, b.pressure

@@ -373,7 +373,7 @@ class Target:
         if reached >= self.reach:
             self.reach = float(np.nextafter(reached, np.inf))
             self._wake(0.0)
-        gain = np.bincount(elements, heat, len(self.T))
+        gain = np.asarray(np.bincount(elements, heat, len(self.T)), float)
         self.sums[2] += take_heat(
             0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y
         )

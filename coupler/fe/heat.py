@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
+from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape, assign, check_indices, collect
 from .mesh import TetMesh
 
@@ -161,7 +162,7 @@ class Conduction:
 
 
 @njit(cache=True, nogil=True)
-def shares(lo, hi, V0, laws, law_of, T, share):
+def shares(lo: int, hi: int, V0: Floats, laws: Laws, law_of: Ints, T: Floats, share: Floats) -> None:
     """A quarter of each element's heat capacity, J/K, into share (m,): what each of its nodes carries."""
     for e in range(lo, hi):
         law = laws[law_of[e]]
@@ -169,7 +170,9 @@ def shares(lo, hi, V0, laws, law_of, T, share):
 
 
 @njit(cache=True, nogil=True)
-def means(lo, hi, start, table, share, value, capacity, mean):
+def means(
+    lo: int, hi: int, start: Ints, table: Ints, share: Floats, value: Floats, capacity: Floats, mean: Floats,
+) -> None:  # fmt: skip
     """Mean of an element's value (m,) at nodes, weighted with heat capacities: mean (n,) and capacity (n,) J/K."""
     for a in range(lo, hi):
         total = 0.0
@@ -183,7 +186,7 @@ def means(lo, hi, start, table, share, value, capacity, mean):
 
 
 @njit(cache=True, nogil=True)
-def excesses(lo, hi, dt, conn, nodal, T, rate, own):
+def excesses(lo: int, hi: int, dt: float, conn: Ints, nodal: Floats, T: Floats, rate: Floats, own: Floats) -> None:
     """What of its temperature above the mean of its nodes each element loses over dt (s), K, into own (m,)."""
     for e in range(lo, hi):
         mean = 0.25 * (nodal[conn[e, 0]] + nodal[conn[e, 1]] + nodal[conn[e, 2]] + nodal[conn[e, 3]])
@@ -191,7 +194,10 @@ def excesses(lo, hi, dt, conn, nodal, T, rate, own):
 
 
 @njit(cache=True, nogil=True)
-def flows(lo, hi, x, conn, volume, laws, law_of, T, share, rate, flow):
+def flows(
+    lo: int, hi: int, x: Floats, conn: Ints, volume: Floats, laws: Laws, law_of: Ints, T: Floats, share: Floats, rate: Floats,
+    flow: Floats,
+) -> float:  # fmt: skip
     """Heat that each element conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,).
 
     k is taken at the mean of the nodes. rate (m,): k v tr(sum b b^T) / capacity, 1/s. Returns the largest rate.
@@ -221,7 +227,9 @@ def flows(lo, hi, x, conn, volume, laws, law_of, T, share, rate, flow):
 
 
 @njit(cache=True, nogil=True)
-def changes(lo, hi, dt, start, table, flow, capacity, mean, change):
+def changes(
+    lo: int, hi: int, dt: float, start: Ints, table: Ints, flow: Floats, capacity: Floats, mean: Floats, change: Floats,
+) -> None:  # fmt: skip
     """Rise of temperature of each node over dt (s), K, into change (n,): mean (n,) K and what flows in."""
     for a in range(lo, hi):
         heat = 0.0
@@ -231,7 +239,7 @@ def changes(lo, hi, dt, start, table, flow, capacity, mean, change):
 
 
 @njit(cache=True, nogil=True)
-def gains(lo, hi, conn, share, change, own, gain):
+def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floats, gain: Floats) -> None:
     """Heat each element gains as its nodes change their temperature and as it loses its own (m,) K to them, J."""
     for e in range(lo, hi):
         rise = change[conn[e, 0]] + change[conn[e, 1]] + change[conn[e, 2]] + change[conn[e, 3]]
@@ -239,7 +247,9 @@ def gains(lo, hi, conn, share, change, own, gain):
 
 
 @njit(cache=True, nogil=True)
-def take_heat(lo, hi, gain, V0, laws, law_of, T, heat, sigma_y):
+def take_heat(
+    lo: int, hi: int, gain: Floats, V0: Floats, laws: Laws, law_of: Ints, T: Floats, heat: Floats, sigma_y: Floats,
+) -> float:  # fmt: skip
     """Give elements heat, gain (m,) J: T by enthalpy, softening of sigma_y (m,); heat (m,) J, what of it makes pressure.
 
     Returns that part of all of it, J.

@@ -11,7 +11,8 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..physics.constitutive import bulk_stiffness, harden, mie_gruneisen, on
+from ..physics.constitutive import Law, bulk_stiffness, harden, mie_gruneisen, on
+from ..state.arrays import Floats, Ints, Laws
 from .blocks import BLOCK, ROWS, _cofactor, kinematics, nodal_forces, rows_of
 
 SHAPE_LIMIT = 0.5
@@ -19,7 +20,7 @@ SHAPE_STIFFNESS = 0.05
 
 
 @njit(cache=True, nogil=True)
-def volumes(lo, hi, x, conn, volume):
+def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
     """Current volume of each tetrahedron, m3; volume (m,) is written. Returns the smallest."""
     smallest = 1e300
     for e in range(lo, hi):
@@ -34,7 +35,10 @@ def volumes(lo, hi, x, conn, volume):
 
 
 @njit(cache=True, nogil=True)
-def nodal_pressure(lo, hi, start, table, volume, heat, V0_node, laws, law_of_node, J, p, energy):
+def nodal_pressure(
+    lo: int, hi: int, start: Ints, table: Ints, volume: Floats, heat: Floats, V0_node: Floats, laws: Laws, law_of_node: Ints,
+    J: Floats, p: Floats, energy: Floats,
+) -> None:  # fmt: skip
     """Averaged nodal volume ratio and the pressure that goes with it.
 
     start (n+1,), table: rows 4 e + local of the elements around each node. volume (m,) m3 now; heat (m,) J put into
@@ -55,7 +59,7 @@ def nodal_pressure(lo, hi, start, table, volume, heat, V0_node, laws, law_of_nod
 
 
 @njit(cache=True, nogil=True, inline="always")
-def shape_stress(law, J):
+def shape_stress(law: Law, J: float) -> float:
     """Mean stress (Pa) that keeps a tetrahedron from collapsing or blowing up while the nodes around it keep their volume.
 
     Averaged nodal pressure leaves single elements free to trade volume: in a fast crater some sink to a twentieth of
@@ -71,8 +75,10 @@ def shape_stress(law, J):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def element_forces(
-    lo, hi, dt, b1, b2, x, v, conn, B, V0, volume, p, J_node, laws, law_of, s, sigma_y, eps_p, rate, T, heat, fe, sums
-):  # fmt: skip
+    lo: int, hi: int, dt: float, b1: float, b2: float, x: Floats, v: Floats, conn: Ints, B: Floats, V0: Floats, volume:
+    Floats, p: Floats, J_node: Floats, laws: Laws, law_of: Ints, s: Floats, sigma_y: Floats, eps_p: Floats, rate: Floats, T:
+    Floats, heat: Floats, fe: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
     x (n,3) positions at n+1, v (n,3) velocities at n+1/2; B (m,3,3) reference gradients of nodes 1 to 3; s (m,6)
@@ -136,7 +142,7 @@ def element_forces(
 
 
 @njit(cache=True, nogil=True)
-def gather_forces(lo, hi, start, table, fe, f):
+def gather_forces(lo: int, hi: int, start: Ints, table: Ints, fe: Floats, f: Floats) -> None:
     """Sum the element forces at each node: f (n,3) is overwritten for nodes [lo, hi)."""
     for a in range(lo, hi):
         f0 = 0.0
@@ -151,7 +157,7 @@ def gather_forces(lo, hi, start, table, fe, f):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _largest_eigenvalue(a, b, c, d, e, f):
+def _largest_eigenvalue(a: float, b: float, c: float, d: float, e: float, f: float) -> float:
     """Largest eigenvalue of the symmetric matrix [[a, f, e], [f, b, d], [e, d, c]] (closed form)."""
     mean = (a + b + c) / 3.0
     off = f * f + e * e + d * d
@@ -164,7 +170,9 @@ def _largest_eigenvalue(a, b, c, d, e, f):
 
 
 @njit(cache=True, nogil=True)
-def stable_dt(lo, hi, x, conn, J_node, laws, law_of, dt_of):
+def stable_dt(
+    lo: int, hi: int, x: Floats, conn: Ints, J_node: Floats, laws: Laws, law_of: Ints, dt_of: Floats,
+) -> tuple[float, int]:  # fmt: skip
     """Bound on the stable time step of each element, s, into dt_of (m,); returns (smallest, its element).
 
     omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b: the
@@ -201,7 +209,7 @@ def stable_dt(lo, hi, x, conn, J_node, laws, law_of, dt_of):
 
 
 @njit(cache=True, nogil=True)
-def elastic_shear_energy(lo, hi, volume, V0, laws, law_of, s):
+def elastic_shear_energy(lo: int, hi: int, volume: Floats, V0: Floats, laws: Laws, law_of: Ints, s: Floats) -> float:
     """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_stress`, in J."""
     total = 0.0
     for e in range(lo, hi):

@@ -15,6 +15,7 @@ from numba import njit
 
 from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
+from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape
 from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
 from .mesh import TetMesh
@@ -41,7 +42,7 @@ class Oscillator(Protocol):
 
 
 @njit(cache=True, nogil=True)
-def _volume_change(lo, hi, x, w, conn, dv):
+def _volume_change(lo: int, hi: int, x: Floats, w: Floats, conn: Ints, dv: Floats) -> None:
     """Change of each element's volume (m,) per unit of the nodal motion w (n,3)."""
     for e in range(lo, hi):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
@@ -59,7 +60,10 @@ def _volume_change(lo, hi, x, w, conn, dv):
 
 
 @njit(cache=True, nogil=True)
-def _nodal_stiffening(lo, hi, start, table, dv, V0_node, J, laws, law_of_node, dp):
+def _nodal_stiffening(
+    lo: int, hi: int, start: Ints, table: Ints, dv: Floats, V0_node: Floats, J: Floats, laws: Laws, law_of_node: Ints, dp:
+    Floats,
+) -> None:  # fmt: skip
     """Change of mean stress at each node, K dJ, into dp (n,)."""
     for a in range(lo, hi):
         total = 0.0
@@ -69,7 +73,10 @@ def _nodal_stiffening(lo, hi, start, table, dv, V0_node, J, laws, law_of_node, d
 
 
 @njit(cache=True, nogil=True)
-def _forces(lo, hi, x, w, conn, V0, dv, dp, laws, law_of, fe):
+def _forces(
+    lo: int, hi: int, x: Floats, w: Floats, conn: Ints, V0: Floats, dv: Floats, dp: Floats, laws: Laws, law_of: Ints, fe:
+    Floats,
+) -> None:  # fmt: skip
     """Elastic forces of the motion w, element by element, into fe (m,4,3)."""
     for e in range(lo, hi):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]

@@ -13,28 +13,51 @@ An effect that is off is a zero among the law's numbers. In the records that `sp
 tells the compiler that they are zero, and what `on` guards is not in the kernel it makes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import log, sqrt
+from typing import Protocol
 
 import numpy as np
 from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from ..state.arrays import Floats, Laws
 from .materials import Material
 
+
+class Law(Protocol):
+    """A record of LAW as the kernels read it: each number is a field."""
+
+    rho: float
+    G: float
+    K: float
+    s: float
+    Gamma0: float
+    A: float
+    B: float
+    n: float
+    C: float
+    m: float
+    eps_dot_0: float
+    T_ref: float
+    T_m: float
+    softening: float
+    taylor_quinney: float
+    cp_T0: float
+    cp_T1: float
+    cp_0: float
+    cp_slope: float
+    k_T0: float
+    k_T1: float
+    k_0: float
+    k_slope: float
+    rate_filter: float
+    expansion: float
+
+
 #: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
-LAW = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "rho", "G", "K", "s", "Gamma0",
-            "A", "B", "n", "C", "m", "eps_dot_0", "T_ref", "T_m", "softening",
-            "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0", "k_slope",
-            "rate_filter", "expansion",
-        )
-    ]
-)  # fmt: skip
+LAW = np.dtype([(name, np.float64) for name in Law.__annotations__])
 #: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion")
@@ -92,13 +115,13 @@ def on(number: float) -> bool:
 
 
 @overload(on)
-def _on(number):
+def _on(number: object) -> Callable[[float], bool]:
     holds = not isinstance(number, types.Integer)
     return lambda number: holds
 
 
 @njit(cache=True, nogil=True, inline="always")
-def heat_capacity(law, T):
+def heat_capacity(law: Law, T: float) -> float:
     """c_p(T) in J/kgK: linear between the two points of the material data, constant beyond them."""
     if not on(law.cp_slope):
         return law.cp_0
@@ -106,7 +129,7 @@ def heat_capacity(law, T):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def conductivity(law, T):
+def conductivity(law: Law, T: float) -> float:
     """k(T) in W/mK: linear between the two points of the material data, constant beyond them."""
     return law.k_0 + law.k_slope * (min(max(T, law.k_T0), law.k_T1) - law.k_T0)
 
@@ -122,7 +145,7 @@ def conductivities(laws: NDArray | np.void, T: NDArray) -> NDArray[np.float64]:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def heated(law, T, q):
+def heated(law: Law, T: float, q: float) -> float:
     """Temperature (K) after a heat of q J/kg at T (K): exact for a c_p that is linear in T."""
     cp = heat_capacity(law, T)
     slope = law.cp_slope if law.cp_T0 < T < law.cp_T1 else 0.0
@@ -130,7 +153,7 @@ def heated(law, T, q):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def softened(law, sigma_y, old, T):
+def softened(law: Law, sigma_y: float, old: float, T: float) -> float:
     """A yield stress (Pa) after the temperature has gone from `old` to T (K) without plastic flow: Johnson-Cook's 1 - theta^m."""
     if law.softening == 0.0 or max(old, T) <= law.T_ref:
         return sigma_y
@@ -141,7 +164,7 @@ def softened(law, sigma_y, old, T):
 
 
 @njit(cache=True, nogil=True)
-def yield_stress(law, eps_p, rate, T):
+def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
     """Johnson-Cook flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K)."""
     sigma = law.A
     if eps_p > 0.0:
@@ -155,7 +178,9 @@ def yield_stress(law, eps_p, rate, T):
 
 
 @njit(cache=True, nogil=True)
-def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
+def harden(
+    law: Law, deps: float, dt: float, J: float, flow: float, sigma_y: float, eps_p: float, rate: float, T: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Advance the plastic state over one step in which the plastic strain grew by `deps` at the mean stress `flow`
     (Pa).
 
@@ -180,7 +205,7 @@ def harden(law, deps, dt, J, flow, sigma_y, eps_p, rate, T):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def hugoniot_pressure(law, J):
+def hugoniot_pressure(law: Law, J: float) -> float:
     """Pressure on the Hugoniot, p_H = K eta / (1 - s eta)^2 with eta = 1 - J and K = rho c0^2 (Pa)."""
     eta = 1.0 - J
     if on(law.s):
@@ -189,7 +214,7 @@ def hugoniot_pressure(law, J):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def pressure(law, J, energy):
+def pressure(law: Law, J: float, energy: float) -> float:
     """Mie-Grueneisen pressure in Pa: p_H (1 - Gamma0 eta / 2) + Gamma0 E with Gamma rho = Gamma0 rho0.
 
     eta = 1 - J; energy E in J per reference m3.
@@ -198,7 +223,7 @@ def pressure(law, J, energy):
 
 
 @njit(cache=True, nogil=True)
-def mie_gruneisen(law, J_old, J, p_old, energy, heat):
+def mie_gruneisen(law: Law, J_old: float, J: float, p_old: float, energy: float, heat: float) -> tuple[float, float]:
     """Pressure (Pa) and energy (J per reference m3) after a change of volume ratio from J_old to J and an input of
     heat.
 
@@ -211,14 +236,14 @@ def mie_gruneisen(law, J_old, J, p_old, energy, heat):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def bulk_stiffness(law, J):
+def bulk_stiffness(law: Law, J: float) -> float:
     """-dp/dJ on the Hugoniot in Pa: how the compressed material stiffens; enters the stable time step."""
     eta = max(1.0 - J, 0.0)
     return law.K * (1.0 + law.s * eta) / (1.0 - law.s * eta) ** 3
 
 
 @njit(cache=True)
-def pressures(laws, J, energy):
+def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
     """Pressure (n,) Pa of states at rest: one LAW record laws (1,), J (n,), energy (n,) J per reference m3."""
     law = laws[0]
     p = np.empty(len(J))
@@ -228,7 +253,7 @@ def pressures(laws, J, energy):
 
 
 @njit(cache=True)
-def yield_stresses(laws, eps_p, T):
+def yield_stresses(laws: Laws, eps_p: Floats, T: Floats) -> Floats:
     """Yield stress (m,) Pa of states at rest: one LAW record laws (1,), eps_p (m,), T (m,) K."""
     law = laws[0]
     sigma = np.empty(len(T))
@@ -238,7 +263,7 @@ def yield_stresses(laws, eps_p, T):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def von_mises_squared(sxx, syy, szz, syz, sxz, sxy):
+def von_mises_squared(sxx: float, syy: float, szz: float, syz: float, sxz: float, sxy: float) -> float:
     """Square of the equivalent stress of a deviator, 3/2 s:s."""
     return 1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (syz * syz + sxz * sxz + sxy * sxy))
 

@@ -2,9 +2,11 @@
 
 from numba import njit
 
+from ..state.arrays import Floats
+
 
 @njit(cache=True, nogil=True)
-def kick(lo, hi, dt, f, inv_mass, v):
+def kick(lo: int, hi: int, dt: float, f: Floats, inv_mass: Floats, v: Floats) -> None:
     """v += dt f / m; held nodes have inv_mass 0."""
     for a in range(lo, hi):
         w = dt * inv_mass[a]
@@ -14,7 +16,7 @@ def kick(lo, hi, dt, f, inv_mass, v):
 
 
 @njit(cache=True, nogil=True)
-def drift(lo, hi, dt, v, x):
+def drift(lo: int, hi: int, dt: float, v: Floats, x: Floats) -> None:
     """x += dt v."""
     for a in range(lo, hi):
         x[a, 0] += dt * v[a, 0]
@@ -23,7 +25,7 @@ def drift(lo, hi, dt, v, x):
 
 
 @njit(cache=True, nogil=True)
-def work_of(lo, hi, dt, f_old, f, v):
+def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) -> float:
     """Work of forces over a step, sum of dt (f_old + f)/2 . v with v at mid-step, in J."""
     total = 0.0
     for a in range(lo, hi):

@@ -2,9 +2,11 @@
 
 from numba import njit
 
+from ..state.arrays import Floats, Ints
+
 
 @njit(cache=True, nogil=True)
-def combine(rows, start, columns, weights, x, out):
+def combine(rows: Ints, start: Ints, columns: Ints, weights: Floats, x: Floats, out: Floats) -> None:
     """out (k,3) = W x at the given rows of W; x (n,3). start (k+1,), columns, weights: W in compressed rows."""
     for q in range(len(rows)):
         r = rows[q]
@@ -20,7 +22,7 @@ def combine(rows, start, columns, weights, x, out):
 
 
 @njit(cache=True, nogil=True)
-def spread(rows, start, columns, weights, forces, out):
+def spread(rows: Ints, start: Ints, columns: Ints, weights: Floats, forces: Floats, out: Floats) -> None:
     """out (n,3) += W^T forces, of the given rows of forces (k,3) alone, in their order. W as in `combine`."""
     for q in range(len(rows)):
         r = rows[q]
@@ -35,7 +37,7 @@ def spread(rows, start, columns, weights, forces, out):
 
 
 @njit(cache=True, nogil=True)
-def share(rows, start, columns, weights, amounts, out):
+def share(rows: Ints, start: Ints, columns: Ints, weights: Floats, amounts: Floats, out: Floats) -> None:
     """out (n,) += W^T amounts, of the given rows of amounts (k,) alone, in their order. W as in `combine`."""
     for q in range(len(rows)):
         r = rows[q]

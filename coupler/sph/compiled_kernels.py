@@ -13,6 +13,7 @@ from math import sqrt
 from numba import njit
 
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
+from ..state.arrays import Floats, Ints, Laws, Matrix
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 TURNED = 1e-14  # rad: the rotation is exact to rounding
@@ -25,7 +26,7 @@ SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at t
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _inverse(a):
+def _inverse(a: Matrix) -> tuple[Matrix, float]:
     """Inverse of a 3x3 matrix, row by row, and its determinant."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     c00, c01, c02 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
@@ -39,7 +40,7 @@ def _inverse(a):
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _product(a, b):
+def _product(a: Matrix, b: Matrix) -> Matrix:
     """Product of two 3x3 matrices, row by row."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     b00, b01, b02, b10, b11, b12, b20, b21, b22 = b
@@ -51,13 +52,13 @@ def _product(a, b):
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _transposed(a):
+def _transposed(a: Matrix) -> Matrix:
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     return a00, a10, a20, a01, a11, a21, a02, a12, a22
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _polar(F):
+def _polar(F: Matrix) -> Matrix:
     """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
     R = F
     for _ in range(12):
@@ -71,7 +72,7 @@ def _polar(F):
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def rotation(F, R):
+def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
     """Rotation of F = R U and the stretch U, from the rotation of the step before.
 
     A = R^T F, S = sym A: (tr(S) 1 - S) omega is the axial vector of A, and R <- R Cayley(omega) until omega vanishes.
@@ -113,9 +114,10 @@ def rotation(F, R):
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
-    lo, hi, dt, laws, V, H, start, neighbour, w, K_inverse, X, x, v, R, F, Q, stress, effective, sigma_y, eps_p, rate, T, J, p,
-    energy, work,
-):  # fmt: skip
+    lo: int, hi: int, dt: float, laws: Laws, V: float, H: float, start: Ints, neighbour: Ints, w: Floats, K_inverse: Floats,
+    X: Floats, x: Floats, v: Floats, R: Floats, F: Floats, Q: Floats, stress: Floats, effective: Floats, sigma_y: Floats,
+    eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, work: Floats,
+) -> int:  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
     start (n+1,), neighbour, w (m,) 1/m5: neighbours of each point and their W'/r; K_inverse (n,3,3) m3; X (N,3). x, v (N,3):
@@ -213,7 +215,11 @@ def stress_points(
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def pair_forces(lo, hi, pairs, r0, w, W, X, x, v, F, Q, effective, h, c, E, V, rho, Q1, Q2, hourglass, force):
+def pair_forces(
+    lo: int, hi: int, pairs: Ints, r0: Floats, w: Floats, W: Floats, X: Floats, x: Floats, v: Floats, F: Floats, Q: Floats,
+    effective: Floats, h: float, c: float, E: float, V: float, rho: float, Q1: float, Q2: float, hourglass: float, force:
+    Floats,
+) -> None:  # fmt: skip
     """Pass 2: the force (N) on the first point of each pair; on the second it is the opposite.
 
     pairs (m,2); r0 (m,) m, w (m,) 1/m5, W (m,) 1/m3: distance, W'/r and W of the reference; force (m,3) is written. h m: reach of
@@ -255,7 +261,7 @@ def pair_forces(lo, hi, pairs, r0, w, W, X, x, v, F, Q, effective, h, c, E, V, r
 
 
 @njit(cache=True, nogil=True)
-def sum_forces(lo, hi, start, signed, force, f):
+def sum_forces(lo: int, hi: int, start: Ints, signed: Ints, force: Floats, f: Floats) -> None:
     """Sum of the forces of each point's pairs: f (n,3) is written. signed: row of a pair, ~row where the point is its second."""
     for i in range(lo, hi):
         f0 = f1 = f2 = 0.0

@@ -11,11 +11,12 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 import numpy as np
 from numba import njit
 
-from ..physics.constitutive import harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
+from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
+from ..state.arrays import Floats, Laws
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _machdyn_hugoniot(law, J):
+def _machdyn_hugoniot(law: Law, J: float) -> tuple[float, float]:
     """Pressure of MACHDYN's shock equation of state without energy, and its slope in J: the Hugoniot as it stands."""
     eta = 1.0 - J
     w = 1.0 - law.s * eta
@@ -23,7 +24,7 @@ def _machdyn_hugoniot(law, J):
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _volume_ratio(law, mean, J, e):
+def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
     """The J at which MACHDYN's equation of state with the energy e (J/kg) gives this mean stress (Pa): Newton from the last J."""
     if not (on(law.s) or on(law.Gamma0)):
         return 1.0 + mean / law.K
@@ -42,8 +43,10 @@ def _volume_ratio(law, mean, J, e):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_law(
-    laws, dt, H, volume, mass, stress, machdyn_eps, machdyn_e, machdyn_de, sigma_y, eps_p, rate, T, J, p, energy, set_e, work, sums
-):  # fmt: skip
+    laws: Laws, dt: float, H: float, volume: Floats, mass: Floats, stress: Floats, machdyn_eps: Floats, machdyn_e: Floats,
+    machdyn_de: Floats, sigma_y: Floats, eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, set_e:
+    Floats, work: Floats, sums: Floats,
+) -> None:  # fmt: skip
     """Read what MACHDYN did in this step, move the state of every point on, and prescribe the next step.
 
     laws: one LAW record, dt s, H Pa. Per point (n,): volume m3 and mass kg; machdyn_eps, machdyn_e (J), machdyn_de
@@ -75,7 +78,10 @@ def apply_law(
 
 
 @njit(cache=True, nogil=True)
-def warm_points(laws, H, volume, heat, machdyn_eps, sigma_y, T, energy, sums):
+def warm_points(
+    laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, T: Floats, energy: Floats, sums:
+    Floats,
+) -> None:  # fmt: skip
     """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
 
     machdyn_eps (n,), written, prescribes sigma_y for the next step; sums[1] grows by what went into the energy, J.
@@ -93,7 +99,7 @@ def warm_points(laws, H, volume, heat, machdyn_eps, sigma_y, T, energy, sums):
 
 
 @njit(cache=True, nogil=True)
-def stored_energy(laws, volume, stress, J, energy):
+def stored_energy(laws: Laws, volume: Floats, stress: Floats, J: Floats, energy: Floats) -> float:
     """Energy in J that stresses hold: deviators (J V s:s / 4G) and that of the volume, the heat in it included."""
     law = laws[0]
     total = 0.0
@@ -106,7 +112,7 @@ def stored_energy(laws, volume, stress, J, energy):
 
 
 @njit(cache=True, nogil=True)
-def smallest_stretch(strain):
+def smallest_stretch(strain: Floats) -> tuple[float, int]:
     """Smallest principal stretch over all points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
     smallest = 1e300
     where = -1

@@ -249,7 +249,9 @@ class Particle(ABC):
                 self._where(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
             )
 
-    def _callback(self, _caller, _step, _nlocal, _tag, _x, f_out) -> None:
+    def _callback(
+        self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray
+    ) -> None:  # fmt: skip
         if self._on_step is None:
             return
         try:  # an exception must not leave through ctypes: it would be printed and forgotten

@@ -2,10 +2,13 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from ..state.arrays import Floats, Ints
 
 
 @njit(cache=True, nogil=True)
-def winding(vertices, triangles, corner, h, count):
+def winding(vertices: Floats, triangles: Ints, corner: Floats, h: float, count: NDArray[np.int8]) -> None:
     """Winding number of a closed surface about the centres of cubic cells: count (nx,ny,nz), zero before.
 
     vertices (k,3) m, triangles (m,3) outwards; corner (3,): of the first cell, m; h: edge of the cells, m. Along the
@@ -54,7 +57,7 @@ def winding(vertices, triangles, corner, h, count):
 
 
 @njit(cache=True, nogil=True)
-def least_squares_weights(y, x, near, ridge, phi):
+def least_squares_weights(y: Floats, x: Floats, near: Ints, ridge: float, phi: Floats) -> None:
     """Weights phi (m,k) that a linear moving least-squares fit at places y (m,3) gives to the points near[a] (m,k) of x (n,3).
 
     Points count by (1 - r^2 / R^2)^2, R a little beyond the farthest. The fit is centred on their weighted mean, so that

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from ..geometry.triangles import area_vectors
+from ..state.arrays import Floats, Ints
 
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse
@@ -76,7 +77,7 @@ def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
-def _around(t, n):
+def _around(t: Ints, n: int) -> tuple[Ints, Ints]:
     """Triangles around each of n vertices: start (n+1,), table."""
     start = np.zeros(n + 1, np.int64)
     for f in range(len(t)):
@@ -129,7 +130,7 @@ def _collapse_all(
 
 
 @njit(cache=True, nogil=True)
-def _turned(x, t, f, old, p):
+def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
     """Whether triangle f turns too far or vanishes when its corner `old` moves to p."""
     c = np.empty((3, 3))
     d = np.empty((3, 3))
@@ -146,7 +147,7 @@ def _turned(x, t, f, old, p):
 
 
 @njit(cache=True, nogil=True)
-def _collapse(x, t, start, table, edges, longest, fixed):
+def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest: Floats, fixed: int) -> int:
     """Collapse edges, in their order, to their middles, or to their first end where that is one of the first `fixed` vertices.
 
     longest (e,): edges that a collapse may leave. x and t change in place, gone triangles are -1. Returns how many.
@@ -221,7 +222,7 @@ def _split_all(x: np.ndarray, t: np.ndarray, longest: float, fixed: int, scale: 
 
 
 @njit(cache=True, nogil=True)
-def _split(x, t, start, table, edges):
+def _split(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> tuple[Floats, Ints]:
     """Put a vertex in the middle of edges that share no triangle; returns the new x and t."""
     touched = np.zeros(len(t), np.bool_)
     points = np.empty((len(edges), 3))
@@ -260,7 +261,7 @@ def _flip_all(x: np.ndarray, t: np.ndarray, fixed: int) -> tuple[np.ndarray, np.
 
 
 @njit(cache=True, nogil=True)
-def _flip(x, t, start, table, edges):
+def _flip(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> int:
     """Turn edges where that brings the four vertices nearer to six neighbours each; t changes in place. Returns how many."""
     touched = np.zeros(len(t), np.bool_)
     valence = start[1:] - start[:-1]
