@@ -1,7 +1,7 @@
 """A particle that has bonded in its impact: vertices of its surface held to the facets they lie on while it rebounds."""
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class Hold:
 
     def __init__(
         self, rows: np.ndarray, facets: np.ndarray, xp: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
-        **law: Any,
+        **law: float,
     ):  # fmt: skip
         """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; law: strengths
         (Pa) and energies (J/m2) as `Bond` takes them, none to hold for ever. Raises SolverError as `Bond` does."""

@@ -236,6 +236,6 @@ def _check(value: np.ndarray, spec: Shape, name: str) -> None:
         raise ValueError(f"{name} is an array {value.shape} of {value.dtype}, not {spec.shape} of {spec.dtype}")
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = str(value)
     return text if len(text) <= 24 else text[:12] + "..."

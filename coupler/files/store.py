@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, TextIO
+from typing import Annotated, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -208,7 +208,7 @@ class Store:
             self._history.flush()
             self._rows.extend(values)
 
-    def finish(self, summary: Mapping[str, Any]) -> None:
+    def finish(self, summary: Mapping[str, object]) -> None:
         """Write summary.json whole or not at all. Numbers that are not finite become null."""
         text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
         with _named(self.directory / SUMMARY):
@@ -299,7 +299,7 @@ def _replace(path: Path, text: str) -> None:
         raise
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """What JSON can hold: numpy becomes plain numbers and lists, numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -112,22 +112,22 @@ class Adhesion:
         pressure: np.ndarray | None = None,
         velocity_ratio: float | None = None,
     ) -> np.ndarray:
-        """Mask of the interface's nodes that are bonded, from what the criterion looks at.
+        """Mask of the interface's nodes that are bonded, by the criterion.
 
         plastic_strain, pressure (nodes,): at the interface, the larger of both sides or of the history of contact as the
-        caller sees fit; velocity_ratio: of the impact to the critical velocity. Raises ValueError where the one that is looked
-        at is missing.
+        caller sees fit; velocity_ratio: of the impact to the critical velocity. Raises ValueError where the value of the
+        criterion is missing.
         """
         if self.kind == "none":
             return np.zeros(nodes, bool)
         if self.criterion == "all":
             return np.ones(nodes, bool)
-        values: dict[str, Any] = {
+        values: dict[str, np.ndarray | float | None] = {
             "plastic_strain": plastic_strain, "pressure": pressure, "velocity": velocity_ratio
         }  # fmt: skip
         value = values[self.criterion]
         if value is None:
-            raise ValueError(f"the criterion {self.criterion!r} of adhesion was given nothing to look at")
+            raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value, and there is none")
         threshold = 1.0 if self.threshold is None else self.threshold
         return np.broadcast_to(np.asarray(value) >= threshold, (nodes,)).copy()
 

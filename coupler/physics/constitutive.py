@@ -115,9 +115,13 @@ def on(number: float) -> bool:
 
 
 @overload(on)
-def _on(number: object) -> Callable[[float], bool]:
+def _on(number: object) -> Callable[[object], bool]:
     holds = not isinstance(number, types.Integer)
-    return lambda number: holds
+
+    def implementation(number: object) -> bool:
+        return holds
+
+    return implementation
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -102,13 +102,15 @@ def describe(scene: SceneData) -> list[str]:
         lines = [f"{head} {gives[0]}"]
     else:
         more = [f"... and {len(gives) - _MOST_LINES} more"] if len(gives) > _MOST_LINES else []
-        lines = [head, *(f"{_INDENT['initial_indent']}{text}" for text in [*gives[:_MOST_LINES], *more])]
+        lines = [head, *(f"{_INDENT}{text}" for text in [*gives[:_MOST_LINES], *more])]
     shapes = list(dict.fromkeys(p.shape.replace("_", " ") for p in scene.particles if p.shape != "sphere"))
     sphere = (
         [f"drag and heat are those of the sphere of equal volume, not of this {', '.join(shapes)}"] if shapes else []
     )
     notes = [*sphere, *flow(c, nozzle).notes, *([f"assumed of the nozzle: {nozzle.assumed}"] if nozzle.assumed else [])]
-    return lines + [line for note in notes for line in textwrap.wrap(note, 110, **_INDENT)]
+    return lines + [
+        line for note in notes for line in textwrap.wrap(note, 110, initial_indent=_INDENT, subsequent_indent=_INDENT)
+    ]
 
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
@@ -121,7 +123,7 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
     return f"{which}gives {found['velocity']}, {found['temperature']}, {used}"
 
 
-_INDENT: Any = {"initial_indent": " " * 13, "subsequent_indent": " " * 13}
+_INDENT = " " * 13
 _UNITS = {"velocity": ("m/s", _DIGITS), "temperature": ("K", _DIGITS)}
 
 
@@ -133,7 +135,7 @@ def _in_words(entry: ErrorDetails) -> str:
     return str(entry["ctx"]["error"]) if entry["type"] == "value_error" else entry["msg"]
 
 
-def _material(particle: Mapping[str, Any], catalogue: Mapping[str, Material]) -> Material | None:
+def _material(particle: Mapping[str, object], catalogue: Mapping[str, Material]) -> Material | None:
     name = particle.get("material")
     return catalogue.get(name) if isinstance(name, str) else None
 
@@ -143,7 +145,7 @@ def diameter(text: object) -> float:
     return Particle.model_fields["diameter"].metadata[0].read(text)
 
 
-def _diameter(particle: Mapping[str, Any]) -> float | None:
+def _diameter(particle: Mapping[str, object]) -> float | None:
     """The particle's diameter, m, if the scene's own check will accept it."""
     try:
         return diameter(particle.get("diameter"))

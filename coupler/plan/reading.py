@@ -4,7 +4,6 @@ import copy
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from ..errors import SceneError
 from ..files.inputs import SCENE_LIMIT, InputError, parse_toml, read_text
@@ -49,7 +48,7 @@ class Scene(SceneData):
         return cls.from_dict(data, source)
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], source: str = "scene") -> "Scene":
+    def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
         """Check a scene given as nested dicts, as TOML has them. Raises SceneError with every problem."""
         return _checked(data, source)
 
@@ -58,7 +57,7 @@ class Scene(SceneData):
         return to_toml(self, lambda head, table: defaults(self, head, table))
 
 
-def _checked(data: Mapping[str, Any], source: str) -> Scene:
+def _checked(data: Mapping[str, object], source: str) -> Scene:
     """A scene from nested dicts, or a SceneError with all its problems. source: what messages call it."""
     given = copy.deepcopy(dict(data))
     tables = given.get("materials", {})
@@ -76,7 +75,8 @@ def _checked(data: Mapping[str, Any], source: str) -> Scene:
     read, entries = read_table(Scene, given)
     scene: SceneData | None = read
     if entries:
-        several = isinstance(given.get("particle"), list) and len(given["particle"]) > 1
+        particles = given.get("particle")
+        several = isinstance(particles, list) and len(particles) > 1
         problems += [in_words(entry, several) for entry in entries]
         faulty = {dotted(entry["loc"], several) for entry in entries}
         scene = without(given, [entry["loc"] for entry in entries])

@@ -269,7 +269,7 @@ class DistributedParticle:
         r.comm.bcast(("waited", (), None), root=r.root)
         return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.root)]
 
-    def everywhere(self, work: Callable[[], Any]) -> list[Any]:
+    def everywhere(self, work: Callable[[], object]) -> list[object]:
         """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
         if self._alone:
             return [work()]

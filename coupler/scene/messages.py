@@ -77,7 +77,7 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
     start = f"{field} = {shown(entry['input'])}"
     if kind == "literal_error":
         info = model.model_fields[str(loc[-1])]
-        choices = [choice for choice in _choices(info.annotation) if choice is not None]
+        choices = _choices(info.annotation)
         return f"{start}: expected one of {', '.join(choices)}{units.nearest(str(entry['input']), choices)}"
     if kind == "value_error":
         text = str(entry["ctx"]["error"])
@@ -102,16 +102,16 @@ def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
     return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else SceneData
 
 
-def _choices(annotation: Any) -> list[Any]:
+def _choices(annotation: object) -> list[str]:
     """The values of a Literal, or of a union with one in it."""
-    found: list[Any] = []
+    choices: list[str] = []
     for arg in getattr(annotation, "__args__", ()):
-        found += _choices(arg) if getattr(arg, "__args__", None) else [arg] if isinstance(arg, str) else []
-    return found
+        choices += _choices(arg) if getattr(arg, "__args__", None) else [arg] if isinstance(arg, str) else []
+    return choices
 
 
 def shown(value: object) -> str:
-    """A stranger's value in a message: short, and without control characters."""
+    """A value of the input in a message: short, and without control characters."""
     try:
         text = json.dumps(value, default=str)
     except (ValueError, RecursionError):

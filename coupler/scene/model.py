@@ -50,7 +50,7 @@ class SceneData(Section):
 
     @field_validator("particles", mode="before")
     @classmethod
-    def _in_order(cls, value: Any) -> Any:
+    def _in_order(cls, value: object) -> object:
         if not isinstance(value, list):
             return [value]
         if not value:
@@ -61,9 +61,11 @@ class SceneData(Section):
 
     @field_validator("effects", mode="before")
     @classmethod
-    def _known_effects(cls, value: Any) -> Any:
-        texts = isinstance(value, list) and all(isinstance(item, str) and item for item in value)
-        problems = check_request(value if texts or isinstance(value, str) else "")
+    def _known_effects(cls, value: object) -> object:
+        if isinstance(value, list) and all(isinstance(item, str) and item for item in value):
+            problems = check_request(value)
+        else:
+            problems = check_request(value if isinstance(value, str) else "")
         if problems:
             raise ValueError("; ".join(problems))
         return value

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -53,7 +53,7 @@ class Quantity:
             raise ValueError(f"is outside {self.low} to {self.high}")
         return number
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
 
@@ -77,7 +77,7 @@ class BySize:
             raise ValueError("has a diameter twice")
         return pairs
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
 
@@ -252,7 +252,7 @@ class AdhesionTable(Section):
 
     @field_validator("threshold", mode="before")
     @classmethod
-    def _as_the_criterion_wants(cls, value: Any, info: ValidationInfo) -> float | None:
+    def _as_the_criterion_wants(cls, value: object, info: ValidationInfo) -> float | None:
         if "criterion" not in info.data:  # a faulty one is reported itself
             return None
         if info.data["criterion"] == "pressure":
@@ -290,9 +290,10 @@ class End(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _rest_unless_told(cls, data: Any) -> Any:
-        told = not isinstance(data, dict) or data.get("at") is not None or data.get("time") is not None
-        return data if told else data | {"at": "rest"}
+    def _rest_unless_told(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("at") is None and data.get("time") is None:
+            return data | {"at": "rest"}
+        return data
 
 
 class Output(Section):

@@ -8,7 +8,7 @@ same names and back, `take`, `concatenate` and `scatter` treat all arrays with a
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Any, TypeVar, get_type_hints
+from typing import TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -89,7 +89,7 @@ def collect(kind: type[R], owner: object, **given: object) -> R:
     return kind(**values, **given)
 
 
-def _value(value: Any) -> Any:
+def _value(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, dict):

@@ -4,6 +4,8 @@
 transfer them to this one: for the cost of a step and its elements, and for that of its points.
 """
 
+from __future__ import annotations
+
 import json
 import os
 import platform
@@ -11,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TypedDict
 
 from .. import __version__
 from ..errors import ColdsprayError, StoreError
@@ -56,9 +58,17 @@ def of_this_machine(
         steps, points = measure()
     except (ColdsprayError, ImportError, OSError) as error:
         return Pace(1.0, 1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
-    found = {"steps": steps, "points": points, "date": date.today().isoformat()}
-    _write(path, known | {key: found})
-    return _pace(found)
+    entry: _Entry = {"steps": steps, "points": points, "date": date.today().isoformat()}
+    _write(path, known | {key: entry})
+    return _pace(entry)
+
+
+class _Entry(TypedDict, total=False):
+    """The pace of one machine in the cache."""
+
+    steps: float
+    points: float
+    date: str
 
 
 def machine() -> str:
@@ -82,12 +92,12 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coldspray"
 
 
-def _pace(entry: Mapping[str, Any]) -> Pace:
-    said = f"timed on {entry.get('date', 'an unknown day')} (--recalibrate to do it again)"
-    return Pace(float(entry["steps"]), float(entry["points"]), said)
+def _pace(entry: _Entry) -> Pace:
+    origin = f"timed on {entry['date']} (--recalibrate repeats it)"
+    return Pace(float(entry["steps"]), float(entry["points"]), origin)
 
 
-def _read(path: Path) -> dict[str, dict[str, Any]]:
+def _read(path: Path) -> dict[str, _Entry]:
     """The entries of the cache by machine; none if the file is missing or damaged."""
     try:
         known = read_json_object(path)
@@ -95,12 +105,12 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
         return {}
     low, high = FACTORS
     return {
-        k: v for k, v in known.items()
+        k: _Entry(steps=v["steps"], points=v["points"], date=str(v.get("date", "an unknown day"))) for k, v in known.items()
         if isinstance(v, dict) and all(isinstance(v.get(n), float) and low <= v[n] <= high for n in ("steps", "points"))
     }  # fmt: skip
 
 
-def _write(path: Path, known: Mapping[str, Mapping[str, object]]) -> None:
+def _write(path: Path, known: Mapping[str, _Entry]) -> None:
     """Write the cache; a folder that cannot be written is not an error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
