@@ -1,7 +1,7 @@
 """Damaged files of every kind that a command reads: python workflows/fuzz_files.py [--n 2000] [--seed 1] [--keep DIR]
 
 Each mutation is read by its command in a forked process with limits on memory and time. Allowed ends: a result (exit code 0) or one
-message (2, 3). After anything else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its files are
+message (2, 3), or an undecided run (4). After anything else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its files are
 kept in DIR, and the exit code is 1.
 """
 
@@ -426,7 +426,7 @@ def run(command: list[str], log: Path) -> tuple[str, float]:
         time.sleep(0.005)
     text = log.read_text(errors="replace")
     code = os.waitstatus_to_exitcode(status)
-    if code not in (0, 2, 3):
+    if code not in (0, 2, 3, 4):
         return f"exit code {code}", took
     if "Traceback" in text or "Warning" in text:
         return "a traceback" if "Traceback" in text else "a warning of a library", took
