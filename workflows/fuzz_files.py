@@ -1,8 +1,8 @@
 """Damaged files of every kind that a command reads: python workflows/fuzz_files.py [--n 2000] [--seed 1] [--keep DIR]
 
-Each mutation is read by its command in a forked process with limits on memory and time. Allowed ends: a result (exit code 0) or one
-message (2, 3), or an undecided run (4). After anything else (a traceback, a warning of a library, a signal, no end) the mutation is printed, its files are
-kept in DIR, and the exit code is 1.
+Each mutation is read by its command in a forked process with limits on memory and time. Allowed ends: a result (exit code 0), one
+message (2, 3), or an undecided run (4). After anything else (a traceback, a warning of a library, a signal, no end) the mutation
+is printed, its log is kept in DIR, and the exit code is 1.
 """
 
 import argparse
