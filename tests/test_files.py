@@ -175,6 +175,17 @@ def test_resume_completes_a_run_that_ended_before_its_picture(finished: Path, mo
 # --- hostile or broken input
 
 
+def test_a_plan_that_was_changed_is_not_gone_on_with(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (finished / "plan.json").read_text()
+    spacing = next(line for line in text.splitlines() if '"spacing"' in line)
+    (tmp_path / "plan.json").write_text(text.replace(spacing, spacing.replace(": ", ": 9")))
+    (tmp_path / "scene.toml").write_text((finished / "scene.toml").read_text())
+    assert main(["resume", str(tmp_path)]) == 2
+    assert "plan.json is damaged: its checksum does not fit" in message(capsys)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

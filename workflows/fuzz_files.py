@@ -37,6 +37,10 @@ import numpy as np  # noqa: E402
 
 from coupler.commands.main import main as coldspray  # noqa: E402
 from coupler.files import checkpoint  # noqa: E402
+from coupler.files.store import Store  # noqa: E402
+from coupler.plan.planning import plan  # noqa: E402
+from coupler.plan.reading import Scene  # noqa: E402
+from coupler.plan.record import plan_text  # noqa: E402
 from tests import made_up_run  # noqa: E402
 
 PRELOADED = (
@@ -59,6 +63,12 @@ RUN_COMMANDS = (
     ["map", "PARENT", "--out", "OUT", "--show", "flattening_ratio"],
     ["mesh", "RUN", "--out", "OUT.vtu"], ["resume", "RUN", "--quiet"],
 )  # fmt: skip
+TINY = """preset = "draft"
+particle = { material = "Ni", diameter = "10 um", velocity = "500 m/s" }
+substrate = { material = "SS304", diameter = "60 um", height = "30 um" }
+resolution = { spacing = "1.1 um" }
+end = { time = "12 ns" }
+"""
 SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
 GAS = [
     "gas",
@@ -94,6 +104,8 @@ KINDS = (
     Kind("points as .ply", "cloud.ply", 1, [["mesh", "FILE", "--out", "OUT.inp"]]),
     Kind("scene of a run", "runs/one/scene.toml", 4, RUN_COMMANDS),
     Kind("summary", "runs/one/summary.json", 6, RUN_COMMANDS),
+    Kind("plan", "runs/one/plan.json", 4, RUN_COMMANDS),
+    Kind("plan of an unfinished run", "begun/plan.json", 2, [["resume", "RUN", "--quiet"]]),
     Kind("history", "runs/one/history.csv", 4, RUN_COMMANDS[:5]),
     Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
     Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
@@ -137,6 +149,8 @@ def prepare(folder: Path) -> None:
         folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}])
     )
     made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}]))
+    tiny = Scene.from_text(TINY)
+    Store.create(folder / "begun", tiny.to_toml(), plan_json=plan_text(plan(tiny))).close()
     for name in ("runs/one", "good"):  # of one impact, its bodies told apart
         table = folder / name / "history.csv"
         head, *lines = table.read_text().splitlines()

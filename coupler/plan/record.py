@@ -4,6 +4,7 @@ Numbers that JSON does not have (an infinite window) are written as text, "inf";
 """
 
 import dataclasses
+import hashlib
 import json
 import math
 import types
@@ -23,7 +24,10 @@ T = TypeVar("T")
 
 def plan_text(plan: Plan) -> str:
     """The plan as the text of plan.json."""
-    return json.dumps({"format": FORMAT, "version": __version__, "plan": to_json(plan)}, indent=1) + "\n"
+    data = to_json(plan)
+    return (
+        json.dumps({"format": FORMAT, "version": __version__, "sha256": _checksum(data), "plan": data}, indent=1) + "\n"
+    )
 
 
 def plan_from(data: Mapping[str, object]) -> Plan:
@@ -34,9 +38,15 @@ def plan_from(data: Mapping[str, object]) -> Plan:
     if data.get("format") != FORMAT:
         raise ValueError(f"is not a plan of format {FORMAT}")
     try:
+        if data["sha256"] != _checksum(data["plan"]):
+            raise ValueError("its checksum does not fit")
         return from_json(Plan, data["plan"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"is damaged: {error}") from error
+
+
+def _checksum(data: object) -> str:
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
 def to_json(value: object) -> Json:
