@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 LEDGER = 0.01  # largest |drift| of the ledger at the end of an impact
 SUM = 1e-6  # sum of the ledger's columns against its drift
 MOMENTUM = 1e-10  # over the initial momentum
-KINETIC = 0.005  # from the velocities of the fields, against the history
-ELASTIC = 0.05  # from the stresses of the fields, against the history, which counts what heat adds to the pressure
+KINETIC = 0.005  # from the velocities of the fields, against the history; of E_0 and the elastic energy before
+ELASTIC = 0.05  # the same from stresses, of E_0 and what the target holds before; the history counts what heat adds to the pressure
 HEAT = 0.10  # rise of c_p T, over plastic work and friction, against the share of plastic work that heats
+STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts from: the fields are single precision
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
 SKIN = 0.20  # change of the volume inside the particle's surface, which is carried between the points
@@ -316,31 +317,37 @@ class _ImpactCheck:
             ),
             "elastic_target": 0.0,
         }
+        stored = 0.0  # by the impacts before
         for b, (metal, *_) in enumerate(self.bodies):
             own = self.body == b
             before, after = (f["target"].data["stress"][own] for f in (self.first, self.last))
             volume = self.volumes[0][own]
             energies["elastic_target"] += elastic_energy(metal, after, volume) - elastic_energy(metal, before, volume)
+            stored += elastic_energy(metal, before, volume)
         for name, energy in energies.items():
             kind, body = name.split("_")
-            off = (energy - self.rows[name][-1]) / self.energy
+            off = (energy - self.rows[name][-1]) / (self.energy + stored)
             self.hold(kind, off, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
 
     def heat(self) -> None:
         """Rise of temperature against plastic work and friction: conduction only moves it."""
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
-        for b, (metal, *_) in enumerate(self.bodies):
+        stored = 0.0  # by the impacts before
+        for b, (metal, T_0, _) in enumerate(self.bodies):
             own = self.body == b
             before, after = (f["target"].data["T"][own].astype(float) for f in (self.first, self.last))
             warmed += metal.rho * float(self.volumes[0][own] @ heat(metal, before, after, varies))
+            stored += metal.rho * float(
+                self.volumes[0][own] @ np.abs(heat(metal, np.full(len(before), T_0), before, varies))
+            )
         work = [float(self.rows[name][-1]) for name in ("plastic_particle", "plastic_target", "friction")]
         shares = [metal.taylor_quinney for metal, *_ in self.bodies]
         low, high = (self.metal.taylor_quinney * work[0] + share * work[1] for share in (min(shares), max(shares)))
         if not self.effects.plastic_heating:
             low = high = 0.0
         high += work[2] if self.effects.friction_heat else 0.0
-        excess = max(warmed - high, low - warmed, 0.0) / (sum(work) + 0.01 * self.energy)
+        excess = max(warmed - high, low - warmed, 0.0) / (sum(work) + 0.01 * self.energy + STORED_HEAT * stored)
         self.hold("heat", excess, HEAT, "heat against plastic work")
 
     def ranges(self) -> None:
