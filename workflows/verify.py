@@ -32,6 +32,7 @@ VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; 
 SKIN = 0.20  # change of the volume inside the particle's surface, which is carried between the points
 IMPULSE = 0.3  # integral of the contact force, known at the rows of the history, over the change of momentum
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
+FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
 SAME = 1e-3  # figures of the summary against those of the fields
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
 DISSIPATION = 0.2  # both schemes together; more needs a warning
@@ -176,6 +177,8 @@ def check(result: Result) -> Findings:
     found = Findings(undecided=result.undecided)
     found.warned = [text for text in warnings if "beyond melting" in text or "of the kinetic energy" in text]
     records, history = result.summary["impacts"], result.history()
+    for i, record in enumerate(records if found.undecided is None else records[:-1]):
+        found.warned += [f"impact {i + 1}: no {key}, {reason}" for key, reason in record.get("refused", {}).items()]
     instants = [{domain: result.fields(k, domain) for domain in DOMAINS} for k in range(len(result.times("target")))]
     for name, column in history.items():
         found.fault(not np.all(np.isfinite(column)), f"history: {name} is not a number")
@@ -285,7 +288,8 @@ class _ImpactCheck:
         ]
         data = self.last["particle"].data
         J = np.mean(volume_ratios(self.metal, mean_pressure(data["stress"]), data["T"], self.p.temperature))
-        self.hold("skin", closed[1] / closed[0] - J, SKIN, "volume inside the particle's surface")
+        limit = np.inf if data["eps_p"].max() > FOLLOWED else SKIN
+        self.hold("skin", closed[1] / closed[0] - J, limit, "volume inside the particle's surface")
         for b, (metal, T_0, expected) in enumerate(self.bodies):
             own = self.body == b
             bounds = []  # of the change of volume that the pressure makes, m3, at the first and the last instant
@@ -390,6 +394,9 @@ class _ImpactCheck:
             self.found.fault(
                 off > SAME, f"{self.where}: {name} is {reported} in the summary, {number:.6g} from the fields"
             )
+        for name in ("eps_p_max", "target_eps_p_max"):
+            bad = expected[name][0] > FOLLOWED and value(self.record, name) is not None
+            self.found.fault(bad, f"{self.where}: {name} {expected[name][0]:.3g} is a number in the summary")
         flattening = value(self.record, "flattening_ratio_total")
         bad = self.p.shape == "sphere" and flattening is not None and not -0.01 <= flattening <= 1.0
         self.found.fault(bad, f"{self.where}: flattening of the whole thickness is {flattening}")
