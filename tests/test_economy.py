@@ -154,7 +154,7 @@ def test_many_particles_have_a_window_and_few_have_none() -> None:
     assert np.isinf(plan(scene(9)).impact.window)
     assert plan(scene(10)).impact.window == pytest.approx(2.25 * 20e-6)
     assert plan(scene(1, 'window = "33 um"\n')).impact.window == pytest.approx(33e-6)
-    assert "window" in plan(scene(10)).scene.to_toml()
+    assert "window" in scene(10).to_toml()
 
 
 def assert_same_impact(whole: dict[str, Any], part: dict[str, Any]) -> None:

@@ -20,7 +20,7 @@ def observed(ending, *instants):
 
 def test_rest_needs_a_turn_and_a_silent_contact():
     ending = observed(
-        EndCriterion(100e-9, "rest", 5e-9), (1, 500.0, 0.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (32, -30.0, 0.0)
+        EndCriterion(100e-9, "rest", 50e-9, 500.0), (1, 500.0, 0.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (32, -30.0, 0.0)
     )
     assert not ending.reached(32e-9), "silent for 2 ns, 5 are asked"
     observed(ending, (36, -30.0, 0.0))
@@ -28,15 +28,26 @@ def test_rest_needs_a_turn_and_a_silent_contact():
     assert ending.undecided(36e-9, -30.0) is None
 
 
+def test_a_bonded_particle_is_at_rest_when_it_swings_little_for_a_period():
+    """2 % of 500 m/s for half of D / v = 50 ns; one that is not bonded needs a silent contact."""
+    swings = [(30, -20.0, 2.0), (40, 9.0, -1.0), (50, -8.0, 1.0), (56, 7.0, -1.0)]
+    for held in (True, False):
+        ending = EndCriterion(200e-9, "rest", 50e-9, 500.0)
+        ending.observe(10e-9, 200.0, 3.0)
+        for time, sinking, force in swings:
+            ending.observe(time * 1e-9, sinking, force, held)
+        assert ending.met(56e-9) == held
+
+
 def test_a_time_limit_is_not_rest():
-    ending = observed(EndCriterion(40e-9, "rest", 5e-9), (10, 200.0, 3.0), (40, 138.0, 2.0))
+    ending = observed(EndCriterion(40e-9, "rest", 50e-9, 500.0), (10, 200.0, 3.0), (40, 138.0, 2.0))
     assert ending.reached(40e-9)
     assert not ending.met(40e-9)
     assert ending.undecided(40e-9, 138.0) == "not at rest at its time limit of 40 ns: the particle sinks at 138 m/s"
 
 
 def test_an_end_by_time_is_met_by_time():
-    ending = observed(EndCriterion(40e-9, "time", 5e-9), (40, 138.0, 2.0))
+    ending = observed(EndCriterion(40e-9, "time", 50e-9, 500.0), (40, 138.0, 2.0))
     assert ending.met(40e-9)
     assert ending.touched
     assert not ending.settled(40e-9)

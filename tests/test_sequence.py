@@ -168,7 +168,7 @@ def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
 
 def test_a_particle_that_creeps_has_come_to_rest() -> None:
     """Pressed into a heap that gives way it may sink slowly for long; on a plain target it stops or turns."""
-    creeping, plain = EndCriterion(1e-6, "rest", 1e-9, slow=3.0), EndCriterion(1e-6, "rest", 1e-9)
+    creeping, plain = EndCriterion(1e-6, "rest", 1e-8, 500.0, slow=3.0), EndCriterion(1e-6, "rest", 1e-8, 500.0)
     for time, sinking, force in ((1e-9, 500.0, 1.0), (2e-9, 2.0, 0.1), (4e-9, 1.5, 1e-3)):
         creeping.observe(time, sinking, force)
         plain.observe(time, sinking, force)

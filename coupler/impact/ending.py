@@ -5,16 +5,22 @@ from dataclasses import dataclass, replace
 STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
 QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
+HELD_STILL = (
+    0.02  # of the impact speed: a bonded particle swings on its bonds, and is at rest when it has swung more slowly ...
+)
+HELD_TIME = 0.5  # ... for this part of D / v, about a period
 
 
 @dataclass(frozen=True)
 class EndState:
     """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
-    contact force above QUIET_FORCE of the peak."""
+    contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded or moved faster than
+    HELD_STILL of its impact speed."""
 
     peak: float = 0.0
     turned: float | None = None
     loud: float = 0.0
+    fast: float = 0.0
 
 
 class EndCriterion:
@@ -25,17 +31,21 @@ class EndCriterion:
     "time", and in any case, at end_time.
     """
 
-    def __init__(self, end_time: float, at: str, quiet: float, slow: float = 0.0):
-        """end_time, quiet: s; slow: m/s; at: "rest", "greatest" (deformation) or "time"."""
-        self.end_time, self.at, self.quiet, self.slow = end_time, at, quiet, slow
+    def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0):
+        """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"."""
+        self.end_time, self.at, self.slow = end_time, at, slow
+        self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self._state = EndState()
 
-    def observe(self, time: float, sinking: float, force: float) -> None:
-        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N."""
+    def observe(self, time: float, sinking: float, force: float, held: bool = False) -> None:
+        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; held:
+        whether the particle is bonded."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
             s = replace(s, turned=time)
+        if not held or abs(sinking) > self.held_slow:
+            s = replace(s, fast=time)
         self._state = replace(s, loud=time) if abs(force) > QUIET_FORCE * s.peak else s
 
     @property
@@ -54,8 +64,10 @@ class EndCriterion:
         }[self.at]  # fmt: skip
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s."""
-        return self.turned is not None and time - self._state.loud > self.quiet
+        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, or a bonded
+        particle has moved little for `held_quiet` s."""
+        s = self._state
+        return s.turned is not None and (time - s.loud > self.quiet or time - s.fast > self.held_quiet)
 
     def at_limit(self, time: float) -> bool:
         """Whether the time limit has come at `time` s."""

@@ -25,7 +25,7 @@ def advance_to_end(
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
-        ending.observe(impact.time, impact.sinking, float(impact.force[2]))
+        ending.observe(impact.time, impact.sinking, float(impact.force[2]), impact.hold is not None)
         if ending.turned is not None and recorder.greatest is None:
             bond(impact, recorder.plan, recorder.i)
             recorder.record_greatest(impact)

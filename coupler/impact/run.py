@@ -16,7 +16,7 @@ from ..progress import Progress
 from ..ranks.ranks import Ranks
 from .bodies import Bodies
 from .domains import Domains, build_domains, restored_target
-from .ending import QUIET_TIME, STILL, EndCriterion, EndState
+from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState
 from .loop import advance_to_end
 from .recorder import Recorder, RecorderState
@@ -150,7 +150,7 @@ def _give_up(impact: Impact) -> None:
 def _end_criterion(plan: ImpactPlan, i: int) -> EndCriterion:
     """What the plan says of the end of impact i. On earlier splats a particle may creep: there a slow one counts as at rest."""
     speed = float(np.linalg.norm(plan.velocity))
-    return EndCriterion(plan.end_time, plan.end_at, QUIET_TIME * plan.diameter / speed, STILL * speed if i else 0.0)
+    return EndCriterion(plan.end_time, plan.end_at, plan.diameter / speed, speed, STILL * speed if i else 0.0)
 
 
 class _WallClock:
