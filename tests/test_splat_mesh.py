@@ -135,6 +135,10 @@ def test_what_is_wrong_is_said_in_one_line_with_exit_code_2(
         "text.csv": ("1,2,three\n", "could not convert"),
         "flat.csv": ("\n".join(f"{i % 10},{i // 10},0" for i in range(100)), "plane"),
         "few.csv": ("\n".join(f"{i},{i * i},{i % 3}" for i in range(40)), "50 or more"),
+        "far.csv": (
+            "\n".join(f"{i % 5},{i // 5 % 5},{i // 25 if i else 1e4}\n{i % 5 + 1e4},{i},{i}" for i in range(125)),
+            "far from",
+        ),
         "nan.csv": ("\n".join(f"{i % 5},{i // 5 % 5},{i // 25 if i else 'nan'}" for i in range(125)), "not a number"),
         "bytes.npz": ("not an archive", "cannot be read"),
         "what.vtu": ("<html>", "cannot be read"),

@@ -53,6 +53,7 @@ class Report(TypedDict, total=False):
     wall_s: float
 
 
+MAX_BOX = 5e7  # cubes of the spacing in the box around a cloud: those of the density are searched
 LARGEST = 1e30  # of any value, SI: its square is still a number
 
 
@@ -133,6 +134,12 @@ class Cloud:
                 raise SplatError(f"the carried surface is not closed ({problem}): leave it out, or mend it")
 
     def _check_places(self, x: np.ndarray) -> None:
+        box = float(np.prod(np.ptp(x, axis=0) / self.spacing + 1.0))
+        if box > MAX_BOX:
+            raise SplatError(
+                f"the points are spread over {box:.2g} times the volume of one: remove those that lie far from the body,"
+                " or check the spacing"
+            )
         extent = np.linalg.svd(x - x.mean(axis=0), compute_uv=False) * np.sqrt(12.0 / len(x))
         if extent[2] < 0.05 * self.spacing:
             shape = "a line" if extent[1] < 0.05 * self.spacing else "a plane"
