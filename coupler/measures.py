@@ -1,10 +1,15 @@
 """The vocabulary of measures: names, units, ranges and convergence of what a run reports. `impact/measure.py` computes them."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
-# Plastic strain that both schemes can follow. It is that of a simple shear of 35: points that were neighbours across the shear
-# direction are 35 spacings apart, ten times the support of the kernel, and an element is 35 times longer than thick.
+T = TypeVar("T")
+
+# Plastic strain that both schemes can follow. It is that of a simple shear of 35 (eps_p = gamma / sqrt(3)); compression gives no such
+# strain. Points that were neighbours across the shear plane are then 35 spacings apart, ten times the support of the kernel, and an
+# element is 35 times as long and a 35th as thick as at first: neither resolves the band that shears.
 EPS_P_LIMIT = 20.0
 SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows the points no better
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
@@ -59,7 +64,7 @@ class Measure:
 
     def refusal(self, value: float, shape: str = "sphere") -> str | None:
         """The reason why a value lies outside the range; None if it is inside. shape: of the particle."""
-        if math.isnan(value):
+        if not math.isfinite(value):
             return "not a number"
         if (self.sphere_only and shape != "sphere") or self.low <= value <= self.high:
             return None
@@ -144,6 +149,16 @@ BANDED = tuple(measure.key for measure in TABLE if measure.converges)
 def measure(key: str) -> Measure:
     """The record of a key; for a key outside the table, a plain record with the unit of its ending."""
     return MEASURES.get(key) or Measure(key, group=TARGET if key.startswith(("target", "plastic")) else RUN)
+
+
+def within_range(values: Mapping[str, T], shape: str) -> tuple[dict[str, T | None], dict[str, str]]:
+    """Values with None for those outside the range of their measure, and the reasons by key. shape: of the particle."""
+    reasons = {
+        key: reason
+        for key, value in values.items()
+        if isinstance(value, float | int) and (reason := measure(key).refusal(value, shape)) is not None
+    }
+    return {key: None if key in reasons else value for key, value in values.items()}, reasons
 
 
 def axis_label(key: str) -> str:

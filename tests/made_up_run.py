@@ -148,16 +148,28 @@ def row(amount: float, **further: float) -> dict[str, float]:
     }
 
 
-def summary(**further: Any) -> dict[str, Any]:
-    """A summary in the words of a real one."""
-    peak = {"time_s": PEAK, "flattening_ratio": 0.551, "crater_depth_m": 5.3e-6, "T_max_K": 560.0}
-    end = {"time_s": END, "flattening_ratio": 0.5561, "crater_depth_m": 5.02e-6, "T_max_K": 612.0, "T_p99_K": 580.0}
+def summary_of(*impacts: dict[str, Any], **run: Any) -> dict[str, Any]:
+    """A summary of these records of impacts, with the tables that they lack, and these values of the run."""
+    whole = {"greatest": None, "end": {}, "refused": {}, "bands": {}, "undecided": None}
     return {
-        **{key: value for key, value in end.items() if key != "time_s"},
-        "energy_drift": -1e-3, "points": 4012, "elements": 9000, "spacing_m": 1.2e-6, "element_size_m": 2e-6, "steps": 1000,
-        "dt_limited_by": {"particle": 900, "target": 100, "contact": 0}, "sim_time_s": END, "wall_s": 25.0, "wall_loop_s": 20.0,
-        "kinetic_energy_0_J": 10e-6, "greatest_deformation": peak, "end": end,
+        "format": 2, "version": "0.2.0", "run": {"warnings": [], "retries": [], "undecided": None, **run},
+        "impacts": [whole | impact for impact in impacts], "joins": [],
+    }  # fmt: skip
+
+
+def summary(run: dict[str, Any] | None = None, end: dict[str, Any] | None = None, **impact: Any) -> dict[str, Any]:
+    """A summary of one impact in the words of a real one, with further values of the run, of the impact and of its end."""
+    peak = {"time_s": PEAK, "flattening_ratio": 0.551, "crater_depth_m": 5.3e-6, "T_max_K": 560.0}
+    last = {"time_s": END, "flattening_ratio": 0.5561, "crater_depth_m": 5.02e-6, "T_max_K": 612.0, "T_p99_K": 580.0}
+    own = {
+        "rebounded": False, "energy_drift": -1e-3, "points": 4012, "elements": 9000, "spacing_m": 1.2e-6, "steps": 1000,
+        "dt_limited_by": {"particle": 900, "target": 100, "contact": 0}, "kinetic_energy_0_J": 10e-6, "greatest": peak,
+        "end": last | (end or {}),
+    }  # fmt: skip
+    whole = {
+        "element_size_m": 2e-6, "steps": 1000, "sim_time_s": END, "wall_s": 25.0, "wall_loop_s": 20.0,
         "effects": ["thermal_softening", "rate_hardening", "plastic_heating", "temperature_dependent_cp", "friction",
                     "mie_gruneisen", "absorbing_boundaries"],
-        "warnings": ["strain rates beyond the fit"], "version": "0.1.0", **further,
+        "warnings": ["strain rates beyond the fit"],
     }  # fmt: skip
+    return summary_of(own | impact, **(whole | (run or {})))

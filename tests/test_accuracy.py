@@ -376,7 +376,7 @@ def test_a_run_carries_its_bands(climbed):
     from coupler import run
 
     scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.LadderPoint("points", "", 200))
-    summary = run(scene, climbed / "one", threads=1).summary
+    summary = run(scene, climbed / "one", threads=1).values
     found = bands.half_widths(plan(scene).impact.bands, summary, 300.0)
     assert plan(scene).impact.points == pytest.approx(summary["points"], rel=0.1)
     assert summary["bands"].keys() == found.keys()

@@ -173,7 +173,7 @@ def test_a_window_changes_little_of_an_impact(shared_run: SharedRuns) -> None:
     """The window is 2.25 diameters wide, as `plan` chooses: what it leaves out is elastic, and less than 2 % of a measure."""
     size = {"spacing": 2.7, "element_size": 4.0, "diameter": 160, "height": 80}
     whole, part = (
-        shared_run(scenes.scene(("Ni", 20, 500), **size, of_substrate=window)).summary
+        shared_run(scenes.scene(("Ni", 20, 500), **size, of_substrate=window)).values
         for window in ("", 'window = "45 um"\n')
     )
     assert part["energies"] != whole["energies"]
@@ -182,8 +182,8 @@ def test_a_window_changes_little_of_an_impact(shared_run: SharedRuns) -> None:
 
 @pytest.mark.slow
 def test_a_window_changes_little_of_a_finer_impact(tmp_path: Path) -> None:
-    whole = run(scene(1), tmp_path / "whole").summary
-    assert_same_impact(whole, run(scene(1, 'window = "45 um"\n'), tmp_path / "part").summary)
+    whole = run(scene(1), tmp_path / "whole").values
+    assert_same_impact(whole, run(scene(1, 'window = "45 um"\n'), tmp_path / "part").values)
 
 
 def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:
@@ -193,5 +193,5 @@ def test_a_window_that_does_not_hold_the_splat_is_refused() -> None:
 
 def test_a_particle_that_reaches_the_edge_is_told_of(tmp_path: Path) -> None:
     particle = scenes.scene(("Ni", 20, 500), spacing=2.7, element_size=5, end=25, of_substrate='window = "14 um"\n')
-    narrow = run(Scene.from_text(particle, "narrow"), tmp_path / "narrow").summary
+    narrow = run(Scene.from_text(particle, "narrow"), tmp_path / "narrow").values
     assert any("substrate.window larger" in warning for warning in narrow["warnings"])

@@ -323,7 +323,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path) -> None:
     scene = scene_with(effects=["auto", "-conduction"], particle__velocity="1200 m/s", end__time="6 ns", **COARSE)
-    summary = run(scene, tmp_path / "run", threads=1).summary
+    summary = run(scene, tmp_path / "run", threads=1).values
     assert summary["effects"] == plan(scene).effects.active
     rates = [text for text in summary["warnings"] if "strain rates went to" in text]
     assert [text.split(":")[0] + text.split("in the")[1].split()[0] for text in rates] == [

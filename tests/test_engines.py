@@ -244,9 +244,7 @@ def test_a_whole_impact_has_the_same_summary(tmp_path: Path, metal: str) -> None
         element_size = "4.5 um"
         engine = "%s"
     """
-    a, b = (
-        run(Scene.from_text(scene % engine, "one"), tmp_path / engine).summary for engine in ("machdyn", "compiled")
-    )
+    a, b = (run(Scene.from_text(scene % engine, "one"), tmp_path / engine).values for engine in ("machdyn", "compiled"))
     assert (a["engine"], b["engine"]) == ("machdyn", "compiled")
     assert a["steps"] == b["steps"]
     for name in (

@@ -22,7 +22,7 @@ def result(shared_run: SharedRuns) -> Result:
 
 
 def test_books_close(result: Result) -> None:
-    s = result.summary
+    s = result.values
     assert abs(s["energy_drift"]) < 5e-3
     assert s["momentum_error"] < 1e-10
     e = s["energies"]
@@ -41,10 +41,13 @@ def test_the_summary_says_what_was_measured(result: Result) -> None:
     named = """
         flattening_ratio flattening_ratio_total crater_depth_m splat_diameter_m eps_p_mean eps_p_p99 eps_p_max T_mean_K T_p99_K T_max_K
         von_mises_max_Pa rebound_velocity_m_s energy_drift momentum_error numerical_dissipation points elements steps dt_mean_s
-        sim_time_s wall_s effects version greatest_deformation end
+        sim_time_s wall_s effects version
     """.split()  # noqa: SIM905
-    assert not set(named) - set(result.summary)
-    g, e = result.summary["greatest_deformation"], result.summary["end"]
+    assert not set(named) - set(result.values)
+    (only,) = result.impacts
+    assert not only.keys() & only["end"].keys(), "each number stands once"
+    assert only["refused"] == {}
+    g, e = result.greatest, result.end
     assert 20e-9 < g["time_s"] < e["time_s"] == result.sim_time_s
     assert g["flattening_ratio"] == pytest.approx(1 - g["height_m"] / 25e-6)
     # coarse as it is, the splat is a splat: bounds far wider than the band of the resolution, far narrower than nonsense
@@ -132,7 +135,7 @@ def test_whole_run_through_the_command_line(tmp_path: Path) -> None:
     assert "ns" in done.stderr  # plain progress lines where there is no terminal
     assert ">>====" not in done.stdout  # LAMMPS's own chatter
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert summary["steps"] > 20
+    assert summary["run"]["steps"] > 20
     rows = list(csv.DictReader((tmp_path / "out" / "history.csv").open()))
     assert float(rows[-1]["time"]) == pytest.approx(10e-9)
     again = subprocess.run(command, capture_output=True, text=True, timeout=300)

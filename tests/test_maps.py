@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_up_run import write
+from made_up_run import summary_of, write
 
 from coupler.commands import main as cli
 from coupler.errors import SceneError, StoreError
@@ -42,7 +42,7 @@ def pretend(folder: Path, name: str, **measures: float) -> None:
     run = folder / name
     run.mkdir()
     (run / "scene.toml").write_text(scene.to_toml())
-    (run / "summary.json").write_text(json.dumps(measures))
+    (run / "summary.json").write_text(json.dumps(summary_of({"end": measures})))
     (folder / f"{name}.json").write_text(json.dumps({"status": "done", "reason": "", "exit_code": 0}))
 
 

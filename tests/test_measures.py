@@ -1,5 +1,6 @@
 """Measures of an impact on fields that are known."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from coupler.fe import mesh as meshes
 from coupler.impact.measure import YIELDED, contact_pressure, plastic_zone
-from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure
+from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure, within_range
 
 
 def test_a_round_contact_has_its_area_and_the_mean_pressure(rng: np.random.Generator) -> None:
@@ -55,6 +56,24 @@ def test_a_strain_beyond_the_scheme_is_refused() -> None:
     assert measure("eps_p_max").refusal(5.2) is None
     assert "cannot follow" in (measure("eps_p_max").refusal(85.0) or "")
     assert measure("T_max_K").refusal(float("nan")) == "not a number"
+
+
+def test_values_outside_their_range_have_a_reason() -> None:
+    values = {
+        "eps_p_max": 85.0,
+        "flattening_ratio_total": 1.76,
+        "T_max_K": 900.0,
+        "velocity_z_m_s": math.inf,
+        "material": "Ni",
+    }
+    kept, reasons = within_range(values, "sphere")
+    assert kept == {**values, "eps_p_max": None, "flattening_ratio_total": None, "velocity_z_m_s": None}
+    assert reasons.keys() == {"eps_p_max", "flattening_ratio_total", "velocity_z_m_s"}
+    assert "flattening_ratio_total" not in within_range(values, "rod")[1]
+    assert within_range({"rebounded": None, "restitution": 0.0}, "sphere") == (
+        {"rebounded": None, "restitution": 0.0},
+        {},
+    )
 
 
 def test_records_agree_with_their_keys() -> None:

@@ -32,7 +32,7 @@ def test_two_ranks_give_the_same_summary(scene: Path, shared_run: SharedRuns, tm
     assert code == 0, err
     assert out.count("results in") == 1  # one rank speaks
     alone, two = shared_run(SHORT), Result(tmp_path / "two")
-    assert (two.summary["ranks"], two.summary["placement"], len(two.summary["idle_share"])) == (2, "split", 2)
+    assert (two.ranks, two.placement, len(two.idle_share)) == (2, "split", 2)
     assert_same_numbers(alone.summary, two.summary, rel=1e-10)
     assert_same_files(alone, two)
 
@@ -81,21 +81,21 @@ def on_two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_particle_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
-    summary = summary_of(on_two / "spread")
+    summary = Result(on_two / "spread").values
     assert (summary["ranks"], summary["placement"]) == (2, "spread")
-    assert_same_impact(shared_run(SHORT).summary, summary)
+    assert_same_impact(shared_run(SHORT).values, summary)
 
 
 def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
     alone, resumed = shared_run(SHORT), Result(on_two / "resumed")
-    assert resumed.summary["ranks"] == 2
+    assert resumed.ranks == 2
     assert_same_numbers(alone.summary, resumed.summary, rel=1e-9)
     assert_same_files(alone, resumed)
 
 
 def test_ranks_go_back_together(on_two: Path, shared_run: SharedRuns) -> None:
     """Half the step from 6 ns on changes the splat by the error of time integration, far below 1 %."""
-    summary, alone = summary_of(on_two / "retried"), shared_run(SHORT).summary
+    summary, alone = Result(on_two / "retried").values, shared_run(SHORT).values
     (retry,) = summary["retries"]
     assert 0.0 < retry["back_to_s"] < 6e-9
     assert summary["ranks"] == 2
@@ -114,7 +114,7 @@ def test_a_whole_impact_on_three_ranks(shared_run: SharedRuns, tmp_path: Path, p
     arguments = ["run", str(tmp_path / "ni.toml"), "--out", str(tmp_path / "out"), "--quiet", "--placement", placement]
     code, _, err = finish(start(3, *arguments))
     assert code == 0, err
-    assert_same_impact(shared_run(NI).summary, summary_of(tmp_path / "out"))
+    assert_same_impact(shared_run(NI).values, Result(tmp_path / "out").values)
 
 
 @pytest.mark.slow

@@ -6,14 +6,15 @@ import shutil
 import h5py
 import numpy as np
 import pytest
-from made_up_run import ball, block, flattened, write
+from made_up_run import ball, block, flattened, summary_of, write
 
 from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.geometry.sections import crossing, cut_tets, section_loops
-from coupler.report import section_picture, summary_table
+from coupler.report import alerts, section_picture, summary_table
 from coupler.report.fields import FIELDS, from_points, in_tets
+from coupler.report.page import report
 from coupler.report.picture import cut, stage, window
 from coupler.report.profiles import on_vertical, profiles
 
@@ -113,31 +114,29 @@ def printed(result: Result) -> list[list[str]]:
 
 
 def test_summary_table(tmp_path):
-    summary = {
-        "flattening_ratio": 0.5561,
-        "crater_depth_m": 5.02e-6,
+    impact = {
         "energy_drift": 0.0031,
-        "von_mises_max_Pa": 778e6,
         "rebound_velocity_m_s": None,
         "points": 4012,
         "dt_mean_s": 5.2e-12,
+        "unheard_of_K": 1.0,
+        "greatest": {"time_s": 41e-9, "crater_depth_m": 5.5e-6},
+        "end": {"time_s": 60e-9, "crater_depth_m": 5.02e-6, "flattening_ratio": 0.5561, "von_mises_max_Pa": 778e6},
+    }
+    whole = {
         "wall_s": 28.4,
         "effects": ["friction", "[bold]mine"],
-        "version": "0.1.0",
         "warnings": ["strain rates beyond the fit"],
-        "unheard_of_K": 1.0,
-        "greatest_deformation": {"time_s": 41e-9, "crater_depth_m": 5.5e-6},
-        "end": {"time_s": 60e-9, "crater_depth_m": 5.02e-6},
     }
     with Store.create(tmp_path, "") as store:
-        store.finish(summary)
+        store.finish(summary_of(impact, **whole))
     rows = {row[0]: row[1:] for row in printed(Result(tmp_path)) if len(row) > 1}
     assert rows["crater depth"] == ["5.5", "5.02", "µm"]
     assert rows["time"] == ["41", "60", "ns"]
     assert rows["flattening, above surface"] == ["", "0.5561", ""]
     assert rows["highest von Mises stress"] == ["", "778", "MPa"]
     assert rows["energy drift"] == ["", "0.31", "%"]
-    assert rows["rebound velocity"] == ["", "", "m/s"]
+    assert rows["rebound velocity"] == ["", "-", "m/s"]
     assert rows["points"] == ["", "4 012", ""]
     assert rows["mean time step"] == ["", "5.2", "ps"]
     assert rows["wall time"] == ["", "28.4", "s"]
@@ -148,21 +147,21 @@ def test_summary_table(tmp_path):
 
 
 def test_summary_table_of_several_impacts(tmp_path):
-    nickel = {"flattening_ratio": 0.62, "material": "Ni", "diameter_m": 30e-6, "wall_s": 30.0, "surface_level_m": 0.0}
+    nickel = {"material": "Ni", "diameter_m": 30e-6, "wall_s": 30.0, "surface_level_m": 0.0}
     titanium = {
-        "flattening_ratio": 0.31,
         "material": "Ti",
         "diameter_m": 25e-6,
         "wall_s": 20.0,
         "surface_level_m": 9.1e-6,
+        "idle_share": [0.25, 0.031],
     }
-    new = {"idle_share": [0.25, 0.031], "memory_peak_bytes": 412_345_678, "placement": "split", "ranks": 2}
+    impacts = [nickel | {"end": {"flattening_ratio": 0.62}}, titanium | {"end": {"flattening_ratio": 0.31}}]
     scene = "".join(
         f'[[particle]]\nmaterial = "{what}"\ndiameter = "{size} um"\nvelocity = "{speed} m/s"\n'
         for what, size, speed in (("Ni", 30, 500), ("Ti", 25, 450))
     )
     with Store.create(tmp_path, scene + '[substrate]\nmaterial = "SS304"\n') as store:
-        store.finish({**titanium, **new, "wall_s": 55.5, "joins": [], "impacts": [nickel, titanium | new]})
+        store.finish(summary_of(*impacts, wall_s=55.5, memory_peak_bytes=412_345_678, placement="split", ranks=2))
     result = Result(tmp_path)
     assert summary_table(result).title.plain == "30 µm Ni, 25 µm Ti on SS304 at 500, 450 m/s"
     heads = [str(column.header) for column in summary_table(result).columns]
@@ -178,25 +177,52 @@ def test_summary_table_of_several_impacts(tmp_path):
 
 
 def test_bands_stand_beside_their_values(tmp_path):
-    summary = {
-        "flattening_ratio": 0.55613,
-        "crater_depth_m": 5.02e-6,
-        "T_max_K": 612.3,
+    impact = {
+        "end": {"flattening_ratio": 0.55613, "crater_depth_m": 5.02e-6, "T_max_K": 612.3},
         "steps": 10,
         "bands": {
             "flattening_ratio": 0.0118,
             "crater_depth_m": {"half_width": 1.3e-7, "why": "points"},
             "T_max_K": 0.0,
         },
-        "impacts": [{"flattening_ratio": 0.5}],
     }
     with Store.create(tmp_path, "") as store:
-        store.finish(summary)
+        store.finish(summary_of(impact))
     rows = {row[0]: row[1:] for row in printed(Result(tmp_path)) if len(row) > 1}
     assert rows["flattening, above surface"] == ["0.556 ± 0.012", ""]
     assert rows["crater depth"] == ["5.02 ± 0.13", "µm"]
     assert rows["highest temperature"] == ["612.3", "K"]
     assert not {"bands", "impacts"} & set(rows)
+
+
+def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
+    """A refused strain, an embedded particle, an undecided second impact, and a dissipation of 31 %."""
+    first = {
+        "end": {"eps_p_max": None, "flattening_ratio": 1.2, "T_max_K": 900.0},
+        "refused": {"end.eps_p_max": "85 is above 20"},
+        "numerical_dissipation": 0.31,
+    }
+    second = {
+        "end": {"time_s": 9e-9, "eps_p_max": None, "flattening_ratio": None},
+        "refused": dict.fromkeys(["restitution", "end.eps_p_max", "end.flattening_ratio"], "not at rest"),
+        "restitution": None,
+    }
+    doubt = "viscosity and hourglass control took 31%"
+    with Store.create(tmp_path, "") as store:
+        store.finish(summary_of(first, second, undecided="not at rest", warnings=[doubt, "rates"]))
+    result = Result(tmp_path)
+    rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1}
+    assert rows["greatest plastic strain"] == ["-", "-", ""]
+    assert str(summary_table(result).caption).splitlines()[:3] == [
+        "impact 1: no value of greatest plastic strain at the end: 85 is above 20",
+        "impact 1: at the end, flattening, above surface is 1.2: the top lies below the surface: the particle is embedded",
+        "impact 2: no value of all measures of the end, rebound velocity / impact velocity: not at rest",
+    ]
+    assert alerts(result.summary) == [doubt]
+    page = report(result)
+    head = page[: page.index("<section")]
+    assert head.index("undecided</b>: not at rest") < head.index(f"doubtful</b>: {doubt}") < head.index("<li>rates")
+    assert "85 is above 20" in page
 
 
 # How people without one kind of cone see linear RGB: Machado, Oliveira & Fernandes (2009), severity 1.

@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 def other(tmp_path_factory):
     """Another run, larger and faster, of three steps."""
     scene = made_up_run.SCENE.replace('"500 m/s"', '"600 m/s"\nangle = "30 deg"').replace('"25 um"', '"30 um"')
-    summary = made_up_run.summary(flattening_ratio=0.6117, end={"flattening_ratio": 0.6117, "T_max_K": None})
+    summary = made_up_run.summary(end={"flattening_ratio": 0.6117, "T_max_K": None})
     folder = tmp_path_factory.mktemp("more") / "nickel"
     return made_up_run.write(folder, steps=3, points=2000, edge=7.5, scene=scene, summary=summary)
 
@@ -113,7 +113,7 @@ def test_two_runs_in_a_table(folder, other):
     rows = printed([Result(folder), Result(other)])
     assert rows["flattening, above surface"] == ["0.5561", "0.6117", "+10.0%", ""]
     assert rows["crater depth"] == ["5.02", "5.02", "+0.0%", "µm"]
-    assert rows["highest temperature"] == ["612", "", "", "K"]
+    assert rows["highest temperature"] == ["612", "-", "", "K"]
     assert rows["energy drift"] == ["-0.1", "-0.1", "", "%"]
     assert rows["particle.velocity"] == ["500 m/s", "600 m/s", "", ""]
     assert rows["particle.angle"] == ["", "30 deg", "", ""]

@@ -26,7 +26,7 @@ from coupler.report.solid import TOP, frames, solid, thinned
 def finished(tmp_path_factory):
     """Five steps and a summary, with texts that would be markup if nobody took care."""
     summary = made_up_run.summary(
-        warnings=["strain rates beyond the fit", "<img src=x onerror=alert(1)>"],
+        run={"warnings": ["strain rates beyond the fit", "<img src=x onerror=alert(1)>"]},
         bands={"flattening_ratio": 0.0118, "crater_depth_m": {"half_width": 1.3e-7, "why": "spacing of the points"}},
     )
     scene = made_up_run.SCENE + '# </script><script>window.broken = 1</script> "quoted"\n'
@@ -88,8 +88,8 @@ def test_the_page_keeps_to_itself_and_takes_text_for_text(page):
 def test_a_run_of_several_impacts(finished, tmp_path):
     copy = light(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
-    each = [{"flattening_ratio": 0.5, "time_s": 1e-9}, {"end": {"flattening_ratio": 0.4}, "velocity_z_m_s": 3.0}]
-    Store(copy).finish(made_up_run.summary(impacts=each))
+    first, second = {"flattening_ratio": 0.5, "time_s": 1e-9}, {"flattening_ratio": 0.4, "velocity_z_m_s": 3.0}
+    Store(copy).finish(made_up_run.summary_of({"end": first}, {"end": second}))
     page = report(Result(copy))
     table = page[page.index('<section id="impacts">') :]
     table = table[: table.index("</section>")]
@@ -123,7 +123,7 @@ def test_a_run_without_a_plan_says_the_effects_of_its_summary(finished, tmp_path
     copy = light(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
     (copy / "plan.json").unlink()
-    Store(copy).finish(made_up_run.summary(effects=["friction", {"name": "conduction", "on": True}]))
+    Store(copy).finish(made_up_run.summary({"effects": ["friction", {"name": "conduction", "on": True}]}))
     page = report(Result(copy))
     assert "Taking part: friction, conduction. The reasons are not known" in page
     assert "Material data" not in page
@@ -222,8 +222,8 @@ def test_pictures_are_taken_on_the_way_and_at_the_end(finished):
 def test_each_of_several_impacts_has_its_picture(finished, tmp_path):
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
-    one = {"sim_time_s": 20e-9, "greatest_deformation": {"time_s": 10e-9}}
-    Store(copy).finish(made_up_run.summary(impacts=[one, one]))
+    one = {"greatest": {"time_s": 10e-9}, "end": {"time_s": 20e-9}}
+    Store(copy).finish(made_up_run.summary_of(one, one))
     assert picks(Result(copy)) == [1, 3, 4]  # at 10, 20 + 10 and 40 ns
     page = report(Result(copy))
     assert "<b>t = 10.0 ns</b>, greatest deformation of impact 1" in page
@@ -336,7 +336,7 @@ def test_a_browser_shows_a_real_run(tmp_path, shared_run):
     read_ = rows(page.read_text(encoding="utf-8"))
     value, band = read_["flattening, above surface"][-2].split(" ± ")
     assert float(value) == pytest.approx(result.flattening_ratio, abs=5e-4)
-    assert float(band) == pytest.approx(result.summary["bands"]["flattening_ratio"]["half_width"], rel=0.05)
+    assert float(band) == pytest.approx(result.bands["flattening_ratio"]["half_width"], rel=0.05)
     with shown(page, tmp_path / "profile") as browser:
         assert (browser.requests, browser.complaints) == ([page.as_uri()], [])
         assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 10

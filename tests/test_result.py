@@ -2,18 +2,21 @@
 
 import ast
 import contextlib
+import json
 import os
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from made_up_run import summary_of
 
 import coupler.files.result
 from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
 
+DATA = Path(__file__).parent / "data"
 POINTS = np.random.default_rng(0).random((20, 3)) * 1e-5
 TETS = np.arange(16).reshape(4, 4)
 
@@ -35,13 +38,23 @@ def finish(folder: Path, summary: dict) -> None:
 
 
 def test_finished_run(folder):
-    finish(folder, {"flattening_ratio": 0.56, "end": {"T_max_K": 470.0}, "lost": float("nan")})
+    impacts = [
+        {"end": {}},
+        {"points": 20, "steps": 7, "lost": float("nan"), "end": {"flattening_ratio": 0.56, "T_max_K": 470.0}},
+    ]
+    finish(folder, summary_of(*impacts, steps=9, warnings=["slow"]))
     result = Result.open(folder)
     assert result.finished
     assert result.flattening_ratio == 0.56
     assert result.end["T_max_K"] == 470.0
     assert result.lost is None
-    assert result.summary["flattening_ratio"] == 0.56
+    assert (result.steps, result.impact(1)["steps"]) == (9, 7), "the whole run comes first"
+    assert result.warnings == ["slow"]
+    assert result.values["version"] == result.version == "0.2.0"
+    assert result.impact()["flattening_ratio"] == 0.56
+    assert "flattening_ratio" not in result.impact(0)
+    with pytest.raises(IndexError):
+        result.impact(2)
     assert "flattening_ratio" in dir(result)
     with pytest.raises(AttributeError, match=r"no 'flatening_ratio'; did you mean 'flattening_ratio'"):
         _ = result.flatening_ratio
@@ -56,7 +69,9 @@ def test_unfinished_run_says_so_and_gives_what_there_is(folder):
     np.testing.assert_allclose(result.times("target"), [0, 1e-9, 2e-9])
     assert len(result.times("surface")) == 0
     assert result.scene_text == 'preset = "draft"\n'
-    finish(folder, {"points": 20})  # the run comes to its end while we look at it
+    with pytest.raises(StoreError, match="not finished"):
+        result.impact(0)
+    finish(folder, summary_of({"points": 20}))  # the run comes to its end while we look at it
     assert result.points == 20
 
 
@@ -113,13 +128,54 @@ def test_not_a_result(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["{", "[1]", "", '{"a": NaN}', '{"a": Infinity}', "[" * 100_000, "\xff"],
+    [
+        "{",
+        "[1]",
+        "",
+        '{"a": NaN}',
+        '{"a": Infinity}',
+        "[" * 100_000,
+        "\xff",
+        "{}",
+        '{"format": 2, "run": {}, "impacts": [{}]}',
+    ],
     ids=lambda text: text[:6],
 )
 def test_damaged_summary(folder, text):
     (folder / "summary.json").write_text(text, encoding="latin-1")
     with pytest.raises(StoreError, match=r"summary\.json"):
         _ = Result(folder).summary
+
+
+def test_a_summary_of_an_unknown_format_is_named(folder):
+    (folder / "summary.json").write_text(json.dumps(summary_of({}) | {"format": 3, "version": "0.9.1"}))
+    with pytest.raises(StoreError, match=r"summary\.json has format 3 \(version 0\.9\.1\)"):
+        _ = Result(folder).summary
+
+
+def test_a_summary_of_version_0_1_opens_in_the_form_of_today(folder):
+    """summary_0.1.json: two impacts as version 0.1.0 wrote them, with a part of their keys."""
+    old = json.loads((DATA / "summary_0.1.json").read_text())
+    (folder / "summary.json").write_text(json.dumps(old))
+    result = Result(folder)
+    first, last = result.impacts
+    assert first.keys() - last.keys() == {"at_end"}
+    assert first["at_end"] == old["impacts"][0]["at_end"]
+    assert last["greatest"] == old["greatest_deformation"]
+    assert last["end"] == old["end"]
+    assert "flattening_ratio" not in last, "each number once"
+    for name in (
+        "flattening_ratio",
+        "rebound_velocity_m_s",
+        "steps",
+        "sim_time_s",
+        "deposition_efficiency",
+        "effects",
+        "version",
+    ):
+        assert getattr(result, name) == old[name]
+    assert result.impact(0)["flattening_ratio"] == old["impacts"][0]["flattening_ratio"]
+    assert (result.retries, result.undecided) == (old["rescues"], None)
 
 
 def test_cut_and_garbled_files_never_crash(folder):

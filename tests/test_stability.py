@@ -76,7 +76,7 @@ def assert_same(one: Result, other: Result) -> None:
 def test_going_back_is_exact(whole: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     same_step(monkeypatch)
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=Trouble(30e-9, 2, how))
-    made = result.summary["retries"]
+    made = result.retries
     assert len(made) == 2
     assert 0 <= made[1]["back_to_s"] <= made[0]["back_to_s"] < 30e-9 < made[0]["time_s"]
     assert made[0]["back_to_s"] > 0
@@ -86,7 +86,7 @@ def test_going_back_is_exact(whole: Result, tmp_path: Path, monkeypatch: pytest.
 def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> None:
     log, trouble = Lines(), Trouble(30e-9)
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=trouble, progress=log)
-    (made,) = result.summary["retries"]
+    (made,) = result.retries
     assert made["reason"] == "made to fail"
     assert made["remedy"] == REMEDIES[0].words
     assert made["dt_factor"] == 0.5
@@ -94,16 +94,16 @@ def test_a_retry_halves_the_step_and_says_so(whole: Result, tmp_path: Path) -> N
     assert said == [
         f"retried at {made['time_s'] * 1e9:.2f} ns: made to fail; {REMEDIES[0].words} ({made['back_to_s'] * 1e9:.2f} ns)"
     ]
-    assert said[0] in result.summary["warnings"]
+    assert said[0] in result.warnings
     broken = next(i for i in range(1, len(trouble.steps)) if trouble.steps[i] < 0.7 * trouble.steps[i - 1])
     assert trouble.steps[broken] == pytest.approx(0.5 * trouble.steps[broken - 1], rel=0.3)
     assert result.steps > whole.steps
     # the same splat, a little better integrated
     for name in ("flattening_ratio", "splat_diameter_m", "eps_p_mean", "T_mean_K"):
-        assert result.summary[name] == pytest.approx(whole.summary[name], rel=0.01), name
+        assert result.values[name] == pytest.approx(whole.values[name], rel=0.01), name
     assert abs(result.energy_drift) < 0.01
     assert np.all(np.diff(result.history("time")) > 0)
-    assert whole.summary["retries"] == []
+    assert whole.retries == []
 
 
 def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_path: Path) -> None:
@@ -127,12 +127,12 @@ def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path)
     """Nothing made up: with a step so much longer than the particle can take, the run fails (docs/evidence/solvers.md)."""
     whole = shared_run(NI)
     result = run(Scene.from_text(NI, "shared"), tmp_path / "out", numerics={"courant": 0.9, "stretch": 4.0})
-    made = result.summary["retries"]
+    made = result.retries
     assert 1 <= len(made) <= len(REMEDIES)
-    assert result.summary["numerics"]["stretch"] == 4.0
+    assert result.numerics["stretch"] == 4.0
     assert abs(result.energy_drift) < 0.01
     for name in ("flattening_ratio", "splat_diameter_m", "T_mean_K"):
-        assert result.summary[name] == pytest.approx(whole.summary[name], rel=0.03), name
+        assert result.values[name] == pytest.approx(whole.values[name], rel=0.03), name
 
 
 def test_books_that_open_on_the_way_are_trouble(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_books_that_open_on_the_way_are_trouble(tmp_path: Path) -> None:
             impact.target.sums[0] += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing
 
     result = run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe)
-    (made,) = result.summary["retries"]
+    (made,) = result.retries
     assert "ledger does not close" in made["reason"]
     assert made["back_to_s"] < 27e-9  # not to a state that had much of it already
     assert abs(result.energy_drift) < 0.01
@@ -159,8 +159,8 @@ def test_a_checkpoint_keeps_the_retries(tmp_path: Path) -> None:
     with pytest.raises(Stopped):
         run(scene, tmp_path / "out", probe=Both(4e-9, 3), checkpoint_every=0.0)
     result = resume(tmp_path / "out")
-    assert result.summary["retries"] == through.summary["retries"]
-    assert result.summary["numerics"]["Q1"] == 0.2
+    assert result.retries == through.retries
+    assert result.numerics["Q1"] == 0.2
     assert_same(result, through)
 
 
@@ -171,9 +171,9 @@ def test_the_second_impact_of_a_sequence_is_retried(
     monkeypatch.setattr(retry, "KEEP_EVERY", 1)  # so that so short an impact has a state to go back to
     trouble = Trouble(12e-9, impact=2)
     result = run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / "out", probe=trouble)
-    (made,) = result.summary["retries"]
+    (made,) = result.retries
     assert made["impact"] == 2
-    assert made["back_to_s"] > result.summary["impacts"][0]["sim_time_s"]
+    assert made["back_to_s"] > result.impacts[0]["end"]["time_s"]
     assert_same(result, shared_run(SHORT_DOUBLE))
 
 
@@ -367,7 +367,7 @@ def test_matter_that_slides_over_the_rim_is_not_pulled_back(tmp_path: Path) -> N
         if outside.any():
             outermost.append(float(mass[outside] @ v[outside, 0] / mass[outside].sum()))
 
-    summary = run(Scene.from_dict(said, "rim"), tmp_path / "out", probe=probe, threads=1).summary
+    summary = run(Scene.from_dict(said, "rim"), tmp_path / "out", probe=probe, threads=1).values
     assert min(outermost) > 0.0
     assert summary["penetration_max_m"] < 0.5 * summary["spacing_m"]
     assert sum("over the rim" in text for text in summary["warnings"]) == 1

@@ -7,7 +7,6 @@ waits inside LAMMPS is not in it). The runs of a round follow one another; the m
 """
 
 import argparse
-import json
 import os
 import platform
 import statistics
@@ -17,6 +16,8 @@ import tempfile
 from pathlib import Path
 
 from pages import TABLES, write_table
+
+from coupler import Result
 
 WAYS = {
     "one process, one thread": (1, None, 1), "one process, two threads": (1, None, 2), "two ranks, split": (2, "split", 1),
@@ -73,9 +74,9 @@ def measured(scene: str, text: str, repeats: int) -> list[list[str]]:
                 program = [sys.executable, "-c", PROGRAM, str(warm), str(path), str(out), placement or "", str(threads)]
                 launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(ranks)] if ranks > 1 else []
                 subprocess.run([*launch, *program], check=True)
-                summary = json.loads((out / "summary.json").read_text())
-                times[name].append(summary["wall_loop_s"])
-                idle[name] = summary["idle_share"]
+                result = Result(out)
+                times[name].append(result.wall_loop_s)
+                idle[name] = result.idle_share
                 print(f"{scene}, round {repeat + 1}: {name:26s} {times[name][-1]:6.2f} s", flush=True)
     medians = {name: statistics.median(found) for name, found in times.items()}
     first = medians["one process, one thread"]

@@ -108,12 +108,12 @@ def case(points: int, velocity: float, change: Mapping[str, float | str]) -> dic
     try:
         with packed_on(str(row["lattice"])):
             stopped = (folder / "scene.toml").exists()
-            s = (resume(folder, numerics=numerics) if stopped else run(scene, folder, numerics=numerics)).summary
+            result = resume(folder, numerics=numerics) if stopped else run(scene, folder, numerics=numerics)
     except SolverError as problem:
         shutil.rmtree(folder)
         return {**row, "failed": str(problem)[:160]}
+    s, g, e = result.values, result.greatest, result.energies
     shutil.rmtree(folder)
-    g, e = s["greatest_deformation"], s["energies"]
     row |= {
         "elements": s["elements"], "steps": s["steps"], "dt_mean_ps": s["dt_mean_s"] * 1e12, "wall_loop_s": s["wall_loop_s"],
         "flattening_gd": g["flattening_ratio"], "flattening_end": s["flattening_ratio"],

@@ -145,10 +145,8 @@ def prepare(folder: Path) -> None:
     meshio.Mesh(grid * 1e-6, [("triangle", np.arange(9, dtype=np.int32).reshape(3, 3))]).write(
         folder / "cloud.ply", binary=False
     )
-    made_up_run.write(
-        folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}])
-    )
-    made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary(impacts=[{"rebounded": False}]))
+    made_up_run.write(folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary())
+    made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary())
     tiny = Scene.from_text(TINY)
     Store.create(folder / "begun", tiny.to_toml(), plan_json=plan_text(plan(tiny))).close()
     for name in ("runs/one", "good"):  # of one impact, its bodies told apart
@@ -166,7 +164,7 @@ def prepare(folder: Path) -> None:
         (folder / "sweep" / f"{name}.toml").write_text(scene)
         (folder / "sweep" / f"{name}.json").write_text('{"status": "done", "reason": "", "exit_code": 0}')
         (folder / "sweep" / name / "scene.toml").write_text(scene)
-        found = made_up_run.summary(flattening_ratio=0.4 + 0.02 * k, rebound_velocity_m_s=20.0 + k)
+        found = made_up_run.summary(end={"flattening_ratio": 0.4 + 0.02 * k}, rebound_velocity_m_s=20.0 + k)
         (folder / "sweep" / name / "summary.json").write_text(json.dumps(found))
     made_up_run.write(folder / "broken", 2, 300, 20.0)
     state = {

@@ -36,6 +36,8 @@ def numbers(tree: dict[str, object], prefix: str = "") -> dict[str, float]:
     for name, value in tree.items():
         if isinstance(value, dict):
             values |= numbers(value, f"{prefix}{name}.")
+        elif name in ("impacts", "joins") and isinstance(value, list):
+            values |= numbers({str(k): item for k, item in enumerate(value)}, f"{prefix}{name}.")
         elif isinstance(value, (int, float)) and not isinstance(value, bool) and name not in OF_THE_MACHINE:
             values[prefix + name] = float(value)
     return values

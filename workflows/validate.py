@@ -160,8 +160,8 @@ def strained_radius(result: Result, least: float = 0.2) -> float:
 
 def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
-    s, when, rows = result.summary, 0.0, []
-    impacts = s["impacts"]
+    when, rows = 0.0, []
+    impacts = result.impacts
     volumes = [np.pi / 6 * one["diameter_m"] ** 3 for one in impacts]
     standing = splats_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
     stayed = [k for k, one in enumerate(impacts[:-1]) if one["at_end"] is not None]
@@ -169,32 +169,32 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
     times = result.times("surface")
     for k, one in enumerate(impacts):
-        when += one["sim_time_s"]
+        last, when = one["end"], when + one["end"]["time_s"]
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
         own = axial(f.points, f.cells)
         at_end[len(impacts) - 1] = own
-        e, g = one["energies"], one["greatest_deformation"] or {}
+        e, g = one["energies"], one["greatest"] or {}
         kinetic = e["kinetic_particle"] + e["kinetic_target"]
         row: dict[str, object] = {
             "run": case.name, "impact": k + 1, "preset": Scene.from_text(case.text, case.name).preset,
             "material": one["material"], "diameter_um": one["diameter_m"] * 1e6, "speed_m_s": one["speed_m_s"],
-            "temperature_K": case.start, "crater_um": one["crater_depth_m"] * 1e6, "rebound_m_s": one["rebound_velocity_m_s"],
-            "penetration_um": one["penetration_max_m"] * 1e6, "target_eps_p_max": one["target_eps_p_max"],
-            "target_T_max": one["target_T_max_K"], "von_mises_MPa": one["von_mises_max_Pa"] / 1e6,
-            "target_von_mises_MPa": one["target_von_mises_max_Pa"] / 1e6,
-            "plastic_radius_um": one["plastic_radius_m"] * 1e6, "strained_radius_um": strained_radius(result) * 1e6,
+            "temperature_K": case.start, "crater_um": last["crater_depth_m"] * 1e6, "rebound_m_s": one["rebound_velocity_m_s"],
+            "penetration_um": one["penetration_max_m"] * 1e6, "target_eps_p_max": last["target_eps_p_max"],
+            "target_T_max": last["target_T_max_K"], "von_mises_MPa": last["von_mises_max_Pa"] / 1e6,
+            "target_von_mises_MPa": last["target_von_mises_max_Pa"] / 1e6,
+            "plastic_radius_um": last["plastic_radius_m"] * 1e6, "strained_radius_um": strained_radius(result) * 1e6,
             "kinetic_over_internal": kinetic / (1.0 - kinetic), "numerical_share": one["numerical_dissipation"],
             "drift": one["energy_drift"], "points": one["points"], "elements": one["elements"], "steps": one["steps"],
-            "dt_ps": one["dt_mean_s"] * 1e12, "wall_s": one["wall_s"], "run_wall_s": s["wall_s"], "failed": "",
+            "dt_ps": one["dt_mean_s"] * 1e12, "wall_s": one["wall_s"], "run_wall_s": result.wall_s, "failed": "",
         }  # fmt: skip
-        row |= {f"eps_p_{which}": one[f"eps_p_{which}"] for which in ("mean", "p99", "max")}
-        row |= {f"T_{which}": one[f"T_{which}_K"] for which in ("mean", "p99", "max")}
+        row |= {f"eps_p_{which}": last[f"eps_p_{which}"] for which in ("mean", "p99", "max")}
+        row |= {f"T_{which}": last[f"T_{which}_K"] for which in ("mean", "p99", "max")}
         if g:
             row |= shape_row("greatest", g) | {"crater_greatest_um": g["crater_depth_m"] * 1e6}
             row["von_mises_greatest_MPa"] = g["von_mises_max_Pa"] / 1e6
-        row |= shape_row("own", one) | {"axial_um_own": own * 1e6}
-        if one["at_end"] is not None:
-            row |= shape_row("end", one["at_end"])
+        row |= shape_row("own", last) | {"axial_um_own": own * 1e6}
+        if (standing := one.get("at_end", last)) is not None:
+            row |= shape_row("end", standing)
         if k in at_end:
             row["axial_um_end"] = at_end[k] * 1e6
         rows.append(row)

@@ -242,10 +242,12 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     if not arguments.quiet and speaks():
         from rich.console import Console
 
-        from ..report import summary_table
+        from ..report import alerts, summary_table
 
         if result.undecided is not None:
             print(f"undecided: {result.undecided}; go on with coldspray resume {out}")
+        for text in alerts(result.summary):
+            print(f"doubtful: {text}")
         Console().print(summary_table(result))
         print(f"results in {out}")
     return 0 if result.undecided is None else _UNDECIDED

@@ -98,7 +98,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         raise SplatError(f"--step {step}: {problem}") from None
     scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
     metal = scene.derived.material(scene.particle.material)
-    spacing = spacing or float(result.summary.get("spacing_m") or scene.derived.spacing)
+    spacing = spacing or float(result.values.get("spacing_m") or scene.derived.spacing)
     times = result.times("surface")
     skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
     surface, notes = None, []

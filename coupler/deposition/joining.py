@@ -1,7 +1,7 @@
 """Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
 
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -184,20 +184,19 @@ def _held(bodies: Bodies) -> dict[str, float]:
 
 
 def splats_at_end(
-    plan: Plan, records: list[dict[str, Any]], joins: list[dict[str, Any]], bodies: Bodies, surface: np.ndarray
-) -> None:
-    """Add to each impact's record how its splat stands at the end of the run, as `at_end`. surface (k,3): of the last one, m."""
-    first = 1
-    for i, record in enumerate(records):
-        if i + 1 == len(records):
-            vertices = surface
-        else:
-            count = joins[i]["bodies"]
-            if count == 0:
-                record["at_end"] = None  # it has left
-                continue
-            sets, mesh = [f"splat{first + k}" for k in range(count)], bodies.target.mesh
-            nodes = np.unique(np.concatenate([mesh.facets[mesh.sets[name]].ravel() for name in sets]))
-            vertices, first = bodies.target.x[nodes], first + count
-        level = np.array([0.0, 0.0, record["surface_level_m"]])
-        record["at_end"] = shape_measures(vertices - level, plan.impacts[i].diameter)
+    plan: Plan, levels: Sequence[float], joins: Sequence[Mapping[str, Any]], bodies: Bodies
+) -> list[dict[str, float] | None]:
+    """How the splats that have joined the target stand in it, by impact: measures of shape, SI; None for one that has left.
+
+    levels: height (m) of the surface that each particle met; joins: the reports of their joining.
+    """
+    first, mesh, standing = 1, bodies.target.mesh, []
+    for impact, level, count in zip(plan.impacts, levels, [join["bodies"] for join in joins], strict=False):
+        shape = None
+        if count > 0:
+            sets = [mesh.sets[f"splat{first + k}"] for k in range(count)]
+            nodes = np.unique(np.concatenate([mesh.facets[facets].ravel() for facets in sets]))
+            shape = shape_measures(bodies.target.x[nodes] - np.array([0.0, 0.0, level]), impact.diameter)
+        standing.append(shape)
+        first += count
+    return standing

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .. import __version__
 from ..errors import CheckpointError, ColdsprayError, StoreError, speaks
 from ..files import checkpoint
@@ -21,9 +19,8 @@ from ..files.store import PICTURE, Store, StoreState
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
-from ..impact.rebound import deposition_efficiency
 from ..impact.run import RunningState, RunOptions, run_impact
-from ..impact.validity import merged
+from ..impact.summary import ImpactRecord
 from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import FILE, plan_from, plan_text
@@ -31,6 +28,7 @@ from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..report import section_picture
 from .joining import join, splats_at_end
+from .summary import simulated, summary
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
 
@@ -93,9 +91,9 @@ def resume(
     if result.finished and not result.undecided:
         _complete(result)
         return result
-    if result.undecided and until is not None and until <= float(result.impacts[-1]["sim_time_s"]):
+    if result.undecided and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
-            f"impact {len(result.impacts)} has come to {float(result.impacts[-1]['sim_time_s']) * 1e9:.4g} ns: give a later time"
+            f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
         )
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
@@ -181,7 +179,7 @@ class DepositionState:
     running: RunningState | None
     bodies: BodiesState | None
     store: StoreState
-    records: list[dict[str, Any]]
+    records: list[ImpactRecord]
     joins: list[dict[str, Any]]
     wall: float
 
@@ -197,13 +195,18 @@ class Deposition:
             "numerics": repr(sorted(options.numerics.items())),
         }  # fmt: skip
         self._started, self._before = clock.perf_counter(), 0.0
-        self.records: list[dict[str, Any]] = []  # of the finished impacts, for summary.json
+        self.records: list[ImpactRecord] = []  # of the finished impacts
         self.joins: list[dict[str, Any]] = []  # reports of the joining of their splats
 
     @property
     def wall(self) -> float:
         """Wall time so far, s, that before a resumption included."""
         return self._before + clock.perf_counter() - self._started
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the last impact so far has ended without its end criterion."""
+        return self.records[-1].values["undecided"] is not None
 
     def run(self, anew: bool) -> None:
         """Compute all impacts, or those that a checkpoint has not seen finished, and write summary.json."""
@@ -219,27 +222,28 @@ class Deposition:
                     f"the checkpoint in {self.store.directory} is damaged: start anew with coldspray run --force"
                 )
             bodies = restored_target(self.plan, kept)
-        skin = np.zeros((0, 3))
         for i in range(len(self.records), len(self.plan.impacts)):
-            bodies, skin = self._impact(i, bodies, running)
+            bodies = self._impact(i, bodies, running)
             running = None
-            if self.records[-1]["undecided"] is not None:
+            if self.undecided:
                 break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-        self.store.finish(self._summary(bodies, skin))
-        if self.records[-1]["undecided"] is None:
+        standing = splats_at_end(
+            self.plan, [record.values["surface_level_m"] for record in self.records], self.joins, bodies
+        )
+        self.store.finish(summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks))
+        if not self.undecided:
             checkpoint.clear(self.store.directory)
 
-    def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> tuple[Bodies, np.ndarray]:
-        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact, and the particle's surface (k,3) m."""
-        before = sum(record["sim_time_s"] for record in self.records)
+    def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> Bodies:
+        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact."""
+        before = simulated(self.records)
         outcome = None
         try:
             outcome = run_impact(self.plan, i, bodies, self.store, before, self.options, self._save_within, resume_from)
             domains = outcome.domains
             self.records.append(outcome.record)
-            skin = domains.surface.positions(domains.particle.x)
-            if i + 1 == len(self.plan.impacts) or outcome.record["undecided"] is not None:
-                return domains.bodies, skin
+            if i + 1 == len(self.plan.impacts) or self.undecided:
+                return domains.bodies
             bodies, report = join(self.plan, i, domains, self.options.log, outcome.hold)
             self.joins.append(report)
         finally:
@@ -248,7 +252,7 @@ class Deposition:
             if self.options.progress is not None:
                 self.options.progress.stop()
         self._save(None, bodies.state())
-        return bodies, skin
+        return bodies
 
     def _last_checkpoint(self) -> DepositionState | None:
         """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
@@ -266,21 +270,6 @@ class Deposition:
     def _save(self, running: RunningState | None, bodies: BodiesState | None) -> None:
         state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall)
         checkpoint.write(self.store.directory, state, self._belongs_to)
-
-    def _summary(self, bodies: Bodies, skin: np.ndarray) -> dict[str, Any]:
-        """The last impact's measures, sums over all of them, and each of them in the list `impacts`."""
-        splats_at_end(self.plan, self.records, self.joins, bodies, skin)
-        records = self.records
-        whole = {
-            "wall_s": self.wall,
-            "wall_loop_s": sum(record["wall_loop_s"] for record in records),
-            "sim_time_s": sum(record["sim_time_s"] for record in records),
-            "steps": sum(record["steps"] for record in records),
-            "retries": [retry for record in records for retry in record["retries"]],
-            "warnings": merged([text for record in records for text in record["warnings"]]),
-            "deposition_efficiency": deposition_efficiency(records),
-        }
-        return {**records[-1], **whole, "impacts": records, "joins": self.joins}
 
 
 def _to_stderr(text: str) -> None:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import ColdsprayError, StoreError
 from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory
+from .summary import Summary, Values, impact_values, read_summary, run_values
 
 # Names are repeated here so that reading needs nothing of the writing side.
 DOMAINS = ("particle", "surface", "target")
@@ -44,8 +45,11 @@ class Fields:
 
 
 class Result:
-    """A run's folder, finished or not. Keys of the summary read like attributes: `result.flattening_ratio`.
+    """A run's folder, finished or not.
 
+    Keys of the summary read like attributes: those of the run, then those of its last impact, then the measures of that impact's
+    end: `result.deposition_efficiency`, `result.rebounded`, `result.flattening_ratio`. A value that is None is refused, for the
+    reason in `result.refused`, or does not apply.
     Raises StoreError if the folder is not there or holds no run.
     """
 
@@ -56,7 +60,7 @@ class Result:
         known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in DOMAINS)]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
-        self._summary: dict[str, Any] = {}
+        self._summary: Summary = {}
 
     @classmethod
     def open(cls, directory: str | Path) -> Result:
@@ -73,15 +77,30 @@ class Result:
     @property
     def undecided(self) -> str | None:
         """Why the run ended before its end criterion was met; None where it was met, or the run is not finished."""
-        reason = self.summary.get("undecided")
+        reason = self.values.get("undecided")
         return str(reason) if reason is not None else None
 
     @property
-    def summary(self) -> dict[str, Any]:
-        """Contents of summary.json; empty while the run is not finished. StoreError if it is damaged."""
+    def summary(self) -> Summary:
+        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. StoreError if it is damaged or of an
+        unknown format; that of version 0.1 is put into today's form."""
         if not self._summary and self.finished:
-            self._summary = read_json_object(self.directory / "summary.json")
+            self._summary = read_summary(self.directory / "summary.json")
         return self._summary
+
+    def impact(self, i: int = -1) -> Values:
+        """Impact i (from 0; the last by default) in one table: its own keys and the measures of its end.
+
+        Raises StoreError if the run is not finished, IndexError if there is no such impact.
+        """
+        if not self.summary:
+            raise StoreError(f"the run in {self.directory} is not finished: it has no summary.json")
+        return impact_values(self.summary, i)
+
+    @property
+    def values(self) -> Values:
+        """The last impact (`impact(-1)`) and the whole run in one table; empty while the run is not finished."""
+        return run_values(self.summary)
 
     @property
     def plan(self) -> dict[str, Any]:
@@ -95,20 +114,24 @@ class Result:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        summary = self.summary
-        if name in summary:
-            return summary[name]
-        if not summary:
+        known = self._known()
+        if name in known:
+            return known[name]
+        if not known:
             raise AttributeError(
                 f"{name!r} is not known: the run in {self.directory} is not finished (no summary.json); "
                 "history() and fields() give what was written so far"
             )
-        near = difflib.get_close_matches(name, summary, n=1)
+        near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise AttributeError(f"the summary in {self.directory} has no {name!r}{hint}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *self.summary]
+        return [*super().__dir__(), *self._known()]
+
+    def _known(self) -> Values:
+        """The names that read like attributes, with their values."""
+        return {**self.summary, **self.summary["impacts"][-1], **self.values} if self.summary else {}
 
     @property
     def scene_text(self) -> str:

@@ -43,7 +43,7 @@ def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None
 
 
 def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float | None:
-    """Mass of the particles that stayed over the mass of all, from the summaries of their impacts; None while one is undecided."""
+    """Mass of the particles that stayed over the mass of all, from the records of their impacts; None while one is undecided."""
     if any(record["rebounded"] is None for record in records):
         return None
     mass = [record["particle_mass_kg"] for record in records]

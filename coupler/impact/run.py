@@ -4,7 +4,6 @@ import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from .loop import advance_to_end
 from .recorder import Recorder, RecorderState
 from .retry import Retries, Retry
 from .stop import Stopped, StopSignals
-from .summary import summarise
+from .summary import ImpactRecord, summarise
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class ImpactOutcome:
 
     domains: Domains
     hold: Hold | None
-    record: dict[str, Any]
+    record: ImpactRecord
 
 
 @dataclass(frozen=True)

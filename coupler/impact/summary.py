@@ -1,22 +1,37 @@
 """The record of a finished impact for summary.json."""
 
 import resource
-from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
-from .. import __version__
+from ..measures import within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
 from .rebound import outcome
 from .recorder import Recorder
 from .retry import Retry
 
-DISSIPATION_ALARM = (
-    0.2  # of the kinetic energy: beyond it the numerical dissipation is no longer small beside plastic work
-)
+V = TypeVar("V")
+NEEDS_REST = (
+    "rebound_velocity_m_s",
+    "rebounded",
+    "restitution",
+    "bonded_area_end_m2",
+)  # beside the measures of the end
+
+
+@dataclass(frozen=True)
+class ImpactRecord:
+    """What a finished impact leaves for summary.json. values: its record in `impacts`; warnings, retries: of the run's;
+    memory_peak: bytes, of all processes."""
+
+    values: dict[str, Any]
+    warnings: list[str]
+    retries: list[Retry]
+    memory_peak: float
 
 
 def summarise(
@@ -27,56 +42,66 @@ def summarise(
     looped: float,
     undecided: str | None,
     settled: bool,
-) -> dict[str, Any]:
+) -> ImpactRecord:
     """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop; undecided: why it
-    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end."""
-    particle, target, ledger = impact.particle, impact.target, impact.ledger
-    plan, impact_plan = recorder.plan, recorder.impact_plan
-    end = recorder.measures(impact)
+    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end.
+
+    A measure outside its range, and one that needs the end criterion of an undecided impact, is None; `refused` has the reason.
+    """
+    particle, ledger, impact_plan = impact.particle, impact.ledger, recorder.impact_plan
+    measured = recorder.measures(impact)
     others = ("drift", "momentum_error")
-    energies = {name: value / ledger.kinetic_0 for name, value in ledger.rows.items() if name not in others}
-    return {
-        **{name: value for name, value in end.items() if name != "time_s"},
+    own = {
         "material": impact_plan.material.name,
         "diameter_m": impact_plan.diameter,
         "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
         "surface_level_m": impact.domains.level,
-        "rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0),
+        "rebound_velocity_m_s": max(measured["velocity_z_m_s"], 0.0),
+        **outcome(recorder.plan, recorder.i, particle, impact.hold, settled),
+        "penetration_max_m": impact.deepest,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
         "numerical_dissipation": ledger.numerical_dissipation,
-        "penetration_max_m": impact.deepest,
         "points": particle.n,
-        "elements": len(target.mesh.conn),
-        "nodes": len(target.x),
+        "elements": len(impact.target.mesh.conn),
+        "nodes": len(impact.target.x),
         "spacing_m": particle.spacing,
-        "element_size_m": plan.target.element_size,
         "steps": particle.steps,
         "dt_mean_s": impact.time / particle.steps,
         "dt_limited_by": impact.limits,
-        "engine": plan.engine,
         "numerics": asdict(particle.numerics),
-        "sim_time_s": impact.time,
         "wall_s": wall,
         "wall_loop_s": looped,
-        "placement": particle.ranks.placement,
-        "ranks": particle.ranks.size,
         "idle_share": particle.idle(looped),
-        "memory_peak_bytes": sum(particle.everywhere(peak_memory)),
         "kinetic_energy_0_J": ledger.kinetic_0,
-        "energies": energies,
-        "greatest_deformation": recorder.greatest,
-        "end": end,
-        "effects": plan.effects.active,
-        "warnings": [*plan.warnings, *_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
-        "retries": [asdict(retry) for retry in retries],
-        "bands": half_widths(
-            impact_plan.bands, end | {"rebound_velocity_m_s": max(end["velocity_z_m_s"], 0.0)}, impact_plan.temperature
-        ),
-        "version": __version__,
+        "energies": {name: value / ledger.kinetic_0 for name, value in ledger.rows.items() if name not in others},
         "undecided": undecided,
-        **outcome(plan, recorder.i, particle, impact.hold, settled),
     }
+    refused: dict[str, str] = {}
+    end: dict[str, Any] = {**measured}
+    if undecided is not None:
+        end |= dict.fromkeys(measured.keys() - {"time_s"})
+        unknown = [key for key in NEEDS_REST if key in own]
+        own |= dict.fromkeys(unknown)
+        refused = dict.fromkeys([*unknown, *(f"end.{key}" for key in end if key != "time_s")], undecided)
+    shape = impact_plan.shape
+    own = accepted(own, shape, refused)
+    end = accepted(end, shape, refused, "end.")
+    greatest = accepted(recorder.greatest, shape, refused, "greatest.") if recorder.greatest is not None else None
+    bands = half_widths(impact_plan.bands, {**end, **own}, impact_plan.temperature)
+    return ImpactRecord(
+        {**own, "greatest": greatest, "end": end, "refused": refused, "bands": bands},
+        [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
+        list(retries),
+        sum(particle.everywhere(peak_memory)),
+    )
+
+
+def accepted(values: Mapping[str, V], shape: str, refused: dict[str, str], block: str = "") -> dict[str, V | None]:
+    """The values, None for those outside their range. The reason is added to `refused`, under the key after `block`."""
+    kept, reasons = within_range(values, shape)
+    refused |= {block + key: reason for key, reason in reasons.items()}
+    return kept
 
 
 def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
@@ -93,12 +118,6 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
         beyond.append(
             f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, where the"
             " target is held back: make substrate.window larger"
-        )
-    dissipated = impact.ledger.numerical_dissipation
-    if dissipated > DISSIPATION_ALARM:
-        beyond.append(
-            f"impact {number}: viscosity and hourglass control took {dissipated:.0%} of the kinetic energy, more than"
-            f" {DISSIPATION_ALARM:.0%}: they shape the splat beside the metal's own strength, try a finer preset"
         )
     return beyond
 

@@ -29,7 +29,7 @@ from .picture import (
     stored_steps,
     window,
 )
-from .words import NOTES, columns, grouped, shown, title, words
+from .words import cell, grouped, plain, title, words
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
@@ -63,7 +63,7 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
 
 def measured(result: Result) -> dict[str, object]:
     """The measures of a run, those of its end where it has several; none of an unfinished one."""
-    return dict(list(columns(result.summary).values())[-1]) if result.summary else {}
+    return plain(result.values)
 
 
 def comparison_table(results: Sequence[Result]) -> Table:
@@ -86,12 +86,12 @@ def comparison_table(results: Sequence[Result]) -> Table:
         table.add_row(Text("scene, where it differs", style="bold"))
         for key, values in differ:
             table.add_row(Text("  " + key), *(Text(value) for value in values), *[""] * two, "")
-    for group, keys in grouped(key for entry in entries for key in entry if key not in NOTES):
+    for group, keys in grouped(key for entry in entries for key in entry):
         table.add_section()
         table.add_row(Text(group, style="bold"))
         for key in keys:
             label, unit = words(key)
-            cells = [shown(key, entry.get(key)) for entry in entries]
+            cells = [cell(key, entry) for entry in entries]
             if two:  # of what ought to be zero a change says nothing
                 cells.append("" if group.startswith("balance") else _change(entries[0].get(key), entries[1].get(key)))
             table.add_row(Text("  " + label), *(Text(cell) for cell in cells), Text(unit))
@@ -168,9 +168,9 @@ def comparison_page(results: Sequence[Result]) -> str:
     curves = [page.chart(column, charts.compared(histories, column, said, factor)) for column, said, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
     warned = [
-        f"<h3>{escape(name)}</h3>{parts.warnings(result.summary['warnings'])}"
+        f"<h3>{escape(name)}</h3>{parts.warnings(result.values['warnings'])}"
         for name, result in zip(names, results, strict=True)
-        if result.summary.get("warnings")
+        if result.values.get("warnings")
     ]
     page.section("warned", "Warnings", "".join(warned))
     unfinished = [name for name, result in zip(names, results, strict=True) if not result.finished]

@@ -20,6 +20,7 @@ from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 from ..errors import StoreError
 from ..files.outputs import replacing
 from ..files.result import Result
+from ..files.summary import Summary
 from . import charts, parts
 from .fields import FIELDS
 from .picture import (
@@ -39,7 +40,7 @@ from .picture import (
 )
 from .profiles import profiles
 from .solid import frames, solid
-from .words import title
+from .words import alerts, title
 
 MICRO = 1e6
 PICTURES = 5  # of the cut
@@ -100,9 +101,9 @@ def write_report(result: Result, path: str | Path | None = None) -> Path:
 
 def report(result: Result) -> str:
     """The page about a run as HTML."""
-    page, summary, scene = Page(), result.summary, parts.scene_of(result)
+    page, summary, values, scene = Page(), result.summary, result.values, parts.scene_of(result)
     history = result.history() if (result.directory / "history.csv").is_file() else {}
-    computed = parts.asked(scene, summary) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
+    computed = parts.asked(scene, values) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
     page.section("computed", "What was computed", computed)
     page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
     page.section("impacts", "Impacts", parts.each_impact(summary))
@@ -118,17 +119,17 @@ def report(result: Result) -> str:
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:
         page.section("in3d", "In 3D", '<p class="note">No step of particle, surface and target is stored yet.</p>')
-    page.section("energy", "Energy", _energy(page, history, summary))
+    page.section("energy", "Energy", _energy(page, history, values))
     motion = [
         page.chart("lengths", charts.lengths(history)),
         page.chart("velocity", charts.velocity(history)),
         page.chart("force", charts.force(history)),
     ]
     page.section("motion", "Motion", f'<div class="three">{"".join(motion)}</div>' if any(motion) else "")
-    spent, step = parts.timing(summary), page.chart("step", charts.time_step(history))
+    spent, step = parts.timing(values), page.chart("step", charts.time_step(history))
     page.section("time", "Time spent", f'<div class="two"><div>{spent}</div>{step}</div>' if spent else step)
     page.section("scene", "Scene", _scene(result))
-    return page.html(title(result), _under(result, scene, history), _top(result, history), _footer(summary))
+    return page.html(title(result), _under(result, scene, history), _top(result, history), _footer(values))
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
@@ -172,17 +173,13 @@ SOLID = """<div class="controls" id="solid-controls">
 their range has the last one.</p>"""
 
 
-def _named_times(summary: Mapping[str, object]) -> dict[str, float]:
-    """What happened when, s from the start of the run: the greatest deformation of each impact."""
-    several = summary.get("impacts")
-    entries = several if isinstance(several, list) and len(several) > 1 else [summary]
-    found, start = {}, 0.0
+def _named_times(summary: Summary) -> dict[str, float]:
+    """The time of the greatest deformation of each impact, s from the start of the run."""
+    entries, found, start = summary.get("impacts", []), {}, 0.0
     for number, entry in enumerate(entries, 1):
-        peak = entry.get("greatest_deformation") if isinstance(entry, Mapping) else None
-        time = peak.get("time_s") if isinstance(peak, Mapping) else None
+        time, lasted = ((entry.get(block) or {}).get("time_s") for block in ("greatest", "end"))
         if isinstance(time, int | float):
             found["greatest deformation" + (f" of impact {number}" if len(entries) > 1 else "")] = start + float(time)
-        lasted = entry.get("sim_time_s") if isinstance(entry, Mapping) else None
         start += float(lasted) if isinstance(lasted, int | float) else 0.0
     return found
 
@@ -191,10 +188,10 @@ def _under(result: Result, scene: Mapping[str, object], history: Mapping[str, ND
     said = [str(scene.get("name", result.directory.resolve().name))]
     if "preset" in scene:
         said.append(f"preset {scene['preset']}")
-    end = result.summary.get("sim_time_s")
+    end = result.values.get("sim_time_s")
     if isinstance(end, float):
         said.append(f"{end * 1e9:.1f} ns simulated")
-    wall = result.summary.get("wall_s")
+    wall = result.values.get("wall_s")
     if isinstance(wall, float):
         said.append(f"computed in {wall:.0f} s")
     return escape(" · ".join(said))
@@ -208,12 +205,21 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
             f'<p class="warn" id="unfinished"><b>This run is not finished</b>: it is still running or was stopped.{reached}'
             " What follows is what was written so far.</p>"
         )
-    warned = result.summary.get("warnings") if result.finished else parts.planned_warnings(result)
+    if result.undecided is not None:
+        said = f"{escape(result.undecided)}. <code>coldspray resume</code> goes on with it."
+        state = f'<p class="warn" id="undecided"><b>This run is undecided</b>: {said}</p>'
+    doubts = alerts(result.summary)
+    state += "".join(
+        f'<p class="warn" id="doubtful"><b>This result is doubtful</b>: {escape(text)}</p>' for text in doubts
+    )
+    warned = result.values.get("warnings") if result.finished else parts.planned_warnings(result)
+    if isinstance(warned, list):
+        warned = [text for text in warned if text not in doubts]
     return state + parts.tiles(result.summary) + parts.warnings(warned)
 
 
-def _footer(summary: Mapping[str, object]) -> str:
-    version = f" {summary['version']}" if "version" in summary else ""
+def _footer(values: Mapping[str, object]) -> str:
+    version = f" {values['version']}" if "version" in values else ""
     return escape(
         f"Computed by coldspray{version}. Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
     )
@@ -287,8 +293,8 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
     )
 
 
-def _energy(page: Page, history: Mapping[str, NDArray], summary: Mapping[str, object]) -> str:
-    kinetic_0 = summary.get("kinetic_energy_0_J")
+def _energy(page: Page, history: Mapping[str, NDArray], values: Mapping[str, object]) -> str:
+    kinetic_0 = values.get("kinetic_energy_0_J")
     stack = page.chart("ledger", charts.energy(history, float(kinetic_0) if isinstance(kinetic_0, float) else None))
     if not stack:
         return ""

@@ -8,7 +8,8 @@ from html import escape
 from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Result
-from .words import bands, columns, grouped, impacts, shown, words
+from ..files.summary import Summary
+from .words import bands, cell, columns, grouped, impacts, remarks, shown, words
 
 TILES = ("flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_p99", "T_p99_K", "rebound_velocity_m_s")
 # Of a material: name, what it is, factor to the unit it is shown in, unit.
@@ -43,7 +44,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[
     return f'<div class="wide"><table>{above}<tbody>{body}</tbody></table></div>'
 
 
-def tiles(summary: Mapping[str, object]) -> str:
+def tiles(summary: Summary) -> str:
     """The measures most asked for, large."""
     width = bands(summary)
     values = list(columns(summary).values())[-1:] or [{}]
@@ -56,22 +57,24 @@ def tiles(summary: Mapping[str, object]) -> str:
     return f'<div class="tiles">{"".join(found)}</div>' if found else ""
 
 
-def measures(summary: Mapping[str, object]) -> str:
+def measures(summary: Summary) -> str:
     """All measures of a summary, a table for each group, with bands where there are any."""
     blocks, band = columns(summary), bands(summary)
     tables = []
     for group, keys in grouped(key for block in blocks.values() for key in block):
-        used = {name: block for name, block in blocks.items() if any(block.get(key) is not None for key in keys)}
+        used = {name: block for name, block in blocks.items() if any(key in block for key in keys)}
         rows = []
         for key in keys:
             label, unit = words(key)
             width = band.get(key, (None,))[0]
-            rows.append([label, *(shown(key, block.get(key), width) for block in used.values()), unit])
+            rows.append([label, *(cell(key, block, width) for block in used.values()), unit])
         heads = list(used) if len(used) > 1 else [""] * len(used)
         if used:
             tables.append(table([group.capitalize(), *heads, ""], rows, numbers=range(1, 1 + len(used))))
     drives = [f"{words(key)[0]}: {why}" for key, (_, why) in band.items() if why]
     note = f'<p class="caption">What drives the bands: {escape("; ".join(drives))}.</p>' if drives else ""
+    items = "".join(f"<li>{escape(text)}</li>" for text in remarks(summary))
+    note += f'<ul class="caption">{items}</ul>' if items else ""
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
 
 
@@ -83,7 +86,7 @@ def several(entries: Sequence[Mapping[str, object]], headings: Sequence[str]) ->
         for key in keys:
             if any(isinstance(entry.get(key), int | float) for entry in entries):
                 label, unit = words(key)
-                cells = "".join(f'<td class="n">{escape(shown(key, entry.get(key)))}</td>' for entry in entries)
+                cells = "".join(f'<td class="n">{escape(cell(key, entry))}</td>' for entry in entries)
                 lines.append(f'<tr><td>{escape(label)}</td>{cells}<td class="u">{escape(unit)}</td></tr>')
         if lines:
             rows += [
@@ -95,7 +98,7 @@ def several(entries: Sequence[Mapping[str, object]], headings: Sequence[str]) ->
     return f'<div class="wide"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>' if rows else ""
 
 
-def each_impact(summary: Mapping[str, object]) -> str:
+def each_impact(summary: Summary) -> str:
     """The impacts of a run of several, side by side; nothing for a run of one."""
     entries = impacts(summary)
     return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
@@ -109,8 +112,8 @@ def scene_of(result: Result) -> dict[str, object]:
         return {}
 
 
-def asked(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
-    """What was computed, in the scene's own words, and how finely."""
+def asked(scene: Mapping[str, object], values: Mapping[str, object]) -> str:
+    """What was computed, in the scene's own words, and how finely. values: of `Result.values`."""
     given = scene.get("particle")
     bodies = [one for one in (given if isinstance(given, list) else [given]) if isinstance(one, Mapping)]
     lines = [("particle" if len(bodies) == 1 else f"particle {k + 1}", _particle(one)) for k, one in enumerate(bodies)]
@@ -123,7 +126,7 @@ def asked(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
             lines.append((word, ", ".join(f"{key} {value}" for key, value in entry.items())))
         elif isinstance(entry, str):
             lines.append((word, entry))
-    lines.append(("resolution", _resolution(scene, summary)))
+    lines.append(("resolution", _resolution(scene, values)))
     return (
         "<dl>"
         + "".join(f"<dt>{escape(word)}</dt><dd>{escape(_micro(said))}</dd>" for word, said in lines if said)
@@ -135,7 +138,7 @@ def effects(result: Result) -> str:
     """The effects that took part, and the reasons, from the plan of the run."""
     rows = plan_rows(result.plan, "effects", "rows")
     if not rows:
-        used = _taking_part(result.summary.get("effects"))
+        used = _taking_part(result.values.get("effects"))
         text = f"Taking part: {', '.join(map(_plain, used))}. " if used else ""
         return f'<p class="note">{escape(text)}The reasons are not known: this run has no readable plan.json.</p>'
     lines = []
@@ -189,9 +192,9 @@ def planned_warnings(result: Result) -> list[str]:
     return [str(text) for text in texts] if isinstance(texts, list) else []
 
 
-def timing(summary: Mapping[str, object]) -> str:
-    """Where the seconds went, as far as the summary says."""
-    wall, loop, steps = (_number(summary, key) for key in ("wall_s", "wall_loop_s", "steps"))
+def timing(values: Mapping[str, object]) -> str:
+    """Where the seconds went, as far as `Result.values` says."""
+    wall, loop, steps = (_number(values, key) for key in ("wall_s", "wall_loop_s", "steps"))
     if not (wall and loop and steps):
         return ""
     rows = [
@@ -202,13 +205,13 @@ def timing(summary: Mapping[str, object]) -> str:
         ("a step", f"{loop / steps * 1e3:.2f} ms"),
     ]
     for key, word in (("points", "point"), ("elements", "element")):
-        count = _number(summary, key)
+        count = _number(values, key)
         if count:
             rows.append((f"a step, over the {word}s", f"{loop / steps / count * 1e6:.2f} µs"))
-    simulated = _number(summary, "sim_time_s")
+    simulated = _number(values, "sim_time_s")
     if simulated:
         rows.append(("1 ns simulated", f"{loop / (simulated * 1e9):.2f} s"))
-    given = summary.get("dt_limited_by")
+    given = values.get("dt_limited_by")
     limits = {name: _number(given, name) or 0.0 for name in given} if isinstance(given, Mapping) else {}
     if sum(limits.values()) > 0:
         said = ", ".join(f"{name} {value / sum(limits.values()):.0%}" for name, value in limits.items() if value)
@@ -236,14 +239,14 @@ def _target(one: Mapping[str, object]) -> str:
     return said + "".join(f", {key} {one[key]}" for key in ("sides", "bottom") if key in one)
 
 
-def _resolution(scene: Mapping[str, object], summary: Mapping[str, object]) -> str:
+def _resolution(scene: Mapping[str, object], values: Mapping[str, object]) -> str:
     said = [f"preset {scene['preset']}"] if "preset" in scene else []
     for count, size, what in (
         ("points", "spacing_m", "points {} µm apart"),
         ("elements", "element_size_m", "tetrahedra of {} µm and more"),
     ):
-        if _number(summary, count) and _number(summary, size):
-            said.append(f"{shown(count, summary[count])} {what.format(shown(size, summary[size]))}")
+        if _number(values, count) and _number(values, size):
+            said.append(f"{shown(count, values[count])} {what.format(shown(size, values[size]))}")
     return ", ".join(said)
 
 

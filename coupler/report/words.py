@@ -11,26 +11,28 @@ from rich.text import Text
 from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Result
-from ..measures import GROUPS, measure
+from ..files.summary import Summary, impact_values, run_values
+from ..measures import DISSIPATION_LIMIT, GROUPS, measure
 
-TOGETHER = ("steps", "sim_time_s", "wall_s", "wall_loop_s")  # of a run of several impacts: the sum of all
 SAID = 3  # particles that a title names
 NOTES = ("effects", "warnings")  # lists of words, below the table
+_ABOVE = (*NOTES, "undecided")  # not in the tables
 
 
-def columns(summary: Mapping[str, object]) -> dict[str, dict[str, object]]:
-    """Heading -> values of a summary: what "greatest_deformation" and "end" hold side by side, all else in the last.
+def columns(summary: Summary) -> dict[str, dict[str, object]]:
+    """Heading -> values: the greatest deformation of the last impact, and its end with all else of it and of the run.
 
-    Lists of words and of impacts, bands and tables within the summary are left out, and lists of nothing.
+    Lists of words, tables and lists of tables are left out.
     """
-    peak, end = (summary.get(name) for name in ("greatest_deformation", "end"))
-    named = (*NOTES, "greatest_deformation", "end")
-    single = {key: value for key, value in summary.items() if key not in named and not _nested(value)}
-    end = end if isinstance(end, Mapping) else {}
-    last = {**end, **single, **end}  # in the order of `end`, then what only the summary itself has
-    if isinstance(peak, Mapping):
-        return {"greatest deformation": dict(peak), "end": last}
-    return {"": last} if last else {}
+    if not summary:
+        return {}
+    greatest, end = summary["impacts"][-1].get("greatest"), plain(run_values(summary))
+    return {"greatest deformation": dict(greatest), "end": end} if greatest else {"": end}
+
+
+def plain(values: Mapping[str, object]) -> dict[str, object]:
+    """What stands in a table of measures: without lists of words, tables and lists of tables."""
+    return {key: value for key, value in values.items() if key not in _ABOVE and not _nested(value)}
 
 
 def grouped(keys: Iterable[str]) -> list[tuple[str, list[str]]]:
@@ -49,7 +51,7 @@ def words(key: str) -> tuple[str, str]:
 def shown(key: str, value: object, band: float | None = None) -> str:
     """A value of the summary in the unit of its label, with its band where there is one: "0.566 ± 0.012"."""
     if value is None:
-        return ""
+        return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int) and measure(key).factor == 1.0:
@@ -62,6 +64,11 @@ def shown(key: str, value: object, band: float | None = None) -> str:
     return str(value)
 
 
+def cell(key: str, values: Mapping[str, object], band: float | None = None) -> str:
+    """A value of a table as `shown`; nothing where the table has no such key."""
+    return shown(key, values[key], band) if key in values else ""
+
+
 def with_band(value: float, band: float) -> str:
     """Value and band to the digits that the band leaves of the value: two of its own."""
     if not (band > 0 and math.isfinite(band) and math.isfinite(value)):
@@ -70,13 +77,13 @@ def with_band(value: float, band: float) -> str:
     return f"{value:.{digits}f} ± {band:.{digits}f}"
 
 
-def bands(summary: Mapping[str, object]) -> dict[str, tuple[float, str]]:
-    """Key -> half-width of its band, in the key's own unit, and what drives it ("" if not said).
+def bands(summary: Summary) -> dict[str, tuple[float, str]]:
+    """Key -> half-width of its band in the last impact, in the key's own unit, and what drives it ("" if not said).
 
-    Read from summary["bands"]: a number, or a table with `half_width` and `why`, for each key.
+    An entry of `bands` is a number, or a table with `half_width` and `why`.
     """
-    given, found = summary.get("bands"), {}
-    for key, entry in given.items() if isinstance(given, Mapping) else ():
+    given, found = (summary["impacts"][-1].get("bands") if summary else None) or {}, {}
+    for key, entry in given.items():
         table = entry if isinstance(entry, Mapping) else {"half_width": entry}
         width = table.get("half_width")
         if isinstance(width, int | float) and not isinstance(width, bool) and width > 0:
@@ -84,11 +91,47 @@ def bands(summary: Mapping[str, object]) -> dict[str, tuple[float, str]]:
     return found
 
 
-def impacts(summary: Mapping[str, object]) -> list[dict[str, object]]:
-    """The measures of each impact of a run of several, in order; empty for a run of one."""
-    given = summary.get("impacts")
-    entries = [entry for entry in given if isinstance(entry, Mapping)] if isinstance(given, list) else []
-    return [{key: value for heading in columns(entry).values() for key, value in heading.items()} for entry in entries]
+def impacts(summary: Summary) -> list[dict[str, object]]:
+    """The measures of each impact at its end, and all else of it, in order."""
+    return [plain(impact_values(summary, i)) for i in range(len(summary.get("impacts", [])))]
+
+
+def alerts(summary: Summary) -> list[str]:
+    """The warnings that make a result doubtful as a whole: they stand first in the run's, and before its numbers."""
+    warnings = summary["run"].get("warnings") if summary else None
+    shares = [impact.get("numerical_dissipation") for impact in summary.get("impacts", [])]
+    doubtful = any(isinstance(share, int | float) and share > DISSIPATION_LIMIT for share in shares)
+    return [str(warnings[0])] if doubtful and isinstance(warnings, list) and warnings else []
+
+
+def remarks(summary: Summary) -> list[str]:
+    """The measures that have no value, each with the reason, and the meaning of unusual values."""
+    records, lines = summary.get("impacts", []), []
+    for number, impact in enumerate(records, 1):
+        whose = f"impact {number}: " if len(records) > 1 else ""
+        reasons: dict[str, list[str]] = {}
+        for path, reason in (impact.get("refused") or {}).items():
+            reasons.setdefault(str(reason), []).append(_named(str(path)))
+        for reason, names in reasons.items():
+            of_end = {_named(f"end.{key}") for key in impact["end"] if key != "time_s"}
+            if of_end and of_end <= set(names):
+                names = ["all measures of the end", *(name for name in names if name not in of_end)]
+            lines.append(f"{whose}no value of {', '.join(names)}: {reason}")
+        for block in _PLACES:
+            for key, value in (impact.get(block) or {}).items():
+                remark = measure(key).remark(value) if isinstance(value, int | float) else None
+                if remark is not None:
+                    lines.append(f"{whose}{_PLACES[block]}, {remark}")
+    return lines
+
+
+_PLACES = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
+
+
+def _named(path: str) -> str:
+    """The label of a key in an impact's record, with its block: "end.T_max_K" is "highest temperature at the end"."""
+    block, _, key = path.rpartition(".")
+    return f"{words(key)[0]} {_PLACES[block]}" if block in _PLACES else words(path)[0]
 
 
 def title(result: Result) -> str:
@@ -130,15 +173,15 @@ def _alike(quantities: Sequence[object]) -> str:
 def summary_table(result: Result) -> Table:
     """The summary for a terminal, in units that people use, as a rich table.
 
-    What the blocks "greatest_deformation" and "end" hold stands side by side, all else in the last column. Of a run of several
-    impacts each has a column with its own end, and what they took together stands below.
+    Of one impact its greatest deformation and its end stand side by side, with all else in the last column. Of several impacts each
+    has a column with its own end, and what belongs to the whole run stands below.
     """
     summary = result.summary
     several = impacts(summary)
     blocks, band = columns(summary), bands(summary)
     if len(several) > 1:
         blocks = {f"impact\u00a0{k + 1} {_whose(one)}".strip(): one for k, one in enumerate(several)}
-        band = {}  # those of the summary are of its last impact
+        band = {}  # those of the last impact
     table = Table(title=Text(title(result)), title_justify="left", title_style="bold")
     table.add_column("")
     for heading in blocks or {"": {}}:
@@ -150,18 +193,17 @@ def summary_table(result: Result) -> Table:
         for key in keys:
             label, unit = words(key)
             width = band[key][0] if key in band else None
-            cells = [shown(key, block.get(key), width) for block in blocks.values()]
-            table.add_row(Text("  " + label), *(Text(cell) for cell in cells), Text(unit))
+            cells = [cell(key, block, width) for block in blocks.values()]
+            table.add_row(Text("  " + label), *(Text(text) for text in cells), Text(unit))
     if len(several) > 1:
         table.add_section()
         table.add_row(Text("all impacts", style="bold"))
-        for key in TOGETHER:
-            if key in summary:
-                label, unit = words(key)
-                spaces = [Text("")] * (len(several) - 1)
-                table.add_row(Text("  " + label), *spaces, Text(shown(key, summary[key])), Text(unit))
-    notes = [f"{name}: {shown(name, summary[name])}" for name in NOTES if summary.get(name)]
-    table.caption = Text("\n".join(notes), justify="left")
+        for key, value in plain(summary["run"]).items():
+            label, unit = words(key)
+            table.add_row(Text("  " + label), *[Text("")] * (len(several) - 1), Text(shown(key, value)), Text(unit))
+    values = result.values
+    notes = [f"{name}: {shown(name, values[name])}" for name in NOTES if values.get(name)]
+    table.caption = Text("\n".join([*remarks(summary), *notes]), justify="left")
     return table
 
 

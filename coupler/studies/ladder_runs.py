@@ -108,9 +108,11 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
         note.write_text(json.dumps([clock.whole + before.get("whole", 0.0), clock.loop + before.get("loop", 0.0)]))
         raise
     else:
-        s = result.summary
+        s = result.values
         row |= {name: s[name] for name in COLUMNS if name in s}
         row |= {"points": point.points, "points_used": s["points"], "failed": ""}
+        if result.undecided is not None:
+            row |= dict.fromkeys(MEASURES, "") | {"failed": result.undecided[:200]}
         if s["retries"]:  # the run went on with other numerics than the setting's
             row |= dict.fromkeys(MEASURES, "") | {"failed": str(s["warnings"][-1]).split(";")[0][:200]}
     finally:

@@ -93,18 +93,21 @@ def _row(folder: Path, name: str) -> Row:
     if row["status"] == "failed" or not (folder / name / "scene.toml").is_file():
         return row
     try:
-        summary = Result(folder / name).summary
+        result = Result(folder / name)
+        values = result.values
     except StoreError as error:
         return row | {"status": "failed", "reason": str(error)}
-    if not summary or scene is None:
+    if not values or scene is None:
         return row
-    row |= {"status": "done", "version": str(summary.get("version", "unknown"))}
-    row |= {key: _number(summary.get(key)) for key in MEASURES}
+    row |= {"status": "done", "version": str(values["version"]), "reason": result.undecided or ""}
+    row |= {key: _number(values.get(key)) for key in MEASURES}
     p, law = scene.particle, scene.derived.adhesion_law
     rebound = row["rebound_velocity_m_s"]
     row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
-    if law.kind != "none" and "rebounded" in summary:  # without adhesion everything rebounds, which tells nothing
-        row["bonded"] = not summary["rebounded"]
+    if (
+        law.kind != "none" and values.get("rebounded") is not None
+    ):  # without adhesion everything rebounds, which tells nothing
+        row["bonded"] = not values["rebounded"]
         row["restitution"] = 0.0 if row["bonded"] else row["restitution"]
     with contextlib.suppress(ColdsprayError):  # a metal without tensile strength has no critical velocity
         row["velocity_ratio"] = p.velocity / critical_velocity(scene.derived.material(p.material), p.temperature)

@@ -1,0 +1,77 @@
+"""The contents of summary.json, from the records of the impacts (form: docs/guide/files.md)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from .. import __version__
+from ..files.summary import FORMAT, Summary
+from ..impact.rebound import deposition_efficiency
+from ..impact.summary import ImpactRecord, accepted
+from ..impact.validity import merged
+from ..measures import DISSIPATION_LIMIT
+from ..plan.planning import Plan
+from ..ranks.ranks import Ranks
+
+
+def simulated(records: Sequence[ImpactRecord]) -> float:
+    """Simulated time of the impacts, s."""
+    return float(sum(record.values["end"]["time_s"] for record in records))
+
+
+def summary(
+    plan: Plan,
+    records: Sequence[ImpactRecord],
+    joins: list[dict[str, Any]],
+    standing: Sequence[Mapping[str, float] | None],
+    wall: float,
+    ranks: Ranks,
+) -> Summary:
+    """The summary of a run.
+
+    joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
+    (`joining.splats_at_end`); wall: s of wall time.
+    """
+    impacts = [record.values for record in records]
+    undecided = impacts[-1]["undecided"]
+    for i, shape in enumerate(standing):
+        refused = dict(impacts[i]["refused"])
+        at_end = accepted(shape, plan.impacts[i].shape, refused, "at_end.") if shape is not None else None
+        if undecided is not None and at_end is not None:  # the target that it lies in is not at rest
+            at_end, refused["at_end"] = None, undecided
+        impacts[i] = {**impacts[i], "at_end": at_end, "refused": refused}
+    return {
+        "format": FORMAT,
+        "version": __version__,
+        "run": {
+            "engine": plan.engine,
+            "effects": plan.effects.active,
+            "element_size_m": plan.target.element_size,
+            "deposition_efficiency": deposition_efficiency(impacts),
+            "undecided": undecided,
+            "sim_time_s": simulated(records),
+            "steps": sum(impact["steps"] for impact in impacts),
+            "wall_s": wall,
+            "wall_loop_s": sum(impact["wall_loop_s"] for impact in impacts),
+            "placement": ranks.placement,
+            "ranks": ranks.size,
+            "memory_peak_bytes": records[-1].memory_peak,
+            "warnings": [
+                *merged(_dissipated(impacts)),
+                *merged([*plan.warnings, *(text for record in records for text in record.warnings)]),
+            ],
+            "retries": [asdict(retry) for record in records for retry in record.retries],
+        },
+        "impacts": impacts,
+        "joins": joins,
+    }  # fmt: skip
+
+
+def _dissipated(impacts: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A warning of each impact that the stabilisation of the schemes has shaped."""
+    return [
+        f"impact {number}: viscosity and hourglass control took {impact['numerical_dissipation']:.0%} of the kinetic energy, more than"
+        f" {DISSIPATION_LIMIT:.0%}: they shape the splat beside the metal's own strength, try a finer preset"
+        for number, impact in enumerate(impacts, 1)
+        if impact["numerical_dissipation"] > DISSIPATION_LIMIT
+    ]

@@ -1,0 +1,91 @@
+"""summary.json: its form (docs/guide/files.md), older forms, and flat views of it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypedDict, cast
+
+from ..errors import StoreError
+from .inputs import read_json_object
+
+FORMAT = 2
+OF_THE_RUN = ("wall_s", "wall_loop_s", "sim_time_s", "steps", "warnings", "deposition_efficiency", "engine", "placement", "ranks",
+              "memory_peak_bytes", "element_size_m", "effects")  # fmt: skip
+_BLOCKS = ("greatest", "end", "at_end", "refused", "bands")  # tables in an impact's record
+# Of format 1: keys of an impact's record that are of the run, or that another key repeats.
+_DROPPED = ("engine", "placement", "ranks", "memory_peak_bytes", "element_size_m", "effects", "warnings", "rescues", "retries",
+            "version", "sim_time_s", "greatest_deformation", "at_end")  # fmt: skip
+Values = dict[str, Any]
+
+
+class Summary(TypedDict, total=False):
+    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them. SI units."""
+
+    format: int
+    version: str
+    run: Values
+    impacts: list[Values]
+    joins: list[Values]
+
+
+def read_summary(path: Path) -> Summary:
+    """The summary in a file, in the form of today. Raises StoreError if it is damaged or of an unknown format."""
+    data: Mapping[str, object] = read_json_object(path)
+    form, version = data.get("format", 1), str(data.get("version", "unknown"))[:40]
+    if form == 1:
+        data = upgraded(data)
+    elif form != FORMAT:
+        raise StoreError(
+            f"{path} has format {str(form)[:40]} (version {version}); formats 1 and {FORMAT} can be read: open it with that version,"
+            " or compute the scene anew"
+        )
+    if (problem := _problem(data)) is not None:
+        raise StoreError(f"{path} is damaged: {problem}")
+    return cast(Summary, data)
+
+
+def _problem(data: Mapping[str, object]) -> str | None:
+    """What makes readers fail: a table or list that is missing or is something else."""
+    impacts = data.get("impacts")
+    if not isinstance(data.get("run"), dict):
+        return "run is not a table"
+    if not isinstance(impacts, list) or not impacts:
+        return "impacts is not a list of tables"
+    for number, impact in enumerate(impacts, 1):
+        if not isinstance(impact, dict) or not isinstance(impact.get("end"), dict):
+            return f"impact {number} has no table end"
+        for name in _BLOCKS:
+            if impact.get(name) is not None and not isinstance(impact[name], dict):
+                return f"{name} of impact {number} is not a table"
+    return None
+
+
+def upgraded(data: Mapping[str, object]) -> dict[str, object]:
+    """A summary of format 1 (version 0.1) in today's form. Its values were not held against the ranges of their measures."""
+    impacts = data.get("impacts")
+    records = [dict(record) for record in impacts if isinstance(record, dict)] if isinstance(impacts, list) else []
+    for k, record in enumerate(records):
+        end, at_end = record.get("end"), record.get("at_end")
+        record["greatest"] = record.get("greatest_deformation")
+        for name in (*_DROPPED, *(end if isinstance(end, dict) else ())):
+            record.pop(name, None)
+        if k + 1 < len(records):
+            record["at_end"] = at_end
+        record |= {"refused": {}, "undecided": record.get("undecided")}
+    run = {name: data[name] for name in OF_THE_RUN if name in data}
+    run |= {"retries": data.get("retries", data.get("rescues", [])), "undecided": data.get("undecided")}
+    return {
+        "format": FORMAT, "version": data.get("version", "unknown"), "run": run, "impacts": records, "joins": data.get("joins", []),
+    }  # fmt: skip
+
+
+def impact_values(summary: Summary, i: int = -1) -> Values:
+    """Impact i in one table: the measures of its end and all else that its record says, but for its other states."""
+    impact = summary["impacts"][i]
+    return impact["end"] | {key: value for key, value in impact.items() if key not in ("greatest", "end", "at_end")}
+
+
+def run_values(summary: Summary) -> Values:
+    """The last impact and the whole run in one table; of what both have, that of the run. Empty of an empty summary."""
+    if not summary:
+        return {}
+    return impact_values(summary) | summary["run"] | {"version": summary.get("version", "unknown")}
