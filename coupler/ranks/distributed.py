@@ -3,7 +3,7 @@
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from ..sph.particle import LocalState, Particle
 from ..sph.threads import SecondThread
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -269,12 +271,13 @@ class DistributedParticle:
         r.comm.bcast(("waited", (), None), root=r.root)
         return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.root)]
 
-    def everywhere(self, work: Callable[[], object]) -> list[object]:
+    def everywhere(self, work: Callable[[], R]) -> list[R]:
         """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
         if self._alone:
             return [work()]
         self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)
-        return self.ranks.comm.gather(work(), root=self.ranks.root)
+        gathered: list[R] = self.ranks.comm.gather(work(), root=self.ranks.root)
+        return gathered
 
     def close(self) -> None:
         """Let this rank's LAMMPS go."""
