@@ -30,7 +30,8 @@ STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
 SKIN = 0.20  # change of the volume inside the particle's surface, which is carried between the points
-IMPULSE = 0.3  # integral of the contact force, known at the rows of the history, over the change of momentum
+IMPULSE = 0.3  # integral of the contact force over the rows of the history, if it acts in so many, against the momentum it takes
+ROWS = 10
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
 FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
 SAME = 1e-3  # figures of the summary against those of the fields
@@ -269,7 +270,7 @@ class _ImpactCheck:
         rows, skin, target = self.rows, self.last["surface"].points, self.last["target"]
         taken = self.mass * (rows["velocity_z"][-1] - rows["velocity_z"][0])
         impulse = np.trapezoid(rows["contact_force"], rows["time"]) - taken
-        if len(rows["time"]) > 20:
+        if np.count_nonzero(rows["contact_force"]) > ROWS:
             self.hold("impulse", impulse / (self.mass * self.p.velocity), IMPULSE, "impulse of the contact force")
         depth = float(depths(skin, target.points, target.cells).max()) / self.scene.derived.spacing
         self.hold("depth", depth, 1.0, "the particle's surface lies inside the target, spacings")
