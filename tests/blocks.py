@@ -45,7 +45,7 @@ class Blocks:
             points, tets = meshes.box(lengths, size)
             parts[name] = meshes.prepare((points + corner) @ turn.T, tets)
         mesh, self.body = join(parts)
-        self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, sleeping=False)
+        self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, track_wave=False)
         self.surfaces = Surfaces.of(mesh.facets, mesh.facet_element, self.body)
         self.body_of_node = np.zeros(len(t.x), int)
         self.body_of_node[mesh.conn.ravel()] = np.repeat(self.body, 4)

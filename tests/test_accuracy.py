@@ -263,7 +263,7 @@ def test_the_pace_is_timed_once_and_remembered(tmp_path, monkeypatch):
     path.write_text('{"x": ')
     broken = pace.of_this_machine(fails)
     assert (broken.steps, broken.points) == (1.0, 1.0)
-    assert "timing this one failed (it broke)" in broken.said
+    assert "timing this one failed (it broke)" in broken.source
 
 
 def test_the_factors_carry_the_constants_to_another_machine(monkeypatch):

@@ -117,7 +117,7 @@ def test_an_oblique_collision_with_friction_closes_its_books() -> None:
 def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
     contact = b.touch(friction=0.3)
-    t = Target(b.target.mesh, law_record(material("OFHC_Cu")), 300.0, fixed=("a.bottom",), sleeping=False)
+    t = Target(b.target.mesh, law_record(material("OFHC_Cu")), 300.0, fixed=("a.bottom",), track_wave=False)
     b.target = t
     t.v[b.nodes(1)] = [20.0, 0, -5.0]
     b.run(1.5e-4)
@@ -193,7 +193,7 @@ def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
 
 
 def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
-    """Neither their forces nor what their springs hold: what sleeps is in equilibrium with them."""
+    """Neither their forces nor what their springs hold: the inactive part is in equilibrium with them."""
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
     contact, x = b.touch(), b.target.x.copy()
     x[b.nodes(1), 2] -= 1e-4
@@ -202,11 +202,11 @@ def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
     contact.forces(1e-9, x, still, f)
     held, touching = contact.penalty_energy, contact.touching
     f[:] = 0.0
-    contact.search(x, 0.0, awake=0)
+    contact.search(x, 0.0, active=0)
     contact.forces(1e-9, x, still, f)
     assert not f.any()
     assert (contact.penalty_energy, contact.touching) == (held, touching)
-    contact.search(x, 0.0, awake=len(x))
+    contact.search(x, 0.0, active=len(x))
     contact.forces(1e-9, x, still, f)
     assert f.any()
     assert contact.penalty_energy == pytest.approx(held, rel=1e-12)

@@ -35,7 +35,7 @@ def test_the_step_that_a_mass_buys() -> None:
 def flattened() -> Bodies:
     """A block with an element pressed flat inside."""
     flat = pinched(mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2)), 0.9)
-    target = Target(flat, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    target = Target(flat, law_record(elastic()), 300.0, fixed=(), track_wave=False)
     return Bodies(target, np.zeros(len(flat.conn), np.int32), (), (), 0.0)
 
 
@@ -76,7 +76,7 @@ def struck(window: float | None, layer: bool = True) -> tuple[Target, float]:
     """A cylinder struck at the middle of its top, after waves have gone out to the window's edge and back twice; its energy then."""
     m = mesh.prepare(*mesh.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
     mat = elastic()
-    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=window is not None)
+    t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=window is not None)
     if window is not None:
         t.window(window)
         if not layer:

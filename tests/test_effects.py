@@ -61,7 +61,7 @@ def test_heat_makes_pressure_only_with_thermal_expansion(expands: bool) -> None:
         law.law_record(metal, {"thermal_expansion": expands}),
         300.0,
         fixed=("bottom", "top", "sides"),
-        sleeping=False,
+        track_wave=False,
     )
     t.warm(np.arange(len(m.conn)), 1e8 * m.V0)
     assert t.T.min() > 320.0
@@ -79,7 +79,7 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
         m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
         record = law.law_record(metal, {"thermal_expansion": on})
         faces = ("bottom", "top", "sides")
-        t = Target(m, record, 300.0, fixed=faces, sleeping=False)
+        t = Target(m, record, 300.0, fixed=faces, track_wave=False)
         t.inv_mass[:] = 0.0  # every node is driven
         t.v[:, 0] = 1e3 * m.points[:, 2]
         for _ in range(400):
@@ -184,7 +184,7 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
     replaced: stands in its own laws for each number of an effect that is off.
     """
     m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.25))
-    t = Target(m, laws, 400.0, fixed=(), sleeping=False)
+    t = Target(m, laws, 400.0, fixed=(), track_wave=False)
     if general:
         t._laws_of_pressure = t._laws_of_flow = t.laws
     if replaced is not None:

@@ -47,7 +47,7 @@ def test_forces_are_scikit_fems_linear_form_of_the_same_stress(block: mesh.TetMe
     from skfem import Basis, ElementTetP1, ElementVector, LinearForm, MeshTet, asm
     from skfem.helpers import ddot, grad
 
-    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), track_wave=False)
     t.v[:] = distort(np.zeros_like(t.x), rng, 300.0)
     t.advance(1e-5)
     t.advance(1e-5)
@@ -79,7 +79,7 @@ def test_patch_of_distorted_elements_has_one_stress_and_no_force_inside(rng: np.
     points[inside] = distort(points[inside], rng, 0.02)
     m = mesh.prepare(points, tets)
     mat = elastic()
-    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
     L = 1e-6 * rng.standard_normal((3, 3))
     t.v[:] = t.x @ L.T
     t.inv_mass[:] = 0.0
@@ -94,7 +94,7 @@ def test_patch_of_distorted_elements_has_one_stress_and_no_force_inside(rng: np.
 
 def test_rigid_rotation_leaves_no_stress_and_turns_a_stress_that_is_there(block: mesh.TetMesh) -> None:
     mat = elastic()
-    t = Target(block, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t = Target(block, law_record(mat), 300.0, fixed=(), track_wave=False)
     t.inv_mass[:] = 0.0
     t.s[:] = np.array([1e6, -1e6, 0, 0, 0, 0])
     steps = 400
@@ -119,11 +119,11 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
     mat = elastic()
     monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
     monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
-    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
     n = 3 * len(m.points)
     K = np.zeros((n, n))
     for col in range(n):  # stiffness by probing: forces are linear in small velocities from rest
-        t2 = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+        t2 = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
         t2.inv_mass[:] = 0.0
         t2.v.ravel()[col] = -1e-9
         t2.advance(1.0)
@@ -158,7 +158,7 @@ def test_the_sharper_step_is_stable_while_elements_flow(monkeypatch: pytest.Monk
     m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
     ends = []
     for sharp in (True, False):
-        t = Target(m, law_record(material("SS304"), rate_filter=1e-6), 300.0, fixed=(), sleeping=False)
+        t = Target(m, law_record(material("SS304"), rate_filter=1e-6), 300.0, fixed=(), track_wave=False)
         x = m.points - 0.5
         t.v[:] = 400 * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0 * x[:, 0]], axis=1)
         start, steps, end, dt = t.kinetic(), 0, 4e-4, 0.0
@@ -179,7 +179,7 @@ def bar_error(size: float) -> float:
     """Relative error of the arrival speed of a longitudinal pulse in a confined bar of elements of this size."""
     m = mesh.prepare(*mesh.box((0.2, 0.2, 2.0), size))
     mat = elastic()
-    t = Target(m, law_record(mat), 300.0, fixed=(), sleeping=False)
+    t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
     t.inv_mass[:] = 1 / t.mass
     width, z0 = 0.25, 1.0
     t.v[:, 2] = np.exp(-(((t.x[:, 2] - z0) / width) ** 2))
@@ -210,7 +210,7 @@ def test_wave_converges_with_second_order(monkeypatch: pytest.MonkeyPatch) -> No
 def test_elastic_run_keeps_its_energy(block: mesh.TetMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
     monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
-    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), track_wave=False)
     t.v[:, 2] = 0.1 * np.sin(np.pi * t.x[:, 2])
     start = t.kinetic()
     dt = t.stable_dt()[0]
@@ -250,23 +250,23 @@ def test_waves_leave_through_absorbing_sides_only(monkeypatch: pytest.MonkeyPatc
 def test_only_what_a_wave_has_reached_is_computed_and_nothing_changes() -> None:
     m = mesh.prepare(*mesh.cylinder(8.0, 4.0, 0.12, 0.3, 0.3))
     states = []
-    for sleeping in (True, False):
-        t = Target(m, law_record(elastic()), 300.0, sleeping=sleeping)
-        assert (t.active_elements < len(m.conn)) == sleeping
+    for track_wave in (True, False):
+        t = Target(m, law_record(elastic()), 300.0, track_wave=track_wave)
+        assert (t.active_elements < len(m.conn)) == track_wave
         near = np.linalg.norm(t.x, axis=1) < 0.2
         t.v[near, 2] = -1.0
         for _ in range(25):
             t.advance(5e-6)
             t.finish()
         states.append((t.v.copy(), t.kinetic(), t.elastic()))
-        if sleeping:
+        if track_wave:
             assert t.active_elements < len(m.conn)
     assert np.abs(states[0][0] - states[1][0]).max() < 1e-9
     assert states[0][1] == pytest.approx(states[1][1], rel=1e-9)
 
 
 def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> None:
-    t = Target(block, law_record(elastic()), 300.0, fixed=(), sleeping=False)
+    t = Target(block, law_record(elastic()), 300.0, fixed=(), track_wave=False)
     t.v[0] = 1e6
     with pytest.raises(SolverError, match=r"element \d+ of the target inverted at t = .* near \(.*\) um"):
         t.advance(1e-5)
@@ -274,7 +274,7 @@ def test_an_inverted_element_stops_with_place_and_time(block: mesh.TetMesh) -> N
 
 def test_an_inverted_element_of_a_splat_asks_for_another_method(block: mesh.TetMesh) -> None:
     two = np.repeat(law_record(elastic()), 2)
-    t = Target(block, two, 300.0, law_of=np.ones(len(block.conn), np.int32), fixed=(), sleeping=False)
+    t = Target(block, two, 300.0, law_of=np.ones(len(block.conn), np.int32), fixed=(), track_wave=False)
     t.v[0] = 1e6
     with pytest.raises(SolverError, match=r"in splat1, inverted .* try another \[splat\] method"):
         t.advance(1e-5)
@@ -282,7 +282,7 @@ def test_an_inverted_element_of_a_splat_asks_for_another_method(block: mesh.TetM
 
 def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh, rng: np.random.Generator) -> None:
     """The whole range, odd pieces, and pieces smaller than a block: every number the same to the last bit."""
-    t = Target(block, law_record(material("SS304")), 300.0, fixed=(), sleeping=False)
+    t = Target(block, law_record(material("SS304")), 300.0, fixed=(), track_wave=False)
     t.v[:] = 30 * rng.standard_normal(block.points.shape)
     for _ in range(5):
         t.advance(1e-6)

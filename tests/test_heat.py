@@ -165,7 +165,7 @@ def test_conduction_in_a_moving_target(length: float) -> None:
     for conducts in (False, True):
         points, tets = mesh.box((1.0, 1.0, 1.0), 0.2)
         m = mesh.prepare(points * length, tets)
-        t = Target(m, law_record(material("OFHC_Cu")), 300.0, fixed=(), sleeping=False, conduction=conducts)
+        t = Target(m, law_record(material("OFHC_Cu")), 300.0, fixed=(), track_wave=False, conduction=conducts)
         hot = np.flatnonzero(m.points[m.conn][:, :, 2].mean(axis=1) < 0.3 * length)
         t.warm(hot, 3e8 * m.V0[hot])
         t.v[:, 2] = np.where(m.points[:, 2] < 0.5 * length, 60.0, -60.0)
@@ -189,15 +189,15 @@ def test_conduction_needs_only_what_is_awake() -> None:
     points, tets = mesh.cylinder(8e-6, 4e-6, 0.12e-6, 0.3e-6, 0.3)
     m = mesh.prepare(points, tets)
     made, dt = [], 0.0
-    for sleeping in (True, False):
-        t = Target(m, law_record(material("OFHC_Cu")), 300.0, sleeping=sleeping, conduction=True)
+    for track_wave in (True, False):
+        t = Target(m, law_record(material("OFHC_Cu")), 300.0, track_wave=track_wave, conduction=True)
         near = np.flatnonzero(m.reach_element < 0.3e-6)
         t.warm(near, 1e9 * m.V0[near])
         dt = dt or 0.5 * t.stable_dt()[0]
         for _ in range(60):
             t.advance(dt)
             t.finish()
-        assert (t.active_elements < len(m.conn)) == sleeping
+        assert (t.active_elements < len(m.conn)) == track_wave
         made.append(t)
     assert np.abs(made[0].T - made[1].T).max() < 1e-9
     assert np.abs(made[0].v - made[1].v).max() < 1e-8 * np.abs(made[0].v).max()
@@ -208,7 +208,7 @@ def test_a_heated_body_expands_by_its_grueneisen_number_and_a_linear_one_does_no
     m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.34))
     for on in (True, False):
         metal = material("Ni")
-        t = Target(m, law_record(metal, {"mie_gruneisen": on}), 300.0, fixed=(), sleeping=False)
+        t = Target(m, law_record(metal, {"mie_gruneisen": on}), 300.0, fixed=(), track_wave=False)
         t.warm(np.arange(len(m.conn)), metal.rho * metal.cp_at(300.0) * m.V0)
         assert t.T == pytest.approx(301.0, rel=1e-6)
         dt = t.stable_dt()[0]
@@ -247,7 +247,7 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     ) -> Target:
         sides = ("bottom",) if law_of is None else ("copper.bottom", "steel.bottom")
         tops = ("top",) if law_of is None else ("copper.top", "steel.top")
-        t = Target(m, law, T, law_of=law_of, fixed=sides, absorbing=tops, sleeping=False, conduction=True)
+        t = Target(m, law, T, law_of=law_of, fixed=sides, absorbing=tops, track_wave=False, conduction=True)
         t.v[:] = v
         t.v[t.fixed] = 0.0
         t.warm(np.arange(20), np.zeros(20))

@@ -134,7 +134,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     lower["rho"] = 15600.0  # diffuses less far: what spreads sideways under the bar stays little
     points, tets = meshes.box((1.4, 1.4, 2.0), 0.09)
     m = meshes.prepare(points - np.array([0.7, 0.7, 2.0]), tets)
-    t = Target(m, lower, 300.0, fixed=(), sleeping=False, conduction=True)
+    t = Target(m, lower, 300.0, fixed=(), track_wave=False, conduction=True)
     surface = CarriedSurface(X, vertices, body.triangles, body.spacing)
     foot = np.flatnonzero(vertices[:, 2] < 1e-9)
     top = m.sets["top"]

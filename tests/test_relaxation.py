@@ -16,12 +16,12 @@ from coupler.physics.materials import material
 KINETIC = 1e-7  # J
 
 
-def substrate(pinch: float = 0.0, sleeping: bool = False) -> Bodies:
+def substrate(pinch: float = 0.0, track_wave: bool = False) -> Bodies:
     """A block of steel on a fixed floor, 60 x 60 x 40 um. pinch: of a tetrahedron's height that is taken away."""
     points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
     mesh = pinched(mesh, pinch) if pinch else mesh
-    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, sleeping=sleeping)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, track_wave=track_wave)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
 
 
@@ -99,7 +99,7 @@ def test_every_element_bears_the_step_with_its_mass() -> None:
 
 def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
     """Masses, damping, absorbing faces and sleep are the solver's own again."""
-    bodies = substrate(sleeping=True)
+    bodies = substrate(track_wave=True)
     t = bodies.target
     mass, reach, active = t.mass.copy(), t.reach, t.active_elements
     press(bodies)

@@ -45,7 +45,7 @@ def block(corner: tuple[float, float, float], stress: float, J: float, law: np.n
 def substrate() -> Bodies:
     points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
-    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=("bottom",), sleeping=False)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=("bottom",), track_wave=False)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
 
 
@@ -63,7 +63,7 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
     np.testing.assert_allclose(np.linalg.det(F), 0.98, rtol=1e-12)  # the reference shape is the present one, larger
     np.testing.assert_allclose(domain.elements.s[:, 0], 50e6)
     # and the solver finds the same pressure after a step of no motion
-    target = Target(mesh, law, domain.elements.T, fixed=(), sleeping=False)
+    target = Target(mesh, law, domain.elements.T, fixed=(), track_wave=False)
     target.take(domain.nodes, domain.elements, target)
     target.advance(1e-15)
     np.testing.assert_allclose(target.p, hugoniot, rtol=1e-9)
@@ -115,7 +115,7 @@ def test_no_heat_flows_while_bodies_come_to_rest() -> None:
     points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
     T = np.where(mesh.points[mesh.conn].mean(axis=1)[:, 0] > 0.0, 310.0, 300.0)
-    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), T, sleeping=False, conduction=True)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), T, track_wave=False, conduction=True)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
     settle(bodies, 1e-9)
     np.testing.assert_array_equal(bodies.target.T, T)

@@ -48,7 +48,7 @@ def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[]
 def block(size: float, plastic: bool) -> Target:
     """A cube of SS304 of about 20 000 tetrahedra that twists, slowly or fast."""
     m = mesh.prepare(*mesh.box((1e-4, 1e-4, 1e-4), size))
-    target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), sleeping=False)
+    target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), track_wave=False)
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01
     target.v[:] = speed * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0.3 * np.sin(3 * x[:, 0])], axis=1)

@@ -272,7 +272,7 @@ def flying(folder: Path) -> Judged:
         float(domains.particle.mass.sum()), domains.particle.law,
     )  # fmt: skip
     domain = domain_of(state, "splat1")
-    splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), sleeping=False)
+    splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), track_wave=False)
     splat.take(domain.nodes, domain.elements, splat)
     arm = splat.x - splat.mass @ splat.x / splat.mass.sum()
     omega = np.array([0.0, 2.0 * np.pi / TURN, 0.0])

@@ -52,7 +52,7 @@ def bar(case: str, size: float) -> dict[str, float]:
     mesh = prepare(points, tets)
     law = _linear_hardening(said["law"]) if "law" in said else material(said["material"])
     record = law_record(law, rate_filter=RATE_FILTER_OVER_CROSSING * 2 * radius / speed)
-    t = Target(mesh, record, said["temperature"], fixed=(), sleeping=False)
+    t = Target(mesh, record, said["temperature"], fixed=(), track_wave=False)
     face = np.unique(mesh.facets[mesh.sets["bottom"]])
     planes = [np.flatnonzero(np.abs(mesh.points[:, i]) < 1e-6 * radius) for i in (0, 1)]
     t.v[:, 2] = -speed

@@ -26,7 +26,7 @@ POINTS = (500, 1000, 2000, 4000, 8000, 16000)
 DIAMETER, LENGTH, VELOCITY, TEMPERATURE, END = 6.4e-3, 32.4e-3, 287.0, 293.15, 80e-6
 RATE_FILTER = 0.01 * DIAMETER / VELOCITY
 # With stretch = 1.2 single points at the foot go unstable (eps_p_max 5.9 in place of 1.9, 1.4 % more plastic work) and the
-# books still close; from 0.6 to 1.0 nothing changes beyond the third digit.
+# ledger still closes; from 0.6 to 1.0 nothing changes beyond the third digit.
 NUMERICS = Numerics(courant=0.3, stretch=0.8)
 
 

@@ -126,15 +126,15 @@ def kind_of(plan: "Plan") -> "Kind":
     return Kind(last.points, math.hypot(*last.velocity), len(plan.impacts), plain)
 
 
-def outlook(plan: "Plan", pace: "Pace") -> str:
-    """How long a plan takes here, and how accurate it will be, as lines for `check`."""
+def forecast(plan: "Plan", pace: "Pace") -> str:
+    """Wall time of a plan on this machine and its error bands, as lines for `check`."""
     from ..measures import BANDED, MEASURES
     from ..plan.bands import band
     from ..plan.text import duration
 
     kind = kind_of(plan)
     bands = {name: width for name in BANDED if (width := band(name, kind)) is not None}
-    lines = [f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.said}"]
+    lines = [f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}"]
     if bands:
         cells = [f"{MEASURES[name].short} {100 * width.share:.2g} %" for name, width in bands.items()]
         half = -(-len(cells) // 2)

@@ -187,8 +187,8 @@ def _check(arguments: argparse.Namespace) -> int:
     from ..plan.text import describe
 
     planned = plan(Scene.load(arguments.scene))
-    outlook = accuracy_command.outlook(planned, accuracy_command.here(arguments.recalibrate))
-    print(describe(planned, outlook))
+    forecast = accuracy_command.forecast(planned, accuracy_command.here(arguments.recalibrate))
+    print(describe(planned, forecast))
     return 0
 
 

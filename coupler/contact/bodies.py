@@ -121,10 +121,10 @@ class BodyContact:
                 load[np.unique(self.surfaces.facets[side.near])] += 4.0 * side.contact.stiffness
         return load
 
-    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None, awake: int | None = None) -> None:
+    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None) -> None:
         """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
 
-        awake: how many nodes move at all (default: all of them); between two sides that sleep all stays as it was.
+        active: number of active nodes (default: all); a pair of inactive sides keeps its forces.
         Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
@@ -141,7 +141,7 @@ class BodyContact:
             c, taken = side.contact, held[side.nodes]
             c.spring[taken], c.depth[taken] = 0.0, 0.0
             side.near = self._around(side, x, travel)
-            if awake is not None and self._asleep(side, awake):
+            if active is not None and self._inactive(side, active):
                 side.idle = True
                 continue
             side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
@@ -156,10 +156,10 @@ class BodyContact:
             self.forces(0.0, x, rest, rest.copy())
             self.lost += given_up + before - self.penalty_energy
 
-    def _asleep(self, side: _Side, awake: int) -> bool:
-        """Whether neither a side's nodes nor those of the facets near them are among the first `awake` ones."""
+    def _inactive(self, side: _Side, active: int) -> bool:
+        """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones."""
         facets = self.surfaces.facets[side.near]
-        return bool(side.nodes.min() >= awake) and (len(facets) == 0 or bool(facets.min() >= awake))
+        return bool(side.nodes.min() >= active) and (len(facets) == 0 or bool(facets.min() >= active))
 
     def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
         """Those of a side's facets whose boxes come within reach of the box around its nodes."""
@@ -204,7 +204,7 @@ class BodyContact:
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
         """Take over what the contact of fewer bodies remembers. node (N before,): new number of each of its nodes.
 
-        For when a body has been joined: friction springs and books go on. Heat must have been fetched before.
+        For a domain with one more body: friction springs and ledger continue. Heat must have been fetched before.
         """
         springs, depth = np.zeros((len(self._held), 3)), np.zeros(len(self._held))
         for side in before._sides:

@@ -61,22 +61,22 @@ def candidates(
     for d in range(3):
         shape[d] = int((end[d] - origin[d]) / cell) + 1
     cells = shape[0] * shape[1] * shape[2]
-    home = np.empty(len(near), np.int64)
+    cell_of = np.empty(len(near), np.int64)
     count = np.zeros(cells + 1, np.int64)
     for q in range(len(near)):
         i = near[q]
         a = int((points[i, 0] - origin[0]) / cell)
         b = int((points[i, 1] - origin[1]) / cell)
         c = int((points[i, 2] - origin[2]) / cell)
-        home[q] = (a * shape[1] + b) * shape[2] + c
-        count[home[q] + 1] += 1
+        cell_of[q] = (a * shape[1] + b) * shape[2] + c
+        count[cell_of[q] + 1] += 1
     for q in range(cells):
         count[q + 1] += count[q]
     slot = count[:-1].copy()
     members = np.empty(len(near), np.int64)
     for q in range(len(near)):
-        members[slot[home[q]]] = near[q]
-        slot[home[q]] += 1
+        members[slot[cell_of[q]]] = near[q]
+        slot[cell_of[q]] += 1
     pair_point = np.empty(capacity, np.int64)
     pair_box = np.empty(capacity, np.int64)
     found = 0

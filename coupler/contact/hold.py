@@ -26,7 +26,7 @@ class Hold:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and places on facets of the target.
 
     rows (n,): the points, ascending; nodes (k,): of the facets. The springs are at rest where they are made, under the
-    pressure of the contact there, which they leave alone: they take up what pulls from then on, and give way by strength
+    pressure of the contact there, which they leave alone: they carry the tension from then on, and give way by strength
     and fracture energy as bonds between bodies do.
     """
 

@@ -24,7 +24,7 @@ RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is m
 
 
 def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME) -> dict[str, float]:
-    """Let all bodies come to rest in equilibrium; they wake for it, and sleep afterwards.
+    """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
     after all. The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
@@ -34,7 +34,7 @@ def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME)
     reach = t.reach
     held = _held(bodies) + t.kinetic()
     t.rest()
-    t.wake_all()
+    t.activate_all()
     conduction, t.conduction = t.conduction, None
     try:
         with t.quasi_static():
@@ -44,7 +44,7 @@ def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME)
         t.rest()
     finally:
         t.conduction = conduction
-    t.sleep_beyond(reach)
+    t.deactivate_beyond(reach)
     return report | {"taken_J": taken, "released_J": released, "released": released / kinetic_0}
 
 
@@ -115,7 +115,7 @@ def _loose(t: Target, free: np.ndarray) -> float:
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
-    """Let go, with real masses; the largest kinetic energy (J) on the way."""
+    """Run `time` s with real masses and no damping; returns the largest kinetic energy, J."""
     t, largest, left = bodies.target, 0.0, time
     while left > 0.0:
         _search(bodies, SEARCH_EVERY * t.stable_dt()[0])

@@ -136,7 +136,7 @@ def _paused(
     """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
 
     The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
-    in perfect contact. Stresses of the heat that has left are let go of at the end.
+    in perfect contact. Thermal stresses relax at the end.
     """
     if plan.impacts[i].dwell == 0.0 or not plan.effects.cooling:
         return bodies

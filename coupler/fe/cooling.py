@@ -38,7 +38,7 @@ class Links:
 
 
 def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
-    """Let heat flow for `time` s in a `fe.explicit.Target` at rest. Its T, sigma_y and books move on; its pressures do when it moves.
+    """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
     held: nodes kept at held_T K; every other face is insulated. Returns steps, hottest and mean temperatures before and after
     (K), and the heat (J) that held nodes have taken away. Raises SolverError when the linear solver does not come to an end.

@@ -38,7 +38,8 @@ class Target:
     yy zz yz xz xy; sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the
     point of impact and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are
     computed; none beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is
-    accelerated (mass scaling). resting (n+1,3): forces in N of all nodes from each on when they fell asleep, and nothing.
+    accelerated (mass scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became
+    inactive; the last row is zero.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
@@ -71,13 +72,13 @@ class Target:
         law_of: np.ndarray | None = None,
         fixed: tuple[str, ...] = ("bottom",),
         absorbing: tuple[str, ...] = (),
-        sleeping: bool = True,
+        track_wave: bool = True,
         conduction: bool = False,
     ):
         """laws: LAW records (one per material), law_of (m,): which each element follows (default the first).
 
         temperature: K, one or one for each element (m,). fixed, absorbing: names of facet sets (top, bottom, sides).
-        sleeping: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
+        track_wave: compute only what a wave can have reached. conduction: let heat flow between elements (`fe.heat`).
         Raises SolverError where elements of different laws share a node.
         """
         n, m = len(mesh.points), len(mesh.conn)
@@ -99,7 +100,7 @@ class Target:
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
         self.inertia = np.ones(m)
-        self.resting = np.zeros((n + 1, 3))
+        self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = _nodes_of(mesh, fixed)
         self.horizon = np.inf
         self._weigh()
@@ -114,9 +115,9 @@ class Target:
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
-        self.reach = np.inf if not sleeping else 16.0 * edge  # the scheme itself runs a little ahead of the wave
+        self.reach = np.inf if not track_wave else 16.0 * edge  # the numerical front runs a little ahead of the wave
         self.active_nodes = self.active_elements = 0
-        self._wake(0.0)
+        self._activate(0.0)
 
     def _dashpots(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         """Lysmer & Kuhlemeyer (1969): a matrix per boundary node, rho (c_p n n^T + c_s (1 - n n^T)) area / 3 from each facet."""
@@ -157,7 +158,7 @@ class Target:
         elements are within.
         """
         self.horizon = radius
-        n, m = self._awake(np.inf)
+        n, m = self._active_counts(np.inf)
         if m == len(self.mesh.conn):
             return m
         self.fixed = np.union1d(self.fixed, edge(self.mesh, m))
@@ -170,7 +171,7 @@ class Target:
         self.dashpot = matrices[self.dashpot_nodes]
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.active_nodes = self.active_elements = 0
-        self._wake(0.0)
+        self._activate(0.0)
         return m
 
     @property
@@ -178,24 +179,24 @@ class Target:
         """Distance from the point of impact (m) up to which no window holds the target back."""
         return (1.0 - LAYER) * self.horizon
 
-    def _awake(self, reach: float) -> tuple[int, int]:
-        """How many nodes and elements a front that has come to `reach` m has woken."""
+    def _active_counts(self, reach: float) -> tuple[int, int]:
+        """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""
         elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
         last = self.mesh.conn[:elements].max() + 1 if elements else 0
         return max(self.active_nodes, int(last)), elements
 
-    def _wake(self, dt: float) -> None:
-        """Let the front of what is computed run ahead of the waves."""
+    def _activate(self, dt: float) -> None:
+        """Advance the front of active elements by dt s, ahead of the waves, and activate what it reaches."""
         self.reach += self.wave_speed * dt
-        self.active_nodes, self.active_elements = self._awake(self.reach)
+        self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
     def stable_dt(self, enough: float = 0.0, ahead: float = 0.0) -> tuple[float, int]:
         """Largest stable time step (s, Courant factor and damping included) and the element with the smallest bound.
 
         The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
-        `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that wake until then count too.
+        `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that become active until then count too.
         """
-        n, e = self._awake(self.reach + self.wave_speed * ahead)
+        n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
         bound, where = k.stable_dt(
             0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of
@@ -220,7 +221,7 @@ class Target:
         kick = 0.5 * (self.dt_last + dt)
         motion.kick(0, n, kick, self.total, self.inv_mass, self.v)
         self.impulse += kick * self.support
-        self._wake(dt)
+        self._activate(dt)
         n, m = self.active_nodes, self.active_elements
         motion.drift(0, n, dt, self.v, self.x)
         mesh = self.mesh
@@ -252,8 +253,8 @@ class Target:
         n, dt = self.active_nodes, self.dt_last
         self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
         np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
-        # what is asleep holds up what is awake: its elements do, and what acts on its nodes comes from no one who moves
-        self.support = -self.resting[n] - self.f_ext[n:].sum(axis=0)
+        # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
+        self.support = -self.force_suffix_sum[n] - self.f_ext[n:].sum(axis=0)
         if len(self.dashpot_nodes):
             nodes = self.dashpot_nodes
             drag = -np.einsum("aij,aj->ai", self.dashpot, self.v[nodes])
@@ -283,7 +284,7 @@ class Target:
         self.scale_masses(state.inertia)
         if state.horizon != self.horizon:
             self.window(state.horizon)
-        if len(state.resting) != n + 1 or len(state.drag) != len(self.drag):
+        if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
         for record in (state, state.nodes, state.elements):
             assign(self, record)
@@ -304,7 +305,7 @@ class Target:
             setattr(self, name, getattr(before, name).copy())
         for name in ("internal_work", "absorbed", "time"):
             setattr(self, name, getattr(before, name))
-        self._note_rest()
+        self._store_inactive_forces()
 
     def rest(self) -> float:
         """Take all velocity away; returns the kinetic energy that was there, J."""
@@ -313,21 +314,21 @@ class Target:
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         return kinetic
 
-    def wake_all(self) -> None:
-        """Compute everything from now on."""
+    def activate_all(self) -> None:
+        """Make all nodes and elements active."""
         self.reach = np.inf
-        self._wake(0.0)
+        self._activate(0.0)
 
-    def sleep_beyond(self, reach: float) -> None:
-        """Put all to sleep that is farther than `reach` m from the point of impact: it must be at rest, in equilibrium."""
-        self._note_rest()
+    def deactivate_beyond(self, reach: float) -> None:
+        """Make all inactive that is farther than `reach` m from the point of impact: it must be at rest, in equilibrium."""
+        self._store_inactive_forces()
         self.reach, self.active_nodes, self.active_elements = reach, 0, 0
-        self._wake(0.0)
+        self._activate(0.0)
 
-    def _note_rest(self) -> None:
-        forces = np.zeros_like(self.resting)
+    def _store_inactive_forces(self) -> None:
+        forces = np.zeros_like(self.force_suffix_sum)
         k.gather_forces(0, len(self.x), self.start, self.table, self.fe, forces)
-        self.resting = np.cumsum(forces[::-1], axis=0)[::-1]
+        self.force_suffix_sum = np.cumsum(forces[::-1], axis=0)[::-1]
 
     @contextmanager
     def quasi_static(self) -> Iterator[None]:
@@ -358,12 +359,12 @@ class Target:
         """Recoverable energy in J: deviators, and the volumetric energy less the heat in it."""
         shear = k.elastic_shear_energy(
             0, len(self.mesh.conn), self.volume, self.mesh.V0, self.laws, self.law_of, self.s
-        )  # those asleep may have been left under stress
+        )  # inactive elements may be under stress
         pending = float(np.sum(self.heat))  # reaches the nodes in the next step
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (J, one for each of `elements`, repeats allowed) into elements, which wakes them if they sleep.
+        """Put heat (J, one for each of `elements`, repeats allowed) into elements, which become active.
 
         Their temperature rises at once, the pressure of their nodes in the next step.
         """
@@ -372,7 +373,7 @@ class Target:
         reached = float(self.mesh.reach_element[np.max(elements)])
         if reached >= self.reach:
             self.reach = float(np.nextafter(reached, np.inf))
-            self._wake(0.0)
+            self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.T)), float)
         self.sums[2] += take_heat(
             0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y

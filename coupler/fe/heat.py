@@ -45,7 +45,7 @@ class ConductionState:
 class Conduction:
     """Conduction over the elements of one mesh: laws (LAW records), law_of (m,) which of them each element follows.
 
-    T (n,) K: temperatures of the nodes, set from the elements when a node is first awake.
+    T (n,) K: temperatures of the nodes, set from the elements when a node is first active.
     """
 
     def __init__(self, mesh: TetMesh, laws: np.ndarray, law_of: np.ndarray, start: np.ndarray, table: np.ndarray):
@@ -79,7 +79,7 @@ class Conduction:
     ) -> float:  # fmt: skip
         """Note a mechanical step of dt (s); in every EVERY-th conduct over all the time since the last.
 
-        nodes, elements: how many of them are awake; the rest is adiabatic. x (n,3) m and volume (m,) m3 as they are
+        nodes, elements: how many of them are active; the rest is adiabatic. x (n,3) m and volume (m,) m3 as they are
         now. T (m,) K and sigma_y (m,) Pa move on; heat (m,) J is increased by what each element gains. Returns the heat
         that held nodes have put in, J.
         """
@@ -98,7 +98,7 @@ class Conduction:
         """Conduct for a time (s) in as many stable steps as it takes; see `advance`."""
         if elements == 0:
             return 0.0
-        supplied, left = self._hear(nodes, elements, T, heat, sigma_y), time
+        supplied, left = self._sync_nodes(nodes, elements, T, heat, sigma_y), time
         while left > 0.0:
             fastest = self._flows(elements, x, volume)
             dt = left / ceil(left * fastest / (2.0 * CONDUCTION_SAFETY)) if fastest > 0.0 else left
@@ -106,10 +106,10 @@ class Conduction:
             left = left - dt if left > 1.5 * dt else 0.0
         return supplied
 
-    def _hear(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> float:
-        """Take to the nodes what elements have gained by other means, and held nodes to where they are held.
+    def _sync_nodes(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> float:
+        """Add to the nodes the rise of temperature of their elements since the last call, and set held nodes to their temperature.
 
-        Returns the heat that takes, J.
+        Returns the heat that the held nodes supply, J.
         """
         known = self.known_elements
         self.own[:known] = T[:known] - self.last[:known]
@@ -122,13 +122,13 @@ class Conduction:
             self.T[fresh] = self.mean[fresh]
             self.known |= fresh
             self.known_elements = elements
-        awake = self.known[self.held]
-        held = self.held[awake]
+        active = self.known[self.held]
+        held = self.held[active]
         self.change[:] = 0.0
-        self.change[held] = self.held_T[awake] - self.T[held]
+        self.change[held] = self.held_T[active] - self.T[held]
         self.own[:elements] = 0.0
         supplied = float(self.capacity[held] @ self.change[held])
-        self._give(nodes, elements, T, heat, sigma_y)
+        self._apply_increment(nodes, elements, T, heat, sigma_y)
         return supplied
 
     def _means(self, nodes: int, elements: int, T: np.ndarray, value: np.ndarray) -> None:
@@ -150,11 +150,11 @@ class Conduction:
         held = self.held[self.known[self.held]]
         supplied = -float(self.capacity[held] @ self.change[held])
         self.change[held] = 0.0
-        self._give(nodes, elements, T, heat, sigma_y)
+        self._apply_increment(nodes, elements, T, heat, sigma_y)
         return supplied
 
-    def _give(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> None:
-        """Apply `change` at nodes, and hand it to the elements, less what is their `own` to lose."""
+    def _apply_increment(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> None:
+        """Add the increment `change` to nodes and elements; elements lose their `own` excess."""
         self.T[:nodes] += self.change[:nodes]
         gains(0, elements, self.mesh.conn, self.share, self.change, self.own, self.gain)
         take_heat(0, elements, self.gain, self.mesh.V0, self.laws, self.law_of, T, heat, sigma_y)

@@ -48,7 +48,7 @@ class ElementState:
 class TargetState:
     """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
 
-    inertia (m,): factor on the mass of each element; resting (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at
+    inertia (m,): factor on the mass of each element; force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at
     the time they became inactive; drag (d,3) N: of the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work,
     work of the bulk viscosity, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
     active_nodes, active_elements: how many are computed.
@@ -67,7 +67,7 @@ class TargetState:
     active_nodes: int
     active_elements: int
     inertia: Annotated[np.ndarray, Shape(-1)]
-    resting: Annotated[np.ndarray, Shape(-1, 3)]
+    force_suffix_sum: Annotated[np.ndarray, Shape(-1, 3)]
     drag: Annotated[np.ndarray, Shape(-1, 3)]
     support: Annotated[np.ndarray, Shape(3)]
     impulse: Annotated[np.ndarray, Shape(3)]

@@ -247,7 +247,7 @@ def _numbers(values: Iterable[float]) -> str:
 
 
 def _lock(directory: Path) -> int | None:
-    """Hold the folder for this process; the system lets go of it when the process ends, however it ends."""
+    """Hold the folder for this process; the system releases it when the process ends, however it ends."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_CLOEXEC)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -63,7 +63,7 @@ class VtkHdfWriter:
         for name in ("PointData", "CellData"):
             self._root.create_group(name)
             steps.create_group(f"{name}Offsets")
-        # Kept open: a data set that is closed writes what it holds, and there nobody would hear of a failure.
+        # Kept open: a data set that is closed writes what it holds, and a failure there is not reported.
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
 

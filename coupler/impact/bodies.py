@@ -186,7 +186,7 @@ class Bodies:
         return new
 
     def renumbered(self, origin: tuple[float, float, float]) -> "Bodies":
-        """The same, numbered outwards from another point, asleep but for what is near it."""
+        """The same, numbered outwards from another point; only what is near it is active."""
         domain, rank = merge([domain_now(self.target, self.body)], origin)
         new = bodies_of(domain, self.target, self.fixed, self.absorbing, self.friction)
         if self.bond is not None:
@@ -243,7 +243,7 @@ def bodies_of(
     """Bodies from a domain, the ledger going on from that of `before`."""
     target = Target(
         domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=fixed, absorbing=absorbing,
-        conduction=before.conduction is not None, sleeping=bool(np.isfinite(before.reach)),
+        conduction=before.conduction is not None, track_wave=bool(np.isfinite(before.reach)),
     )  # fmt: skip
     target.take(domain.nodes, domain.elements, before)
     return Bodies(target, domain.body, fixed, absorbing, friction)

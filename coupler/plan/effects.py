@@ -33,7 +33,7 @@ LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at th
 
 _WHY = {  # (why on, why off)
     "thermal_softening": ("the metal gets warm enough to lose strength", "heating is too small to matter"),
-    "rate_hardening": ("the strain rate raises the flow stress", "the flow stress does not feel the rate"),
+    "rate_hardening": ("the strain rate raises the flow stress", "the flow stress does not depend on the rate"),
     "plastic_heating": ("temperature is a result", "no plastic work becomes heat"),
     "temperature_dependent_cp": ("heating changes cp", "cp stays nearly constant"),
     "temperature_dependent_k": ("k changes where heat flows", "k stays, or conducts little"),

@@ -11,8 +11,8 @@ _MOST_LINES = 12  # of the impacts
 _MOST_SHAPES = 3
 
 
-def describe(plan: Plan, outlook: str = "") -> str:
-    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. outlook: lines about time and
+def describe(plan: Plan, forecast: str = "") -> str:
+    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. forecast: lines about time and
     accuracy on this machine, in place of the plan's own."""
     target, show = plan.target, units.rounded
     points = sorted({i.points for i in plan.impacts})
@@ -37,7 +37,7 @@ def describe(plan: Plan, outlook: str = "") -> str:
         f"  dt         about {show(plan.dt_estimate, 'ps')}",
         f"  steps      about {_round(plan.steps_estimate)}",
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
-        outlook or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+        forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
         f" the target and the contact cost {plan.home_load:.2g} of the particle",
         "",

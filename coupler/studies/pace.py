@@ -28,11 +28,11 @@ USUAL = (1000.0, 5000.0)  # points and elements of a step that stands for all th
 @dataclass(frozen=True)
 class Pace:
     """Times on this machine over those of the constants of `plan.cost`. steps: of a step and its elements; points: of the points
-    of a step; said: the source of both, for a person."""
+    of a step; source: the origin of both, for messages."""
 
     steps: float
     points: float
-    said: str
+    source: str
 
     def seconds(self, plan: Plan) -> float:
         """Processor time of a plan in one thread here, s."""
@@ -47,7 +47,7 @@ def of_this_machine(
     """The pace of this machine, from the cache or measured now (some seconds; half a minute where kernels have to be compiled).
 
     measure: `timing.measure`, called where the cache has nothing, and with `anew`. say(text): called before measuring. Where
-    the small impacts cannot be computed the factors are 1 and `said` has the reason.
+    the small impacts cannot be computed the factors are 1 and `source` has the reason.
     """
     path, key = folder() / "pace.json", machine()
     known = _read(path)
