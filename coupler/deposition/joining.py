@@ -1,8 +1,7 @@
 """Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
 
 import time as clock
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from ..contact.surfaces import interface
 from ..errors import SolverError
 from ..fe.assemble import BodyState
 from ..fe.cooling import Links, cool, together
+from ..files.summary import Values
 from ..impact.bodies import NEAR, Bodies, level_under
 from ..impact.domains import Domains
 from ..impact.rebound import rebounds
@@ -29,7 +29,7 @@ RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy
 
 def join(
     plan: Plan, i: int, domains: Domains, log: Callable[[str], None], hold: Hold | None = None
-) -> tuple[Bodies, dict[str, Any]]:
+) -> tuple[Bodies, Values]:
     """The bodies that impact i + 1 meets, and what it took to make them.
 
     domains: of the finished impact i; hold: the bond of its particle. A particle that is
@@ -41,7 +41,7 @@ def join(
     particle, bodies = domains.particle, domains.bodies
     kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(particle.momentum()[2] / particle.mass.sum())
-    report: dict[str, Any] = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
+    report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio
     left = rebounds(plan, i, upwards, hold)
     origin = point_of_impact(bodies, following.offset, None if left else domains)
@@ -112,7 +112,7 @@ def point_of_impact(
 
 
 def _ready(
-    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
 ) -> Bodies:
     """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `mass_scaling`."""
     bodies = _paused(plan, i, bodies, origin, kinetic_0, report)
@@ -131,7 +131,7 @@ def hold_places(domains: Domains, hold: Hold | None) -> np.ndarray:
 
 
 def _paused(
-    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: dict[str, Any]
+    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
 ) -> Bodies:
     """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
 
@@ -184,7 +184,7 @@ def _held(bodies: Bodies) -> dict[str, float]:
 
 
 def splats_at_end(
-    plan: Plan, levels: Sequence[float], joins: Sequence[Mapping[str, Any]], bodies: Bodies
+    plan: Plan, levels: Sequence[float], joins: Sequence[Values], bodies: Bodies
 ) -> list[dict[str, float] | None]:
     """How the splats that have joined the target stand in it, by impact: measures of shape, SI; None for one that has left.
 

@@ -6,7 +6,6 @@ keeps still (`Target.window`): it is in equilibrium, and no wave that matters co
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ..plan.planning import Plan
 ENOUGH = 0.25  # spacings over wave speed: elements whose safe step is that long never limit the particle
 
 
-def prepare(plan: Plan, i: int, bodies: Bodies) -> dict[str, Any]:
+def prepare(plan: Plan, i: int, bodies: Bodies) -> dict[str, float]:
     """Make bodies at rest, numbered outwards from where impact i comes, ready for it; what was done, for the report."""
     report = scale_masses(bodies, *_allowed(plan, i)) if i and plan.mass_scaling else {}
     radius = plan.impacts[i].window
@@ -33,7 +32,7 @@ def _allowed(plan: Plan, i: int) -> tuple[float, float]:
     return plan.mass_scaling * mass, ENOUGH * p.spacing / p.material.wave_speed
 
 
-def scale_masses(bodies: Bodies, most: float, enough: float) -> dict[str, Any]:
+def scale_masses(bodies: Bodies, most: float, enough: float) -> dict[str, float]:
     """Make the elements with the shortest steps heavier, all of them to the same step, by `most` kg in all or until that step is
     `enough`, s. Returns how many, how much (kg) and the safe step (s) before and after."""
     t = bodies.target

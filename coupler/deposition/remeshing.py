@@ -7,7 +7,6 @@ it stays as it is, to the last bit. Where that fails, or gains nothing, the mesh
 
 import time as clock
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,6 +19,7 @@ from ..fe.assemble import Domain, domain_now, merge
 from ..fe.explicit import COURANT, LINEAR_VISCOSITY
 from ..fe.patch import Patch, Renewal, patch_of, renewed
 from ..fe.state import ElementState, NodeState
+from ..files.summary import Values
 from ..geometry.mesher import fill_apart
 from ..geometry.tetrahedra import volumes
 from ..impact import measure as measures
@@ -55,7 +55,7 @@ class Gate:
         return cls(OWN_STEP * spacing / wave_speed)
 
 
-def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> tuple[Bodies, dict[str, Any]]:
+def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> tuple[Bodies, Values]:
     """The bodies with what is distorted made new, numbered outwards from origin (m), and a report; the same bodies where
     nothing is, or nothing helped.
 
@@ -64,7 +64,7 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
     """
     started = clock.perf_counter()
     before = _measures(bodies)
-    report: dict[str, Any] = {"gate_step_s": gate.step, "gate_quality": gate.quality, "before": before, "patches": []}
+    report: Values = {"gate_step_s": gate.step, "gate_quality": gate.quality, "before": before, "patches": []}
     if before["step_s"] >= gate.step and before["quality"] >= gate.quality:
         return bodies, report | {"remeshed": False}
     if bodies.contact is not None:
@@ -154,12 +154,12 @@ class _NewPatch:
     node: np.ndarray
     facet: np.ndarray
     patch: Patch
-    report: dict[str, Any]
+    report: dict[str, float]
 
 
 def _remesh_patch(
     domain: Domain, gate: Gate, bad: np.ndarray, allowed: np.ndarray, seed: int
-) -> tuple[_NewPatch | None, np.ndarray, dict[str, Any]]:
+) -> tuple[_NewPatch | None, np.ndarray, Values]:
     """Remesh the patch around the element `seed` and the bad elements connected to it, with the finest edges whose step passes the
     gate, else with the edges of the longest step. Returns it, None where nothing succeeds; the elements (m,) bool that were
     tried; a report."""
@@ -168,7 +168,7 @@ def _remesh_patch(
     same = domain.body == domain.body[seed]
     tried = np.zeros(len(bad), bool)
     tried[seed] = True
-    report: dict[str, Any] = {"done": False, "place_m": centre[seed].tolist(), "failed": []}
+    report: Values = {"done": False, "place_m": centre[seed].tolist(), "failed": []}
     best: _NewPatch | None = None
     for reach, factor in TRIES:
         edge = (estimates.TETS_PER_H3 * mesh.V0[seed]) ** (1.0 / 3.0)
@@ -191,7 +191,7 @@ def _remesh_patch(
     return best, tried, report if best is None else report | best.report | {"done": True}
 
 
-def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndarray, np.ndarray, dict[str, Any]]:
+def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndarray, np.ndarray, dict[str, float]]:
     """A patch made new with edges of `factor` times the old ones'. Raises SplatError or SolverError where it cannot be."""
     mesh, x = domain.mesh, domain.nodes.x
     own = mesh.conn[patch.elements]
@@ -279,7 +279,7 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
     return Renewal(points, tets, V0, node_state, new_rows(ElementState, len(tets), **known))
 
 
-def _measures(bodies: Bodies) -> dict[str, Any]:
+def _measures(bodies: Bodies) -> Values:
     """Step, quality, what is conserved, and the crater."""
     t = bodies.target
     mesh, x, mass = t.mesh, t.x, t.mass

@@ -8,7 +8,6 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from .. import __version__
 from ..errors import CheckpointError, ColdsprayError, StoreError, speaks
@@ -16,6 +15,7 @@ from ..files import checkpoint
 from ..files.inputs import read_json_object
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
+from ..files.summary import Values
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
@@ -180,7 +180,7 @@ class DepositionState:
     bodies: BodiesState | None
     store: StoreState
     records: list[ImpactRecord]
-    joins: list[dict[str, Any]]
+    joins: list[Values]
     wall: float
 
 
@@ -196,7 +196,7 @@ class Deposition:
         }  # fmt: skip
         self._started, self._before = clock.perf_counter(), 0.0
         self.records: list[ImpactRecord] = []  # of the finished impacts
-        self.joins: list[dict[str, Any]] = []  # reports of the joining of their splats
+        self.joins: list[Values] = []  # reports of the joining of their splats
 
     @property
     def wall(self) -> float:

@@ -2,10 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
 
 from .. import __version__
-from ..files.summary import FORMAT, Summary
+from ..files.summary import FORMAT, Summary, Values
 from ..impact.rebound import deposition_efficiency
 from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
@@ -22,7 +21,7 @@ def simulated(records: Sequence[ImpactRecord]) -> float:
 def summary(
     plan: Plan,
     records: Sequence[ImpactRecord],
-    joins: list[dict[str, Any]],
+    joins: list[Values],
     standing: Sequence[Mapping[str, float] | None],
     wall: float,
     ranks: Ranks,
@@ -67,7 +66,7 @@ def summary(
     }  # fmt: skip
 
 
-def _dissipated(impacts: Sequence[Mapping[str, Any]]) -> list[str]:
+def _dissipated(impacts: Sequence[Values]) -> list[str]:
     """A warning of each impact that the stabilisation of the schemes has shaped."""
     return [
         f"impact {number}: viscosity and hourglass control took {impact['numerical_dissipation']:.0%} of the kinetic energy, more than"

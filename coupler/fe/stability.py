@@ -8,7 +8,7 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 
 from dataclasses import dataclass
 from math import log
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numba import njit
@@ -141,7 +141,7 @@ class FrequencyState:
 
     warm: bool
     known: int
-    random: dict[str, Any]
+    random: dict[str, object]
     w: Annotated[np.ndarray, Shape(-1, 3)]
 
 

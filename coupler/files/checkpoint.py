@@ -148,7 +148,7 @@ def _header(stream: BinaryIO, path: Path) -> dict[str, Any]:
     return json.loads(line)
 
 
-def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
+def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
     """The tree with each array replaced by where it is kept."""
     if is_dataclass(value) and not isinstance(value, type):
         parts = {f.name: _flatten(getattr(value, f.name), f"{name}/{f.name}", arrays) for f in fields(value)}
@@ -215,7 +215,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
     return value
 
 
-def _part(tree: Any, kind: str, name: str) -> Any:
+def _part(tree: object, kind: str, name: str) -> Any:
     if not isinstance(tree, dict) or kind not in tree:
         raise ValueError(f"{name or 'the state'} is no {kind}")
     return tree[kind]

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 import h5py
 import numpy as np
@@ -27,6 +27,7 @@ DOMAINS = ("particle", "surface", "target")
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
 DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
 FARTHEST = 1e3  # m from the origin: no run has a point beyond it
+H = TypeVar("H")
 _CSV_MEMORY = 12  # bytes while reading over bytes of the file
 
 
@@ -103,7 +104,7 @@ class Result:
         return run_values(self.summary)
 
     @property
-    def plan(self) -> dict[str, Any]:
+    def plan(self) -> Values:
         """The plan of the run as plan.json holds it; empty if there is none (version 0.1) or it is damaged."""
         try:
             plan = read_json_object(self.directory / "plan.json").get("plan")
@@ -246,7 +247,7 @@ class _Root:
         return list(_child(self.group, name, h5py.Group))
 
 
-def _child(group: h5py.Group, name: str, kind: type) -> Any:
+def _child(group: h5py.Group, name: str, kind: type[H]) -> H:
     # A link may lead into another file of the reader's machine; ours never do.
     if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name} is missing or leads elsewhere")

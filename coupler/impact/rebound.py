@@ -1,9 +1,9 @@
 """Did it stick? What became of the particle of an impact, and how much of the powder stayed. SI units."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from ..contact.hold import Hold
+from ..files.summary import Values
 from ..plan.planning import Plan
 from ..ranks.distributed import DistributedParticle
 
@@ -23,7 +23,7 @@ def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
     return not bonded and upwards > REBOUND
 
 
-def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None, settled: bool) -> dict[str, Any]:
+def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None, settled: bool) -> Values:
     """What is to be said of the finished impact i beside its measures.
 
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
@@ -34,7 +34,7 @@ def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None
     upwards = float(particle.momentum()[2]) / mass
     left = rebounds(plan, i, upwards, hold)
     first, last = hold.area if hold is not None else (0.0, 0.0)
-    found: dict[str, Any] = {"rebounded": None, "restitution": None}
+    found: Values = {"rebounded": None, "restitution": None}
     if settled:
         found = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
     if plan.adhesion.in_impact:
@@ -42,7 +42,7 @@ def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None
     return found | {"velocity_ratio": plan.impacts[i].velocity_ratio, "particle_mass_kg": mass}
 
 
-def deposition_efficiency(records: Sequence[Mapping[str, Any]]) -> float | None:
+def deposition_efficiency(records: Sequence[Values]) -> float | None:
     """Mass of the particles that stayed over the mass of all, from the records of their impacts; None while one is undecided."""
     if any(record["rebounded"] is None for record in records):
         return None

@@ -3,10 +3,11 @@
 import resource
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
+from ..files.summary import Values
 from ..measures import within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
@@ -28,7 +29,7 @@ class ImpactRecord:
     """What a finished impact leaves for summary.json. values: its record in `impacts`; warnings, retries: of the run's;
     memory_peak: bytes, of all processes."""
 
-    values: dict[str, Any]
+    values: Values
     warnings: list[str]
     retries: list[Retry]
     memory_peak: float
@@ -78,7 +79,7 @@ def summarise(
         "undecided": undecided,
     }
     refused: dict[str, str] = {}
-    end: dict[str, Any] = {**measured}
+    end: Values = {**measured}
     if undecided is not None:
         end |= dict.fromkeys(measured.keys() - {"time_s"})
         unknown = [key for key in NEEDS_REST if key in own]

@@ -43,7 +43,7 @@ _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
     "k": ("W/(m K)", 0.01, 5000.0),
 }
-_DEFAULTS: dict[str, Any] = {
+_DEFAULTS: dict[str, float | str | None] = {
     "eps_dot_0": 1.0,
     "taylor_quinney": 0.9,
     "thermal_expansion": 0.0,
@@ -206,7 +206,7 @@ def _library() -> dict[str, Material]:
     return {name: from_table(name, table) for name, table in tomllib.loads(text).items()}
 
 
-def _read(key: str, value: object) -> Any:
+def _read(key: str, value: object) -> float | Pairs | str:
     if key in ("source", "note"):
         if not isinstance(value, str) or not _SAFE_TEXT.fullmatch(value):
             raise ValueError("must be plain text of at most 400 characters")

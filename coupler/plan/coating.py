@@ -4,7 +4,6 @@ import math
 import random
 from itertools import pairwise
 from statistics import NormalDist
-from typing import Any
 
 from .. import units
 from ..scene.tables import Coating, read_table
@@ -15,7 +14,7 @@ _CUT = 2.0  # standard deviations of the velocity
 _BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not said
 
 
-def expand(given: dict[str, Any]) -> list[str]:
+def expand(given: dict[str, object]) -> list[str]:
     """Put the particles of a table [coating] into a scene that has none of its own. Returns the problems that only both have.
 
     given: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
@@ -30,16 +29,15 @@ def expand(given: dict[str, Any]) -> list[str]:
         problems = []
         if table.velocity is None and "gas" not in given:
             problems = ['coating.velocity: missing; add for example velocity = "600 m/s", or a table [gas]']
-        given["particle"] = particles(table)
-        if problems:
-            given["particle"] = [{"velocity": _STAND_IN["velocity"]} | particle for particle in given["particle"]]
+        stand_in: dict[str, str | list[str]] = {"velocity": _STAND_IN["velocity"]} if problems else {}
+        given["particle"] = [stand_in | particle for particle in particles(table)]
         return problems
     if not isinstance(there, list) or len(there) != table.number:
         return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
     return []
 
 
-def particles(table: Coating) -> list[dict[str, Any]]:
+def particles(table: Coating) -> list[dict[str, str | list[str]]]:
     """The particles of a coating as a scene writes them, in the order of their impacts, a layer after the other.
 
     Only `random.Random.random` is drawn from, which Python keeps the same in all versions; quantities are written with so many
@@ -56,7 +54,7 @@ def particles(table: Coating) -> list[dict[str, Any]]:
         diameter = _diameter(table, dice.random())
         off = _cut_normal(dice.random())
         shape, tilt = _shape(table, dice.random()), 180.0 * dice.random() - 90.0
-        one: dict[str, Any] = {
+        one: dict[str, str | list[str]] = {
             "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
             "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
         }  # fmt: skip

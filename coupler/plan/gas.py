@@ -3,7 +3,6 @@
 import textwrap
 from collections.abc import Mapping
 from functools import cache
-from typing import Any
 
 from pydantic_core import ErrorDetails
 
@@ -23,7 +22,7 @@ _SLOWEST, _FASTEST = 10.0, 2000.0  # m/s: what a scene may say
 _MOST_LINES = 6  # of what the gas gives
 
 
-def read(table: Any) -> tuple[GasConditions | None, list[tuple[str, str]]]:
+def read(table: object) -> tuple[GasConditions | None, list[tuple[str, str]]]:
     """Gas conditions from texts with units: (conditions, problems); each problem is a field and what is wrong with it."""
     conditions, entries = read_table(GasConditions, table)
     return conditions, [(str(entry["loc"][0]) if entry["loc"] else "", _in_words(entry)) for entry in entries]
@@ -55,7 +54,7 @@ def arrival(conditions: GasConditions, nozzle: Nozzle, material: Material, diame
     }
 
 
-def fill(given: dict[str, Any], catalogue: Mapping[str, Material]) -> list[str]:
+def fill(given: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
     """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas].
 
     given: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the

@@ -62,7 +62,7 @@ class DistributedParticle:
 
     # ---- between windows of steps ------------------------------------------------------------------------------------------
 
-    def ask(self, method: str, *arguments: Any, each: Sequence[Any] | None = None) -> list[Any]:
+    def ask(self, method: str, *arguments: object, each: Sequence[object] | None = None) -> list[Any]:
         """Have every rank with points call a method of its part of the particle; the results, in order. each: a further argument
         for each rank.
 
@@ -72,12 +72,18 @@ class DistributedParticle:
             return [getattr(self.local, method)(*arguments, *((each[0],) if each else ()))]
         r = self.ranks
         r.comm.bcast((method, arguments, each), root=r.root)
-        answers = r.comm.gather(attempt(self, method, arguments, each), root=r.root)
+        answers = self._gathered(attempt(self, method, arguments, each))
         answers = [answers[rank] for rank in r.sph]
         for answer in answers:
             if isinstance(answer, BaseException):
                 raise answer
         return answers
+
+    def _gathered(self, own: object) -> list[Any]:
+        """What each rank has sent to the root, this one `own`, by rank."""
+        values = self.ranks.comm.gather(own, root=self.ranks.root)
+        assert values is not None, "only the root gathers"
+        return values
 
     def whole(self, name: str) -> np.ndarray:
         """A field of all points (n, ...), by its name in `sph.particle.Particle`."""
@@ -244,13 +250,13 @@ class DistributedParticle:
                 self._try(begin)
 
         r.comm.bcast(("run_steps", (steps, dt), rows), root=r.root)
-        answer: Any = None
+        answer: object = None
         if self.local is None:
             for _ in range(steps):
                 on_step()
         else:
             answer = caught(lambda: self._points.run(steps, dt, on_step))
-        answers = r.comm.gather(answer, root=r.root)
+        answers = self._gathered(answer)
         if self.failure is not None:
             raise self.failure
         for rank in r.sph:
@@ -269,14 +275,14 @@ class DistributedParticle:
             return []
         r = self.ranks
         r.comm.bcast(("waited", (), None), root=r.root)
-        return [seconds / loop for seconds in r.comm.gather(self.waited, root=r.root)]
+        return [seconds / loop for seconds in self._gathered(self.waited)]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
         """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
         if self._alone:
             return [work()]
         self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)
-        gathered: list[R] = self.ranks.comm.gather(work(), root=self.ranks.root)
+        gathered: list[R] = self._gathered(work())
         return gathered
 
     def close(self) -> None:

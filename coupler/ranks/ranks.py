@@ -14,23 +14,24 @@ import time as clock
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
-from mpi4py.MPI import COMM_WORLD, Intracomm
+from mpi4py.MPI import COMM_SELF, COMM_WORLD, Comm, Intracomm
 
 from ..errors import ColdsprayError, PlacementError, SolverError
 from ..sph.particle import Particle
 
 PLACEMENTS = ("split", "spread")
 STEP = 7  # tag of the messages of a step
+R = TypeVar("R")
 _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
 
 
 @dataclass(frozen=True)
 class Ranks:
     """Which rank does what. root: the rank of the target, the last; sph: the ranks that share the particle, `shares` of its points
-    each; comm: of all ranks, sph_comm: of those in `sph`, both None in one process."""
+    each; comm: of all ranks; sph_comm: of those in `sph`, None on the others."""
 
     rank: int = 0
     size: int = 1
@@ -38,8 +39,8 @@ class Ranks:
     sph: tuple[int, ...] = (0,)
     shares: tuple[float, ...] = (1.0,)
     placement: str = "one process"
-    comm: Any = field(default=None, repr=False)
-    sph_comm: Any = field(default=None, repr=False)
+    comm: Intracomm = field(default_factory=lambda: COMM_SELF, repr=False)
+    sph_comm: Comm | None = field(default_factory=lambda: COMM_SELF, repr=False)
 
     @property
     def is_root(self) -> bool:
@@ -174,7 +175,7 @@ class _Worker:
                 comm.Recv(inbox, source=root, tag=STEP)
 
 
-def attempt(side: Side, method: str, arguments: tuple[Any, ...], each: Sequence[Any] | None) -> Any:
+def attempt(side: Side, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
     """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error.
 
     None on a rank without points.
@@ -187,7 +188,7 @@ def attempt(side: Side, method: str, arguments: tuple[Any, ...], each: Sequence[
     return caught(lambda: getattr(side if method == "run_steps" else local, method)(*arguments))
 
 
-def caught(work: Callable[[], Any]) -> Any:
+def caught(work: Callable[[], R]) -> R | BaseException:
     """The result of work, or the error it raised, in a form that can travel."""
     try:
         return work()

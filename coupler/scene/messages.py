@@ -2,7 +2,7 @@
 
 import copy
 import json
-from typing import Any
+from collections.abc import Mapping
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -21,9 +21,9 @@ _COATING_EXAMPLE = {
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 
 
-def without(given: dict[str, Any], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
+def without(given: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
     """The scene with its faulty fields replaced, so that the others can be checked against each other."""
-    mended = copy.deepcopy(given)
+    mended = copy.deepcopy(dict(given))
     particles = mended.get("particle")
     mended["particle"] = particles if isinstance(particles, list) else [particles]
     for section, *inner in faulty:
@@ -38,9 +38,10 @@ def without(given: dict[str, Any], faulty: list[tuple[int | str, ...]]) -> Scene
             mended.pop(str(section), None)
         elif isinstance(table, dict):
             table.pop(inner[0], None)
+    particles = mended.get("particle")
     mended["particle"] = [
         _EXAMPLES["particle"] | (particle if isinstance(particle, dict) else {})
-        for particle in mended.get("particle") or [{}]
+        for particle in (particles if isinstance(particles, list) and particles else [{}])
     ]
     substrate = mended.get("substrate")
     mended["substrate"] = _EXAMPLES["substrate"] | (substrate if isinstance(substrate, dict) else {})

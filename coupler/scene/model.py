@@ -5,7 +5,7 @@ Its texts are restricted to safe patterns, as some reach solvers that can run co
 
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field, field_validator
 
@@ -45,8 +45,8 @@ class SceneData(Section):
     resolution: Resolution = Resolution()
     end: End = End(at="rest")
     output: Output = Output()
-    materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    nozzles: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    materials: dict[str, dict[str, object]] = Field(default_factory=dict)
+    nozzles: dict[str, dict[str, object]] = Field(default_factory=dict)
 
     @field_validator("particles", mode="before")
     @classmethod

@@ -7,7 +7,7 @@ F, Q and the plastic strain of those points over fixed lists. No sum depends on 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -100,7 +100,7 @@ class CompiledParticle(Particle):
         """Which rows go to which rank between the passes, and which come from there."""
         self._sends: list[tuple[int, np.ndarray, np.ndarray]] = []
         self._receives: list[tuple[int, np.ndarray, np.ndarray]] = []
-        if self.comm is None or self.comm.size == 1:
+        if self.comm.size == 1:
             return
         needed = np.unique(self._neighbour[self._neighbour >= self.n]).astype(np.int64)
         owner = np.empty(self.total, np.int64)
@@ -159,11 +159,10 @@ class CompiledParticle(Particle):
         """Exchange what pass 2 needs of points of other ranks."""
         if not self._sends and not self._receives:
             return
-        comm: Any = self.comm
-        requests = [comm.Irecv(buffer, source=rank, tag=8) for rank, _, buffer in self._receives]
+        requests = [self.comm.Irecv(buffer, source=rank, tag=8) for rank, _, buffer in self._receives]
         for rank, rows, buffer in self._sends:
             buffer[:, :9], buffer[:, 9:18], buffer[:, 18] = self._all_F[rows], self._all_Q[rows], self._effective[rows]
-            requests.append(comm.Isend(buffer, dest=rank, tag=8))
+            requests.append(self.comm.Isend(buffer, dest=rank, tag=8))
         for request in requests:
             request.Wait()
         for _, rows, buffer in self._receives:

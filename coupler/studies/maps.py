@@ -146,7 +146,7 @@ def _as_written(path: Path) -> Row:
     """Material and axes of a scene that cannot be computed, as far as they can be read."""
     found: Row = {}
     try:
-        data: Any = read_toml(path)
+        data = read_toml(path)
         found["material"], found["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
         for axis, (key, dimension) in zip(AXES, _WRITTEN, strict=True):
             found[axis] = units.parse(data["particle"][key], dimension)
