@@ -1,4 +1,4 @@
-"""A run that was never computed: a splat in a crater, with fields and books that are known."""
+"""A run that was never computed: a splat in a crater, with fields and a ledger that are known."""
 
 from pathlib import Path
 from typing import Any
@@ -126,21 +126,21 @@ def write(
 def row(amount: float, **further: float) -> dict[str, float]:
     """A line of the history: of 10 uJ nine tenths become plastic work, the rest stays, and 0.1 % is lost."""
     lost = -1e-3 * amount
-    books = {
+    ledger = {
         "kinetic_particle": 10e-6 * (1 - 0.95 * amount + lost) - amount * sum(further.values()),
         "kinetic_target": 0.05e-6 * amount, "elastic_particle": -0.02e-6 * amount, "elastic_target": 0.07e-6 * amount,
         "plastic_particle": 4e-6 * amount, "plastic_target": 5e-6 * amount, "numerical_particle": 0.3e-6 * amount,
         "numerical_target": 0.05e-6 * amount, "contact": 0.0, "friction": 0.05e-6 * amount, "boundary": 0.0,
     }  # fmt: skip
-    books |= {name: amount * value for name, value in further.items()}
-    kinetic = books["kinetic_particle"] + books["kinetic_target"]
+    ledger |= {name: amount * value for name, value in further.items()}
+    kinetic = ledger["kinetic_particle"] + ledger["kinetic_target"]
     shape = {"height": (25 - 14 * amount) * UM, "thickness": (25 - 9 * amount) * UM, "crater_depth": 5 * amount * UM}
     motion = {"velocity_z": -500 + 530 * amount, "contact_force": amount * (1 - amount), "T_max": 300 + 300 * amount}
     return {
         "time": amount * END,
         "dt": 30e-12,
         "step": 1000 * amount,
-        **books,
+        **ledger,
         "kinetic": kinetic,
         "drift": lost,
         **shape,

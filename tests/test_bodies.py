@@ -101,7 +101,7 @@ def test_equal_bars_exchange_their_velocities(turned: bool) -> None:
     assert np.abs(b.moment() - moment).max() < 1e-12 * scale
 
 
-def test_an_oblique_collision_with_friction_closes_its_books() -> None:
+def test_an_oblique_collision_with_friction_closes_its_ledger() -> None:
     b = Blocks(((0.3, 0.3, 1.0), 0.15, (0.0, 0.0, 0.0)), ((0.3, 0.3, 1.0), 0.13, (0.05, 0.02, 1.01)))
     contact, t = b.touch(friction=0.3), b.target
     t.v[b.nodes(1)] = [3.0, 1.0, -10.0]

@@ -94,7 +94,7 @@ def test_unloading_goes_to_the_origin_and_damage_does_not_heal(pair: Blocks) -> 
     assert -pull(pair, bond, again[:, None] * up)[:, 2] == pytest.approx(first[-1] * again / far, rel=1e-9, abs=1e-6)
     assert bond.dissipated == spent
     assert np.array_equal(bond.damage, damage)
-    pressed = pull(pair, bond, -1e-8 * up[None])[0, 2]  # compression does not feel the damage
+    pressed = pull(pair, bond, -1e-8 * up[None])[0, 2]  # compression does not depend on the damage
     assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 1e-8, rel=1e-9)
 
 
@@ -197,7 +197,7 @@ def test_a_wave_crosses_a_tied_interface_as_through_one_body() -> None:
 
 @pytest.mark.usefixtures("undamped")
 @pytest.mark.parametrize("toward", [(0, 0, 1), (1, 0, 0), (1, 0, 1)], ids=["tension", "shear", "mixed"])
-def test_blocks_torn_apart_spend_the_fracture_energy_and_the_books_close(toward: tuple[int, int, int]) -> None:
+def test_blocks_torn_apart_spend_the_fracture_energy_and_the_ledger_closes(toward: tuple[int, int, int]) -> None:
     """Elastic cubes that fly apart. The step is short, so that the last opening, 50 um, takes more than twenty of them."""
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
     bond, t = b.tie(strength=20e6, energy=500.0), b.target
@@ -206,10 +206,10 @@ def test_blocks_torn_apart_spend_the_fracture_energy_and_the_books_close(toward:
         t.v[b.nodes(body)] = sign * np.array(toward) / np.linalg.norm(toward)
     start, momentum, moment, worst = b.energy(), t.momentum(), b.moment(), [0.0]
 
-    def books() -> None:
+    def check_ledger() -> None:
         worst[0] = max(worst[0], abs(b.energy() / start - 1.0))
 
-    b.run(6e-4, watch=books, limit=1e-6)
+    b.run(6e-4, watch=check_ledger, limit=1e-6)
     assert len(bond) == 0  # all have broken and gone over to the contact
     assert bond.dissipated == pytest.approx(500.0, rel=0.01)
     assert worst[0] < 1e-4
@@ -234,7 +234,8 @@ def test_cubes_that_fly_apart_part_when_they_can_pay_the_fracture_energy(energy:
         assert b.velocity(1)[2] == pytest.approx(np.sqrt(1 - energy / kinetic), rel=0.03)
     else:
         assert len(bond) == bonds
-        assert np.abs(bond.opening).max() < 1.2 * kinetic / 30e6  # where the bonds' plateau has eaten all the motion
+        # where the bonds' plateau has absorbed all the kinetic energy
+        assert np.abs(bond.opening).max() < 1.2 * kinetic / 30e6
 
 
 def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) -> None:
@@ -245,16 +246,16 @@ def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) ->
     x = shifted(pair, np.array([1.02 * 2 * GII / S, 0, -0.001 * SIDE]))
     f, g = np.zeros_like(x), np.zeros_like(x)
     bond.forces(x, f)
-    pressed, books = f[up, 2].sum(), bond.stored
+    pressed, energy = f[up, 2].sum(), bond.stored
     assert bond.broken.all()
     assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 0.001 * SIDE)  # still resisted
     contact.search(x, 1e-9, bond)
     contact.forces(1e-12, x, still, g)
     assert len(bond) == 0
-    assert bond.stored == pytest.approx(0.0, abs=1e-12 * books)
+    assert bond.stored == pytest.approx(0.0, abs=1e-12 * energy)
     assert contact.touching >= 16
     assert g[up, 2].sum() > 0
-    assert contact.penalty_energy + contact.lost == pytest.approx(books, rel=1e-9)
+    assert contact.penalty_energy + contact.lost == pytest.approx(energy, rel=1e-9)
 
 
 def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_contact(pair: Blocks) -> None:
@@ -265,7 +266,7 @@ def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_c
     x = shifted(pair, np.array([0.7 * spacing, 0, -0.001 * SIDE]))
     f = np.zeros_like(x)
     bond.forces(x, f)
-    shear, books = f[up, 0].sum(), bond.stored
+    shear, energy = f[up, 0].sum(), bond.stored
     contact.search(x, 1e-9, bond)
     assert bond.loose.all()
     assert len(bond.held) == 0 < len(bond)
@@ -275,7 +276,7 @@ def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_c
     contact.forces(1e-12, x, still, f)
     assert f[up, 2].sum() > 0
     assert contact.touching > 10
-    assert bond.stored + contact.penalty_energy + contact.lost == pytest.approx(books, rel=1e-9)
+    assert bond.stored + contact.penalty_energy + contact.lost == pytest.approx(energy, rel=1e-9)
 
 
 def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped(pair: Blocks) -> None:

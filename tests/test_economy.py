@@ -96,7 +96,7 @@ def blow(r: np.ndarray) -> np.ndarray:
     return -np.where(r < 1.0, np.cos(0.5 * np.pi * r) ** 2, 0.0)
 
 
-def test_waves_die_before_the_edge_and_books_close() -> None:
+def test_waves_die_before_the_edge_and_the_ledger_closes() -> None:
     (t, start), (hard, _) = struck(2.5), struck(2.5, layer=False)
     assert t.active_elements < 0.7 * len(t.mesh.conn)
     beyond = t.mesh.reach_node > 3.5

@@ -53,7 +53,7 @@ def test_heat_raises_temperature_by_enthalpy_and_softens_by_johnson_cook() -> No
 
 @pytest.mark.parametrize("expands", [True, False])
 def test_heat_makes_pressure_only_with_thermal_expansion(expands: bool) -> None:
-    """Held in its volume a body gains Gamma0 times its heat in pressure; the books know what became of the heat."""
+    """Held in its volume a body gains Gamma0 times its heat in pressure; the ledger contains the heat."""
     metal = material("Ni")
     m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
     t = Target(
@@ -152,7 +152,7 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     assert pressure(nickel, greatest_compression(nickel, True)) == pytest.approx(shock)
     kept = Extremes()
     kept.restore(seen.state())
-    assert kept.found == seen.found
+    assert kept.extremes == seen.extremes
 
 
 def test_the_law_without_effects_is_elastic_perfectly_plastic_but_for_hardening() -> None:

@@ -140,8 +140,8 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
     assert 0.75 * exact < sharp < exact
 
 
-def test_the_step_knows_of_elements_that_wake_while_it_is_kept() -> None:
-    """A flat element that sleeps does not set the step until the front will come to it."""
+def test_the_step_includes_elements_that_become_active_while_it_is_kept() -> None:
+    """A flat inactive element does not limit the step until the front reaches it."""
     m = mesh.prepare(*mesh.box((1.0, 1.0, 12.0), 0.25), origin=(0.5, 0.5, 0.0))
     t = Target(m, law_record(elastic()), 300.0, fixed=())
     last = m.conn[-1]

@@ -160,8 +160,8 @@ def test_heat_of_one_element_spreads_and_none_is_lost() -> None:
 
 @pytest.mark.parametrize("length", [1e-6, 1.0])
 def test_conduction_in_a_moving_target(length: float) -> None:
-    """Books close as well with conduction; it matters in a body of a micrometre and not in one of a metre."""
-    made, books = [], []
+    """The ledger closes as well with conduction; it matters in a body of a micrometre and not in one of a metre."""
+    made, ledger = [], []
     for conducts in (False, True):
         points, tets = mesh.box((1.0, 1.0, 1.0), 0.2)
         m = mesh.prepare(points * length, tets)
@@ -175,17 +175,17 @@ def test_conduction_in_a_moving_target(length: float) -> None:
                 dt = t.stable_dt()[0]
             t.advance(dt)
             t.finish()
-        books.append((t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]) / start)
+        ledger.append((t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]) / start)
         assert 8960 * 383 * (m.V0 @ (t.T - 300)) == pytest.approx(t.sums[2], rel=1e-9)
         made.append(t)
-    assert books[0] == pytest.approx(1.0, rel=5e-3)  # five elements across, struck hard
-    assert books[1] == pytest.approx(books[0], rel=1e-4)
+    assert ledger[0] == pytest.approx(1.0, rel=5e-3)  # five elements across, struck hard
+    assert ledger[1] == pytest.approx(ledger[0], rel=1e-4)
     still, moved = made
     difference = np.abs(still.T - moved.T).max()
     assert difference > 5.0 if length < 1e-3 else difference < 0.1
 
 
-def test_conduction_needs_only_what_is_awake() -> None:
+def test_conduction_needs_only_the_active_part() -> None:
     points, tets = mesh.cylinder(8e-6, 4e-6, 0.12e-6, 0.3e-6, 0.3)
     m = mesh.prepare(points, tets)
     made, dt = [], 0.0

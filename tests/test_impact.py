@@ -21,7 +21,7 @@ def result(shared_run: SharedRuns) -> Result:
     return shared_run(NI)
 
 
-def test_books_close(result: Result) -> None:
+def test_ledger_closes(result: Result) -> None:
     s = result.values
     assert abs(s["energy_drift"]) < 5e-3
     assert s["momentum_error"] < 1e-10

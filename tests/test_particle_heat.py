@@ -69,7 +69,7 @@ def test_gradients_are_exact_for_linear_fields_and_a_lone_hot_point_levels_out()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_books_close(engine: str) -> None:
+def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_ledger_closes(engine: str) -> None:
     from coupler.physics.materials import material
 
     metal, heat = material("Ni"), 3e8

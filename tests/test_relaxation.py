@@ -98,7 +98,7 @@ def test_every_element_bears_the_step_with_its_mass() -> None:
 
 
 def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
-    """Masses, damping, absorbing faces and sleep are the solver's own again."""
+    """Masses, damping, absorbing faces and inactive part are the solver's own again."""
     bodies = substrate(track_wave=True)
     t = bodies.target
     mass, reach, active = t.mass.copy(), t.reach, t.active_elements
@@ -111,15 +111,16 @@ def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
     assert not t.v.any()
 
 
-def test_what_sleeps_under_stress_holds_up_what_is_awake() -> None:
-    """A push on a block whose lower part sleeps under stress: its momentum is that of the push and of what the supports give."""
+def test_an_inactive_part_under_stress_supports_the_active_part() -> None:
+    """A push on a block whose lower part is inactive under stress: its momentum is that of the push and of what the supports give."""
     points, tets = meshes.cylinder(120e-6, 60e-6, 4e-6, 6e-6, 0.3)
     mesh = meshes.prepare(points, tets)
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, absorbing=("sides",))
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), ("sides",), 0.3)
     target.reach = 25e-6
     press(bodies)
-    settle(bodies, 1e4 * KINETIC)  # far from equilibrium: what sleeps has to be counted, it does not cancel by itself
+    # far from equilibrium: the inactive forces have to be counted, they do not cancel by themselves
+    settle(bodies, 1e4 * KINETIC)
     assert target.active_elements < len(mesh.conn)
     top = np.flatnonzero((np.abs(mesh.points[:, 2]) < 1e-12) & (mesh.reach_node < 10e-6))
     start, pushed = target.external_impulse(), np.zeros(3)

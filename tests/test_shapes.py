@@ -265,7 +265,7 @@ time = "12 ns"
 @pytest.mark.parametrize(
     ("name", "tilt"), [*((name, "0 deg") for name in OTHERS), ("rod", "90 deg"), ("flake", "60 deg")]
 )
-def test_it_hits_and_the_books_close(name: str, tilt: str, tmp_path: Path) -> None:
+def test_it_hits_and_the_ledger_closes(name: str, tilt: str, tmp_path: Path) -> None:
     s = run(Scene.from_text(COARSE.format(name=name, tilt=tilt), "shape"), tmp_path / "out")
     assert 250 < s.points < 400
     assert abs(s.energy_drift) < 1e-2

@@ -148,7 +148,7 @@ def test_outside_the_patch_nothing_moves(cured: tuple[Bodies, Bodies, dict[str, 
     assert np.mean(same) > 0.5  # all but the nodes of the cut
 
 
-def test_the_books_and_the_rest(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
+def test_the_ledger_and_the_rest(cured: tuple[Bodies, Bodies, dict[str, Any]]) -> None:
     """The remeshed target comes to rest without released energy, its ledger closed over the steps to it."""
     _, new, report = cured  # last of those that use it, for it goes on
     t, kinetic_0 = new.target, 0.5 * 8906.0 * np.pi / 6 * (25e-6) ** 3 * 1e6

@@ -135,7 +135,7 @@ def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path)
         assert result.values[name] == pytest.approx(whole.values[name], rel=0.03), name
 
 
-def test_books_that_open_on_the_way_are_trouble(tmp_path: Path) -> None:
+def test_a_ledger_that_opens_on_the_way_is_reported(tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
         if impact.time > 20e-9 and impact.dt_factor == 1.0:
             impact.target.sums[0] += 0.002 * impact.ledger.kinetic_0  # plastic work out of nothing

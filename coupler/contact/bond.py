@@ -128,7 +128,7 @@ class Bond:
 
     @property
     def broken(self) -> np.ndarray:
-        """Mask (n,) of the bonds that hold no tension and no shear any more."""
+        """Mask (n,) of the bonds that carry neither tension nor shear."""
         return self.damage >= 1.0
 
     def forces(self, x: np.ndarray, f: np.ndarray) -> None:
@@ -173,9 +173,9 @@ class Bond:
             return 0.0
         broken = self.broken
         far = np.einsum("ij,ij->i", self.opening, self.opening) > MAX_SLIDE**2 * self.area
-        given = (broken | far) & ~self.loose
-        squeezed = np.minimum(self.traction[given, 0], 0.0)
-        energy = float(np.sum(0.5 * self.area[given] * squeezed**2 / self.stiffness[given]))
+        released = (broken | far) & ~self.loose
+        squeezed = np.minimum(self.traction[released, 0], 0.0)
+        energy = float(np.sum(0.5 * self.area[released] * squeezed**2 / self.stiffness[released]))
         self.loose |= far
         self.stored -= energy
         if broken.any():

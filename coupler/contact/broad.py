@@ -33,14 +33,14 @@ def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
 @njit(cache=True, nogil=True)
 def points_within(points: Floats, low: Floats, high: Floats) -> Ints:
     """Which of points (n,3) lie in the box [low, high], ascending."""
-    found = np.empty(len(points), np.int64)
+    inside = np.empty(len(points), np.int64)
     count = 0
     for i in range(len(points)):
         p = points[i]
         if low[0] <= p[0] <= high[0] and low[1] <= p[1] <= high[1] and low[2] <= p[2] <= high[2]:
-            found[count] = i
+            inside[count] = i
             count += 1
-    return found[:count]
+    return inside[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -79,7 +79,7 @@ def candidates(
         slot[cell_of[q]] += 1
     pair_point = np.empty(capacity, np.int64)
     pair_box = np.empty(capacity, np.int64)
-    found = 0
+    pairs = 0
     degree = np.zeros(n + 1, np.int64)
     for r in range(boxes):
         outside = False
@@ -101,26 +101,26 @@ def candidates(
                         and low[r, 1] <= points[i, 1] <= high[r, 1]
                         and low[r, 2] <= points[i, 2] <= high[r, 2]
                     ):
-                        if found < capacity:
-                            pair_point[found], pair_box[found] = i, r
+                        if pairs < capacity:
+                            pair_point[pairs], pair_box[pairs] = i, r
                             degree[i + 1] += 1
-                        found += 1
-    kept = min(found, capacity)
+                        pairs += 1
+    stored = min(pairs, capacity)
     for i in range(n):
         degree[i + 1] += degree[i]
     slot2 = degree[:-1].copy()
-    out = np.empty(kept, np.int64)
-    for q in range(kept):
+    out = np.empty(stored, np.int64)
+    for q in range(stored):
         i = pair_point[q]
         out[slot2[i]] = pair_box[q]
         slot2[i] += 1
-    return degree, out, found
+    return degree, out, pairs
 
 
 @njit(cache=True, nogil=True)
 def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floats) -> NDArray[np.int64]:
     """Those of the boxes `ids`, rows of low and high (k,3), that overlap the box [least, most]."""
-    found = np.empty(len(ids), np.int64)
+    overlapping = np.empty(len(ids), np.int64)
     count = 0
     for r in range(len(ids)):
         i = ids[r]
@@ -129,6 +129,6 @@ def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floa
             and low[i, 1] <= most[1] and high[i, 1] >= least[1]
             and low[i, 2] <= most[2] and high[i, 2] >= least[2]
         ):  # fmt: skip
-            found[count] = i
+            overlapping[count] = i
             count += 1
-    return found[:count]
+    return overlapping[:count]

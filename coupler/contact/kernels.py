@@ -91,16 +91,16 @@ def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, shift: float) -> Int
     seen (n,3): where each point was then; room (n,): how far it and the triangles could move before, m, less how far
     the triangles had moved then; shift: how far they have moved now. Point and triangles come closer by no more than both move.
     """
-    found = np.empty(len(rows), np.int64)
+    due_rows = np.empty(len(rows), np.int64)
     count = 0
     for q in range(len(rows)):
         i = rows[q]
         u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
         left = room[i] - shift
         if left < 0.0 or u * u + v * v + w * w > left * left:
-            found[count] = i
+            due_rows[count] = i
             count += 1
-    return found[:count]
+    return due_rows[:count]
 
 
 @njit(cache=True, nogil=True)

@@ -118,10 +118,10 @@ class PointContact:
         self._ids = ids[near]
         low, high = self._low[near] - margin, self._high[near] + margin
         while True:
-            self._start, self._boxes, found = broad.candidates(xp, low, high, self.spacing, self._capacity)
-            if found <= self._capacity:
+            self._start, self._boxes, pair_count = broad.candidates(xp, low, high, self.spacing, self._capacity)
+            if pair_count <= self._capacity:
                 break
-            self._capacity = 2 * found
+            self._capacity = 2 * pair_count
         # points that remember a contact are visited too, so that what they remember is settled
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)

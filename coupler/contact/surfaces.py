@@ -78,8 +78,8 @@ class Interface:
         """A field (m,) of the elements on both sides: (mean behind each node's own facets (n,), behind its facet (n,))."""
         n = len(self.nodes)
         count = np.bincount(self.own[:, 0], minlength=n)
-        mine = np.bincount(self.own[:, 0], field[surfaces.element[self.own[:, 1]]], n) / np.maximum(count, 1)
-        return mine, field[surfaces.element[self.facet]]
+        own_side = np.bincount(self.own[:, 0], field[surfaces.element[self.own[:, 1]]], n) / np.maximum(count, 1)
+        return own_side, field[surfaces.element[self.facet]]
 
     def fitted(self, x: np.ndarray, surfaces: Surfaces) -> np.ndarray:
         """Positions x (N,3) with the interface's nodes put on their facets: neither gap nor overlap."""
@@ -134,10 +134,10 @@ def _facing(
     low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
     room = 64 * len(points)
     while True:
-        start, boxes, found = broad.candidates(points, low, high, cell, room)
-        if found <= room:
+        start, boxes, pairs = broad.candidates(points, low, high, cell, room)
+        if pairs <= room:
             break
-        room = found
+        room = pairs
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
     bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
     return face, weights, gap

@@ -218,15 +218,15 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
 
 def _seamed(points: np.ndarray, tets: np.ndarray, cut: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
     """Points and tetrahedra with those of the cut (c,3) m first, exactly as they are there. Raises SplatError where one is missing."""
-    distance, found = cKDTree(points).query(cut)
-    if distance.max() > near or len(np.unique(found)) < len(cut):
+    distance, nearest = cKDTree(points).query(cut)
+    if distance.max() > near or len(np.unique(nearest)) < len(cut):
         raise SplatError("the mesher has moved nodes of the cut")
-    order = np.concatenate([found, np.setdiff1d(np.arange(len(points)), found)])
+    order = np.concatenate([nearest, np.setdiff1d(np.arange(len(points)), nearest)])
     rank = np.empty(len(points), np.int64)
     rank[order] = np.arange(len(points))
-    made = points[order]
-    made[: len(cut)] = cut
-    return made, rank[tets]
+    ordered = points[order]
+    ordered[: len(cut)] = cut
+    return ordered, rank[tets]
 
 
 def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray, edge: float) -> Renewal:

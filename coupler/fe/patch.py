@@ -240,5 +240,5 @@ def _behind(conn: np.ndarray, facets: np.ndarray) -> np.ndarray:
     faces = np.concatenate([conn[:, face] for face in FACES])
     key = _key(faces, many)
     order = np.argsort(key, kind="stable")
-    found = order[np.searchsorted(key, _key(facets, many), sorter=order)]
-    return (found % len(conn)).astype(np.int32)
+    position = order[np.searchsorted(key, _key(facets, many), sorter=order)]
+    return (position % len(conn)).astype(np.int32)

@@ -168,15 +168,15 @@ class Bodies:
         surfaces, x = new.surfaces, new.target.x
         buried = [self.buried]
         for body in range(self.count, new.count):
-            found = interface(surfaces, x, body, NEAR * size)
-            buried.append(_covered(found, surfaces, x, body, NEAR * size))
-            chosen = _bonded(found, surfaces, new.target, adhesion, ratio)
+            contact_pairs = interface(surfaces, x, body, NEAR * size)
+            buried.append(_covered(contact_pairs, surfaces, x, body, NEAR * size))
+            chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio)
             if where is not None:
-                chosen = _near(x[found.nodes], where, size)
+                chosen = _near(x[contact_pairs.nodes], where, size)
             if chosen.any():
                 K = float(new.target.laws["K"].min())
                 stiffness = penalty(K, surfaces.spacing(x, body))
-                bonds.append(Bond(found.only(chosen), surfaces, x, stiffness, **adhesion.law()))
+                bonds.append(Bond(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         new.placed = x.copy()
@@ -211,9 +211,9 @@ class Bodies:
             np.concatenate([self.body[t.mesh.facet_element], np.full(len(facets), self.count)]).astype(np.int64),
             np.concatenate([t.mesh.facet_element, element + len(t.mesh.conn)]).astype(np.int64),
         )
-        found = interface(surfaces, x, self.count, NEAR * size)
+        contact_pairs = interface(surfaces, x, self.count, NEAR * size)
         before = volumes(splat.points, splat.tets)
-        wanted = found.fitted(x, surfaces)[n:]
+        wanted = contact_pairs.fitted(x, surfaces)[n:]
         share = np.ones(len(wanted))  # of the way that each node goes
         for _ in range(8):
             points = splat.points + share[:, None] * (wanted - splat.points)
@@ -302,14 +302,14 @@ def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: fl
 
 
 def _bonded(
-    found: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
+    contact_pairs: Interface, surfaces: Surfaces, target: Target, adhesion: Adhesion, ratio: float | None
 ) -> np.ndarray:
     """Which nodes of an interface the scene's criterion bonds; of both sides the larger strain and pressure counts."""
-    n = len(found.nodes)
+    n = len(contact_pairs.nodes)
     if adhesion.kind == "none" or n == 0:
         return np.zeros(n, bool)
-    strain = np.maximum(*found.behind(surfaces, target.eps_p))
-    pressure = np.maximum(*found.behind(surfaces, target.p[target.mesh.conn].mean(axis=1)))
+    strain = np.maximum(*contact_pairs.behind(surfaces, target.eps_p))
+    pressure = np.maximum(*contact_pairs.behind(surfaces, target.p[target.mesh.conn].mean(axis=1)))
     return adhesion.bonded(n, strain, pressure, ratio)
 
 
@@ -320,16 +320,16 @@ def _near(points: np.ndarray, places: np.ndarray, distance: float) -> np.ndarray
     return cKDTree(places).query(points)[0] <= distance
 
 
-def _covered(found: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:
-    """Facets of a body and of those before it that lie on each other, with all their nodes and all facets around these.
+def _covered(contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:
+    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Body and those before it.
 
-    So those that stick out from under a rim stay, and a ring inside of it: at the edge of a hole in a surface a point before it may
-    seem to be deep behind it, because the facet that it is before is missing.
+    Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet
+    and get a false penetration.
     """
     covered = []
-    for one, others in ((body, None), *((b, (body,)) for b in range(body))):
-        nodes = found.nodes if others is None else interface(surfaces, x, one, tolerance, others).nodes
-        own = surfaces.facets_of(one)
+    for side, others in ((body, None), *((b, (body,)) for b in range(body))):
+        nodes = contact_pairs.nodes if others is None else interface(surfaces, x, side, tolerance, others).nodes
+        own = surfaces.facets_of(side)
         corners = surfaces.facets[own]
         rim = np.unique(corners[~np.isin(corners, nodes).all(axis=1)])
         covered.append(own[~np.isin(corners, rim).any(axis=1)])

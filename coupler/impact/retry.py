@@ -82,7 +82,7 @@ class Retries(Generic[S]):
         return due
 
     def keep(self, time: float, state: S) -> None:
-        """Remember a sound state at `time` s: the first and the last two are kept."""
+        """Keep a sound state at `time` s: the first and the last two are kept."""
         self._kept.append((time, state))
         del self._kept[1:-2]
 

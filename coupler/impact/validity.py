@@ -26,7 +26,9 @@ class Extremes:
     temperature, K; compression 1 - J."""
 
     def __init__(self) -> None:
-        self.found: dict[str, dict[str, float]] = {body: dict.fromkeys(_NAMES, 0.0) for body in ("particle", "target")}
+        self.extremes: dict[str, dict[str, float]] = {
+            body: dict.fromkeys(_NAMES, 0.0) for body in ("particle", "target")
+        }
 
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Look at the particle and the active part of the target."""
@@ -41,24 +43,26 @@ class Extremes:
             float(np.max(T, initial=0.0)),
             1.0 - float(np.min(J, initial=1.0)),
         )
-        kept = self.found[body]
+        kept = self.extremes[body]
         for name, value in zip(_NAMES, now, strict=True):
             kept[name] = max(kept[name], value)
 
     def state(self) -> dict[str, dict[str, float]]:
         """The largest so far, by body and name."""
-        return {body: dict(kept) for body, kept in self.found.items()}
+        return {body: dict(kept) for body, kept in self.extremes.items()}
 
     def restore(self, state: dict[str, dict[str, float]]) -> None:
         """Go on from a `state`. Raises CheckpointError for one of other bodies or names."""
-        if {body: set(kept) for body, kept in state.items()} != {body: set(kept) for body, kept in self.found.items()}:
+        if {body: set(kept) for body, kept in state.items()} != {
+            body: set(kept) for body, kept in self.extremes.items()
+        }:
             raise CheckpointError("a state does not fit: the extremes have other names")
-        self.found = {body: dict(kept) for body, kept in state.items()}
+        self.extremes = {body: dict(kept) for body, kept in state.items()}
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
         """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
         texts = []
-        for body, kept in self.found.items():
+        for body, kept in self.extremes.items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
             if kept["rate"] > FITTED_RATE:
                 texts.append(
@@ -91,12 +95,12 @@ def merged(texts: list[str]) -> list[str]:
     for text in dict.fromkeys(texts):
         own = _OF_IMPACT.match(text)
         groups.setdefault(_NUMBER.sub("#", text[own.end() :]) if own else text, []).append(text)
-    found = []
+    lines = []
     for same in groups.values():
         worst = max(same, key=_first_number)
         more = len(same) - 1
-        found.append(worst + (f" (and less in {more} other impact{'s' if more > 1 else ''})" if more else ""))
-    return found
+        lines.append(worst + (f" (and less in {more} other impact{'s' if more > 1 else ''})" if more else ""))
+    return lines
 
 
 _NUMBER = re.compile(r"(?<![A-Za-z])\d[\d.]*(?:e[+-]?\d+)?")

@@ -165,14 +165,14 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
         problems.append(f'missing: {", ".join(missing)} (or name a material to start from: base = "Ni")')
     if problems:
         raise SceneError(problems, name)
-    made = Material(name=name, **values)
-    if made.T_m <= made.T_ref:
-        problems.append(f"T_m ({made.T_m:g} K) must be above T_ref ({made.T_ref:g} K)")
-    if made.nu < 0:
-        problems.append(f"G, c0 and rho give Poisson's ratio {made.nu:.2f}; it must be 0 or more")
+    metal = Material(name=name, **values)
+    if metal.T_m <= metal.T_ref:
+        problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
+    if metal.nu < 0:
+        problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
     if problems:
         raise SceneError(problems, name)
-    return made
+    return metal
 
 
 def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Material], list[str]]:
@@ -191,10 +191,10 @@ def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Ma
         base = _library()[base_name] if base_name is not None else None
         rest = {key: value for key, value in table.items() if key != "base"}
         try:
-            made = from_table(name, rest, base)
+            metal = from_table(name, rest, base)
             if base is not None and rest and "source" not in rest:
-                made = replace(made, source=f"{base.source}; changed in the scene: {', '.join(rest)}")
-            catalogue[name] = made
+                metal = replace(metal, source=f"{base.source}; changed in the scene: {', '.join(rest)}")
+            catalogue[name] = metal
         except SceneError as error:
             problems += [f"{where}: {problem}" for problem in error.problems]
     return catalogue, problems

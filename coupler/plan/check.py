@@ -136,12 +136,12 @@ def _resolution(d: Derived) -> Iterator[Problem]:
             f" this {flattest.shape}; at most {units.rounded(thinnest / _LEAST_LAYERS, 'um')}",
         )
     coarsest = smallest.diameter / 4
-    for field, said in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
-        if said is not None and said > coarsest:
-            what = "crater" if field == "resolution" else "splat"
+    for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):
+        if requested is not None and requested > coarsest:
+            feature = "crater" if field == "resolution" else "splat"
             yield (
                 (*_fields(scene, "diameter"), f"{field}.element_size"),
-                f"{field}.element_size = {text_of(said, 'um')}: too coarse for the {what} of {_size(smallest)};"
+                f"{field}.element_size = {text_of(requested, 'um')}: too coarse for the {feature} of {_size(smallest)};"
                 f" at most {units.rounded(coarsest, 'um')}",
             )
     # while the last impact runs, all splats before it are elements

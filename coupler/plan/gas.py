@@ -114,12 +114,12 @@ def describe(scene: SceneData) -> list[str]:
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
     """What the gas gives one particle, and whether it is used."""
-    found = arrival(conditions, nozzle, Derived(scene).material(particle.material), particle.diameter)
-    said = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
-    away = [field for field in found if units.rounded(getattr(particle, field), *_UNITS[field]) != found[field]]
-    used = f"the scene's own {' and '.join(said[field] for field in away)} used instead" if away else "used here"
+    arriving = arrival(conditions, nozzle, Derived(scene).material(particle.material), particle.diameter)
+    of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
+    away = [field for field in arriving if units.rounded(getattr(particle, field), *_UNITS[field]) != arriving[field]]
+    used = f"the scene's own {' and '.join(of_scene[field] for field in away)} used instead" if away else "used here"
     which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
-    return f"{which}gives {found['velocity']}, {found['temperature']}, {used}"
+    return f"{which}gives {arriving['velocity']}, {arriving['temperature']}, {used}"
 
 
 _INDENT = " " * 13

@@ -290,26 +290,26 @@ def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
 
 
 def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, decided: Effects) -> list[str]:
-    found = []
+    warnings = []
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     if rate > FITTED_RATE:
-        found.append(
+        warnings.append(
             f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
             " that Johnson-Cook is fitted at"
         )
     if scene.derived.element_size < scene.derived.spacing:
-        found.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
+        warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
            for i in impacts]  # fmt: skip
     for text, labels in _together(hot, scene.labels).items():
-        found.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
+        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
     if text := _hot(base, scene.substrate.temperature):
-        found.append(f"the target {text}")
+        warnings.append(f"the target {text}")
     absorbing = next(row for row in decided.rows if row.name == "absorbing_boundaries")
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if absorbing.on and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
-        found.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
-    return found
+        warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
+    return warnings
 
 
 def _hot(material: Material, T: float) -> str:
@@ -321,11 +321,11 @@ def _hot(material: Material, T: float) -> str:
 
 def _together(texts: list[str], labels: list[str]) -> dict[str, list[str]]:
     """The labels that have the same text, by text; an empty text says nothing."""
-    found: dict[str, list[str]] = {}
+    labels_of: dict[str, list[str]] = {}
     for text, label in zip(texts, labels, strict=True):
         if text:
-            found.setdefault(text, []).append(label)
-    return found
+            labels_of.setdefault(text, []).append(label)
+    return labels_of
 
 
 def _listed(labels: list[str]) -> str:

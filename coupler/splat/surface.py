@@ -20,20 +20,20 @@ def contour(field: Field, level: float) -> Surface:
 
 
 def shells(surface: Surface, smallest: float) -> list[Surface]:
-    """The closed pieces of a surface that enclose `smallest` m3 or more, largest first; a cavity has a negative volume."""
+    """The closed parts of a surface that enclose `smallest` m3 or more, largest first; a cavity has a negative volume."""
     vertices, triangles = surface
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(vertices), len(vertices)))
     count, label = connected_components(graph, directed=False)
-    pieces = []
-    for piece in range(count):
-        own = triangles[label[triangles[:, 0]] == piece]
+    parts = []
+    for component in range(count):
+        own = triangles[label[triangles[:, 0]] == component]
         if len(own) == 0:
             continue
         part = compact(vertices, own)
         if abs(enclosed_volume(*part)) >= smallest:
-            pieces.append(part)
-    return sorted(pieces, key=lambda part: -enclosed_volume(*part))
+            parts.append(part)
+    return sorted(parts, key=lambda part: -enclosed_volume(*part))
 
 
 def handles(surface: Surface) -> int:

@@ -270,9 +270,9 @@ class Flow:
         """The axis from where the powder is fed to the target."""
         nozzle, shock = self.nozzle, self.target - self.layer
         inside = [x for x in nozzle.corners if x > nozzle.feed]
-        found = [Piece(a, b, self.inside) for a, b in zip([nozzle.feed, *inside], inside, strict=False)]
-        found.append(Piece(nozzle.end, shock, self.outside))
-        return (*found, Piece(shock, self.target, self.stopped)) if self.layer else tuple(found)
+        sections = [Piece(a, b, self.inside) for a, b in zip([nozzle.feed, *inside], inside, strict=False)]
+        sections.append(Piece(nozzle.end, shock, self.outside))
+        return (*sections, Piece(shock, self.target, self.stopped)) if self.layer else tuple(sections)
 
     @property
     def notes(self) -> list[str]:
