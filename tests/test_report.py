@@ -181,9 +181,9 @@ def test_bands_stand_beside_their_values(tmp_path):
         "end": {"flattening_ratio": 0.55613, "crater_depth_m": 5.02e-6, "T_max_K": 612.3},
         "steps": 10,
         "bands": {
-            "flattening_ratio": 0.0118,
+            "flattening_ratio": {"half_width": 0.0118},
             "crater_depth_m": {"half_width": 1.3e-7, "why": "points"},
-            "T_max_K": 0.0,
+            "T_max_K": {"half_width": 0.0},
         },
     }
     with Store.create(tmp_path, "") as store:

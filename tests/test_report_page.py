@@ -18,7 +18,7 @@ from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.report import charts
 from coupler.report.page import picks, report, write_report
-from coupler.report.picture import stage
+from coupler.report.picture import Range, stage
 from coupler.report.solid import TOP, frames, solid, thinned
 
 
@@ -27,7 +27,10 @@ def finished(tmp_path_factory):
     """Five steps and a summary, with texts that would be markup if nobody took care."""
     summary = made_up_run.summary(
         run={"warnings": ["strain rates beyond the fit", "<img src=x onerror=alert(1)>"]},
-        bands={"flattening_ratio": 0.0118, "crater_depth_m": {"half_width": 1.3e-7, "why": "spacing of the points"}},
+        bands={
+            "flattening_ratio": {"half_width": 0.0118},
+            "crater_depth_m": {"half_width": 1.3e-7, "why": "spacing of the points"},
+        },
     )
     scene = made_up_run.SCENE + '# </script><script>window.broken = 1</script> "quoted"\n'
     folder = tmp_path_factory.mktemp("runs") / "finished"
@@ -153,15 +156,15 @@ def test_the_ledger_is_whole():
 
 
 def test_curves_have_gaps_where_there_is_no_number():
-    figure = charts.velocity({"time": np.array([0.0, 1e-9]), "velocity_z": np.array([np.nan, -3.0])})
+    figure = charts.over_time({"time": np.array([0.0, 1e-9]), "velocity_z": np.array([np.nan, -3.0])}, "velocity")
     assert figure["traces"][0]["y"] == [None, -3.0]
-    assert charts.velocity({"time": np.zeros(2)}) is None
+    assert charts.over_time({"time": np.zeros(2)}, "velocity") is None
 
 
 def test_the_3d_view_is_the_run(finished):
     result = Result(finished)
     at = stage(result)
-    view = solid(result, [0, 4], {"T": (300.0, 500.0), "von_mises": (0.0, 900.0)}, at)
+    view = solid(result, [0, 4], {"T": Range(300.0, 500.0), "von_mises": Range(0.0, 900.0)}, at)
     assert view["times"] == [0.0, 40.0]
     frame, surface = view["frames"][1]["particle"], result.fields(-1, "surface")
     low, high = (np.array([side[end] for side in view["box"]]) for end in (0, 1))

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
 from ..errors import StoreError
 from ..files.outputs import MARK, replacing
 from ..files.result import Result
-from .picture import beyond, colour_range, cut, drawable, panels, stage, stored_steps, window
+from .picture import colour_range, cut, drawable, panels, stage, stored_steps, window
 from .words import title
 
 SECONDS = 4.0  # a film lasts about so long, whatever the number of its pictures
@@ -57,43 +56,30 @@ def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
     at, steps = stage(result), range(stored_steps(result))
     seen = window(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
-    ends = colour_range(cuts, field)
-    arrow = {field: beyond(cuts, field, ends)}
-    heading = title(result)
-    for one in cuts:
-        yield _even(panels(one, {field: ends}, heading, arrow))
-
-
-def _even(figure: Figure) -> NDArray[np.uint8]:
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    picture = np.asarray(canvas.buffer_rgba())[..., :3]
-    rows, columns = (length - length % 2 for length in picture.shape[:2])
-    return np.ascontiguousarray(picture[:rows, :columns])
+    ranges, heading = {field: colour_range(cuts, field)}, title(result)
+    for section in cuts:
+        canvas = FigureCanvasAgg(panels(section, ranges, heading))
+        canvas.draw()
+        picture = np.asarray(canvas.buffer_rgba())[..., :3]
+        rows, columns = (length - length % 2 for length in picture.shape[:2])
+        yield np.ascontiguousarray(picture[:rows, :columns])
 
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    first = next(pictures)
-    size = (first.shape[1], first.shape[0])
+    picture = next(pictures)
     try:
         film = imageio_ffmpeg.write_frames(
-            str(path),
-            size,
-            fps=rate,
-            codec="libx264",
-            quality=8,
-            macro_block_size=2,
-            ffmpeg_log_level="error",
-            output_params=["-metadata", f"comment={MARK}"],
-        )
+            str(path), picture.shape[1::-1], fps=rate, codec="libx264", quality=8, macro_block_size=2,
+            ffmpeg_log_level="error", output_params=["-metadata", f"comment={MARK}"],
+        )  # fmt: skip
         film.send(None)
-        picture = first
-        for picture in _chained(first, pictures):
+        film.send(picture)
+        for picture in pictures:
             film.send(picture)
         for _ in range(rest):
             film.send(picture)
         film.close()
-    except RuntimeError as error:  # no ffmpeg for this machine, or it gave up
+    except RuntimeError as error:  # no ffmpeg for this machine, or it failed
         raise StoreError(
             f"cannot write {path}: ffmpeg fails ({str(error).splitlines()[0]}); a .gif needs none"
         ) from error
@@ -103,24 +89,10 @@ def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
     images = [Image.fromarray(picture) for picture in pictures]
     images = [image.resize((image.width * 2 // 3, image.height * 2 // 3), Image.Resampling.LANCZOS) for image in images]
     # One palette for all: the same colour has the same number, and the same look, in every picture.
-    palette = _mosaic(images).quantize(colors=256)
+    sample = np.vstack([np.asarray(images[k]) for k in (0, len(images) // 2, -1)])
+    palette = Image.fromarray(sample).quantize(colors=256)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    pause = round(1000 / rate)
-    pauses = [pause] * (len(small) - 1) + [pause * (1 + rest)]
+    pauses = [round(1000 / rate) * (1 + rest * (k + 1 == len(small))) for k in range(len(small))]
     small[0].save(
         path, save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=False, comment=MARK.encode()
     )
-
-
-def _mosaic(images: Sequence[Image.Image]) -> Image.Image:
-    """First, middle and last picture below each other."""
-    some = [images[0], images[len(images) // 2], images[-1]]
-    whole = Image.new("RGB", (some[0].width, some[0].height * len(some)))
-    for k, image in enumerate(some):
-        whole.paste(image, (0, k * image.height))
-    return whole
-
-
-def _chained(first: NDArray[np.uint8], rest: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
-    yield first
-    yield from rest

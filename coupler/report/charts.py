@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from .profiles import Profile
 
 Figure = dict[str, object]  # traces, layout and height, for JSON
+Trace = dict[str, object]
+History = Mapping[str, NDArray]
 
 # Entries of the ledger, from the bottom of the stack: columns of the history, words, colours (after Okabe & Ito, who
 # chose them to be told apart by everybody).
@@ -30,13 +32,21 @@ LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("kinetic_target",), "kinetic, target", "#56b4e9"),
     (("kinetic_particle",), "kinetic, particle", "#0072b2"),
 )
+# Curves over time, by the name of their figure: label of the axis, factor from SI, columns of the history -> words.
+CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
+    "drift": ("ledger fails to close by (%)", 100.0, {"drift": "drift"}),
+    "lengths": ("length (µm)", 1e6, {
+        "height": "height above surface", "thickness": "whole thickness", "crater_depth": "crater depth"}),
+    "velocity": ("mean velocity of the particle (m/s)", 1.0, {"velocity_z": "upwards"}),
+    "force": ("contact force (mN)", 1e3, {"contact_force": "upwards"}),
+    "step": ("time step (ps)", 1e12, {"dt": "dt"}),
+}  # fmt: skip
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
-ABOVE = {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"}
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 PART_OF_OTHER = 1e-3  # of the initial kinetic energy: a smaller rest is rounding
 
 
-def energy(history: Mapping[str, NDArray], kinetic_0: float | None = None) -> Figure | None:
+def energy(history: History, kinetic_0: float | None = None) -> Figure | None:
     """The ledger over time, stacked, in % of the initial kinetic energy; None without its columns.
 
     kinetic_0: J; from the first row if not given. What the columns that are known here leave of the whole is shown as
@@ -44,25 +54,21 @@ def energy(history: Mapping[str, NDArray], kinetic_0: float | None = None) -> Fi
     """
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
-    time, drift = history["time"] * 1e9, history["drift"]
     shares = [
         (np.sum([history[name] for name in names if name in history], axis=0), words, colour)
         for names, words, colour in LEDGER
         if any(name in history for name in names)
     ]
     total = np.sum([share for share, _, _ in shares], axis=0)
-    kinetic_0 = kinetic_0 or float(total[0] / (1 + drift[0]))
-    other = (1 + drift) * kinetic_0 - total
+    kinetic_0 = kinetic_0 or float(total[0] / (1 + history["drift"][0]))
+    other = (1 + history["drift"]) * kinetic_0 - total
     if np.abs(other).max() > PART_OF_OTHER * kinetic_0:
         shares.insert(-2, (other, "other", "#bbbbbb"))
     traces = [
-        {
-            "x": _short(time), "y": _short(100 * share / kinetic_0), "name": words, "stackgroup": "all",
-            "mode": "lines", "line": {"width": 0.6, "color": colour}, "fillcolor": colour,
-            "hovertemplate": "%{y:.2f} %",
-        }
+        trace(history["time"] * 1e9, 100 * share / kinetic_0, words, color=colour, width=0.6)
+        | {"stackgroup": "all", "fillcolor": colour, "hovertemplate": "%{y:.2f} %"}
         for share, words, colour in shares
-    ]  # fmt: skip
+    ]
     layout = {
         "xaxis": {"title": "time (ns)"},
         "yaxis": {"title": "% of the initial kinetic energy", "rangemode": "tozero"},
@@ -71,61 +77,47 @@ def energy(history: Mapping[str, NDArray], kinetic_0: float | None = None) -> Fi
     return {"traces": traces, "layout": layout, "height": 420}
 
 
-def drift(history: Mapping[str, NDArray]) -> Figure | None:
-    """What the ledger fails to close by, over time, in % of the initial kinetic energy."""
-    return _over_time(history, "ledger fails to close by (%)", {"drift": ("drift", 100.0)})
+def over_time(history: History, name: str) -> Figure | None:
+    """A figure of CURVES; None without its columns."""
+    label, factor, columns = CURVES[name]
+    traces = [
+        trace(history["time"] * 1e9, history[column] * factor, words, color=LINES[k], dash=DASHES[k])
+        for k, (column, words) in enumerate(columns.items())
+        if len(history.get(column, ())) and "time" in history
+    ]
+    return _of_time(traces, label, 280) if traces else None
 
 
-def lengths(history: Mapping[str, NDArray]) -> Figure | None:
-    """Height, thickness and crater depth over time."""
-    names = {"height": "height above surface", "thickness": "whole thickness", "crater_depth": "crater depth"}
-    return _over_time(history, "length (µm)", {name: (words, 1e6) for name, words in names.items()})
-
-
-def velocity(history: Mapping[str, NDArray]) -> Figure | None:
-    """Mean velocity of the particle along the surface's normal over time."""
-    return _over_time(history, "mean velocity of the particle (m/s)", {"velocity_z": ("upwards", 1.0)})
-
-
-def force(history: Mapping[str, NDArray]) -> Figure | None:
-    """Contact force on the particle along the surface's normal over time."""
-    return _over_time(history, "contact force (mN)", {"contact_force": ("upwards", 1e3)})
-
-
-def time_step(history: Mapping[str, NDArray]) -> Figure | None:
-    """The time step over time."""
-    return _over_time(history, "time step (ps)", {"dt": ("dt", 1e12)})
-
-
-def compared(histories: Mapping[str, Mapping[str, NDArray]], column: str, words: str, factor: float) -> Figure | None:
+def compared(histories: Mapping[str, History], column: str, label: str, factor: float) -> Figure | None:
     """One column of several runs over time. histories: name of the run -> its history."""
     traces = []
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
-            line = {"color": LINES[k % len(LINES)], "dash": DASHES[k // len(LINES) % len(DASHES)], "width": 1.8}
-            traces.append(
-                {
-                    "x": _short(history["time"] * 1e9),
-                    "y": _short(history[column] * factor),
-                    "name": name.replace("<", "&lt;"),  # a folder's name is text, not markup
-                    "mode": "lines",
-                    "line": line,
-                }
-            )
-    layout = {"xaxis": {"title": "time (ns)"}, "yaxis": {"title": words}, "legend": ABOVE, "showlegend": True}
-    return {"traces": traces, "layout": layout, "height": 300} if traces else None
+            style = {"color": LINES[k % len(LINES)], "dash": DASHES[k // len(LINES) % len(DASHES)]}
+            words = name.replace("<", "&lt;")  # a folder's name is text, not markup
+            traces.append(trace(history["time"] * 1e9, history[column] * factor, words, **style))
+    return _of_time(traces, label, 300) if traces else None
+
+
+def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
+    layout = {
+        "xaxis": {"title": "time (ns)"}, "yaxis": {"title": label}, "showlegend": len(traces) > 1,
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
+    }  # fmt: skip
+    return {"traces": traces, "layout": layout, "height": height}
 
 
 def with_depth(
-    profiles: Sequence[Profile], name: str, words: str, factor: float, span: tuple[float, float]
+    profiles: Sequence[Profile], name: str, label: str, factor: float, span: tuple[float, float]
 ) -> Figure | None:
     """A field along the axis at several times, depth downwards. span: least and greatest depth to show, um."""
-    lines: list[tuple[Profile, NDArray]] = [(p, p.values[name] * factor) for p in profiles if name in p.values]
-    traces = []
-    for time, colour in shades([profile.time for profile in profiles]).items():
-        joined = [(profile, values) for profile, values in lines if profile.time == time]
-        traces.append(_down(joined, f"{time * 1e9:.1f} ns", colour))
-    return _deep(traces, words, span, legend=False) if traces else None
+    lines = [(profile, profile.values[name] * factor) for profile in profiles if name in profile.values]
+    traces = [
+        _down([(p, values) for p, values in lines if p.time == time], f"{time * 1e9:.1f} ns", colour)
+        for time, colour in shades(profile.time for profile in profiles).items()
+        if any(p.time == time for p, _ in lines)
+    ]
+    return _deep(traces, label, span, legend=False) if traces else None
 
 
 def shades(times: Iterable[float]) -> dict[float, str]:
@@ -137,59 +129,38 @@ def shades(times: Iterable[float]) -> dict[float, str]:
 def stress_with_depth(profiles: Sequence[Profile], span: tuple[float, float]) -> Figure | None:
     """Normal stresses along the axis at the one time of the profiles, depth downwards. span: as in `with_depth`."""
     lines = [(profile, profile.values["stress"] * 1e-6) for profile in profiles if "stress" in profile.values]
-    parts = (("σ<sub>xx</sub>", 0), ("σ<sub>yy</sub>", 1), ("σ<sub>zz</sub>", 2))
     traces = [
-        _down([(profile, values[:, part]) for profile, values in lines], words, LINES[part], DASHES[part])
-        for words, part in parts
+        _down([(p, values[:, k]) for p, values in lines], f"σ<sub>{axis}</sub>", LINES[k], DASHES[k])
+        for k, axis in enumerate(("xx", "yy", "zz"))
     ]
     return _deep(traces, "normal stress (MPa)", span, legend=True) if lines else None
 
 
-def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> dict[str, object]:
+def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, dash: str = "solid") -> Trace:
     """Values of several bodies as one line with gaps between them."""
-    x: list[float | None] = []
-    y: list[float | None] = []
-    for profile, values in lines:
-        x += [*_short(values), None]
-        y += [*_short(profile.depth * 1e6), None]
-    line = {"color": colour, "width": 1.8, "dash": dash}
-    return {"x": x, "y": y, "name": words, "mode": "lines", "line": line, "connectgaps": False}
+    gap = [np.nan]
+    x = np.concatenate([part for _, values in lines for part in (values, gap)])
+    y = np.concatenate([part for profile, _ in lines for part in (profile.depth * 1e6, gap)])
+    return trace(x, y, words, color=colour, dash=dash) | {"connectgaps": False}
 
 
-def _deep(traces: list[dict[str, object]], words: str, span: tuple[float, float], legend: bool) -> Figure:
+def _deep(traces: Sequence[Trace], label: str, span: tuple[float, float], legend: bool) -> Figure:
     line = {"color": "#888", "width": 1, "dash": "dash"}
-    surface = {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0, "line": line}
     layout = {
-        "xaxis": {"title": words, "side": "bottom"},
+        "xaxis": {"title": label, "side": "bottom"},
         "yaxis": {"title": "depth below the surface (µm)", "range": [1.02 * span[1], span[0] - 0.02 * span[1]]},
         "hovermode": "y unified",
         "legend": {"x": 0.03, "y": 0.03, "xanchor": "left", "yanchor": "bottom"},
         "showlegend": legend,
-        "shapes": [surface],
+        "shapes": [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0, "line": line}],
     }
     return {"traces": traces, "layout": layout, "height": 440}
 
 
-def _over_time(history: Mapping[str, NDArray], words: str, wanted: Mapping[str, tuple[str, float]]) -> Figure | None:
-    have = {name: said for name, said in wanted.items() if len(history.get(name, ())) and "time" in history}
-    if not have:
-        return None
-    traces = [
-        {
-            "x": _short(history["time"] * 1e9), "y": _short(history[name] * factor), "name": label, "mode": "lines",
-            "line": {"color": LINES[k % len(LINES)], "width": 1.8, "dash": DASHES[k % len(DASHES)]},
-        }
-        for k, (name, (label, factor)) in enumerate(have.items())
-    ]  # fmt: skip
-    layout = {
-        "xaxis": {"title": "time (ns)"},
-        "yaxis": {"title": words},
-        "showlegend": len(traces) > 1,
-        "legend": ABOVE,
+def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
+    """One line. Five digits are more than a screen shows; what is not a number is a gap."""
+    places = {
+        key: [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+        for key, values in (("x", x), ("y", y))
     }
-    return {"traces": traces, "layout": layout, "height": 280}
-
-
-def _short(values: NDArray) -> list[float | None]:
-    """Five digits are more than a screen shows; what is no number is a gap."""
-    return [float(f"{value:.5g}") if np.isfinite(value) else None for value in np.asarray(values, dtype=float)]
+    return {**places, "name": name, "mode": "lines", "line": {"width": 1.8, **line}}

@@ -12,11 +12,12 @@ from rich.text import Text
 
 from ..errors import StoreError
 from ..files.result import Result
+from ..measures import BALANCE
 from . import charts, parts
 from .page import Page, embedded, write_text
 from .picture import (
     Cut,
-    beyond,
+    axes_at,
     blank,
     colour_bar,
     colour_range,
@@ -29,7 +30,7 @@ from .picture import (
     stored_steps,
     window,
 )
-from .words import cell, grouped, plain, title, words
+from .words import Block, fill_table, plain, table_lines, title
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
@@ -57,11 +58,11 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
     """Keys of the scenes, dotted, that are not the same in all runs, with what each run has ("" if nothing)."""
     scenes = [_flat(parts.scene_of(result)) for result in results]
     keys = dict.fromkeys(key for scene in scenes for key in scene)
-    found = [(key, [scene.get(key, "") for scene in scenes]) for key in keys]
-    return [(key, values) for key, values in found if key != "name" and len(set(values)) > 1]
+    entries = [(key, [scene.get(key, "") for scene in scenes]) for key in keys]
+    return [(key, values) for key, values in entries if key != "name" and len(set(values)) > 1]
 
 
-def measured(result: Result) -> dict[str, object]:
+def measured(result: Result) -> Block:
     """The measures of a run, those of its end where it has several; none of an unfinished one."""
     return plain(result.values)
 
@@ -86,15 +87,12 @@ def comparison_table(results: Sequence[Result]) -> Table:
         table.add_row(Text("scene, where it differs", style="bold"))
         for key, values in differ:
             table.add_row(Text("  " + key), *(Text(value) for value in values), *[""] * two, "")
-    for group, keys in grouped(key for entry in entries for key in entry):
-        table.add_section()
-        table.add_row(Text(group, style="bold"))
-        for key in keys:
-            label, unit = words(key)
-            cells = [cell(key, entry) for entry in entries]
-            if two:  # of what ought to be zero a change says nothing
-                cells.append("" if group.startswith("balance") else _change(entries[0].get(key), entries[1].get(key)))
-            table.add_row(Text("  " + label), *(Text(cell) for cell in cells), Text(unit))
+    groups = table_lines(entries)
+    for group, lines in groups.items() if two else ():
+        for line in lines:  # of what ought to be zero a change says nothing
+            before, after = (entry.get(line.key) for entry in entries)
+            line.cells.append("" if group == BALANCE else _change(before, after))
+    fill_table(table, groups)
     return table
 
 
@@ -112,24 +110,22 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
 
     wide, margin, bar = 3.6, 0.12, 1.0  # inches
     tall = wide * (high - low) / (2 * half)
-    size = (len(cuts) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75)
-    figure = blank(*size, dpi=150)
+    width, height = len(cuts) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75
+    figure = blank(width, height, dpi=150)
     for row, name in enumerate(names):
         ends = colour_range(cuts, name)
-        bottom = size[1] - 0.7 - (row + 1) * tall - row * margin
-        for k, one in enumerate(cuts):
-            left = margin + k * (wide + margin)
-            axis = figure.add_axes((left / size[0], bottom / size[1], wide / size[0], tall / size[1]))
-            draw(axis, one, name, ends)
+        bottom = height - 0.7 - (row + 1) * tall - row * margin
+        for k, section in enumerate(cuts):
+            axis = axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
+            draw(axis, section, name, ends)
             if row == 0:
-                scale_bar(axis, one.window, 10)
-        place = ((size[0] - bar + 0.02) / size[0], bottom / size[1], 0.1 / size[0], 0.96 * tall / size[1])
-        colour_bar(figure.add_axes(place), name, ends, beyond(cuts, name, ends))
-    for k, (name, result, one) in enumerate(zip(names_of(results), results, cuts, strict=True)):
-        left = (margin + k * (wide + margin)) / size[0]
-        figure.text(left, 1 - 0.25 / size[1], name, fontsize=11, weight="bold", va="center", parse_math=False)
-        said = f"{title(result)}, t = {one.time * 1e9:.1f} ns"
-        figure.text(left, 1 - 0.5 / size[1], said, fontsize=9, va="center", parse_math=False)
+                scale_bar(axis, section.window, 10)
+        colour_bar(axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall), name, ends)
+    for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
+        left = (margin + k * (wide + margin)) / width
+        figure.text(left, 1 - 0.25 / height, name, fontsize=11, weight="bold", va="center", parse_math=False)
+        caption = f"{title(result)}, t = {section.time * 1e9:.1f} ns"
+        figure.text(left, 1 - 0.5 / height, caption, fontsize=9, va="center", parse_math=False)
     return figure
 
 
@@ -152,29 +148,19 @@ def comparison_page(results: Sequence[Result]) -> str:
     """The comparison as one HTML file with figure, table and curves."""
     _check(results)
     page, names = Page(), names_of(results)
-    picture = (
-        f'<figure><img src="{embedded(comparison_picture(results))}" alt="cuts of the runs side by side"></figure>'
-    )
-    page.section("cuts", "Cuts", picture)
-    differ = differences(results)
-    rows = [[key, *values] for key, values in differ]
+    of_name = dict(zip(names, results, strict=True))
+    image = f'<img src="{embedded(comparison_picture(results))}" alt="cuts of the runs side by side">'
+    page.section("cuts", "Cuts", f"<figure>{image}</figure>")
+    rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Scenes, where they differ", parts.table(["", *names], rows) if rows else "")
     page.section("measures", "Measures", parts.several([measured(result) for result in results], names))
-    histories = {
-        name: result.history()
-        for name, result in zip(names, results, strict=True)
-        if (result.directory / "history.csv").is_file()
-    }
-    curves = [page.chart(column, charts.compared(histories, column, said, factor)) for column, said, factor in CURVES]
+    histories = {n: r.history() for n, r in of_name.items() if (r.directory / "history.csv").is_file()}
+    curves = [page.chart(column, charts.compared(histories, column, label, factor)) for column, label, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
-    warned = [
-        f"<h3>{escape(name)}</h3>{parts.warnings(result.values['warnings'])}"
-        for name, result in zip(names, results, strict=True)
-        if result.values.get("warnings")
-    ]
-    page.section("warned", "Warnings", "".join(warned))
-    unfinished = [name for name, result in zip(names, results, strict=True) if not result.finished]
-    top = f'<p class="warn">Not finished: {escape(", ".join(unfinished))}.</p>' if unfinished else ""
+    warned = {name: parts.warnings(result.values.get("warnings")) for name, result in of_name.items()}
+    page.section("warned", "Warnings", "".join(f"<h3>{escape(name)}</h3>{w}" for name, w in warned.items() if w))
+    unfinished = ", ".join(name for name, result in of_name.items() if not result.finished)
+    top = f'<p class="warn">Not finished: {escape(unfinished)}.</p>' if unfinished else ""
     under = escape(" · ".join(dict.fromkeys(title(result) for result in results)))
     return page.html(f"{len(results)} runs side by side", under, top, "")
 
@@ -201,24 +187,19 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[Cut], t
 
 
 def _change(before: object, after: object) -> str:
-    if (
-        isinstance(before, bool)
-        or not (isinstance(before, int | float) and isinstance(after, int | float))
-        or not before
-    ):
-        return ""
-    return f"{(after - before) / abs(before):+.1%}"
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after))
+    return f"{(after - before) / abs(before):+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> dict[str, str]:
     """A scene's keys, dotted, and their values as text; a particle's keys are named alike whether one or several."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for key, value in table.items():
         if isinstance(value, Mapping):
-            found |= _flat(value, f"{above}{key}.")
+            values |= _flat(value, f"{above}{key}.")
         elif isinstance(value, list) and value and all(isinstance(item, Mapping) for item in value):
             for number, item in enumerate(value):
-                found |= _flat(item, f"{above}{key}{f'[{number + 1}]' if len(value) > 1 else ''}.")
+                values |= _flat(item, f"{above}{key}{f'[{number + 1}]' if len(value) > 1 else ''}.")
         else:
-            found[above + key] = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
-    return found
+            values[above + key] = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return values

@@ -21,12 +21,15 @@ from ..errors import StoreError
 from ..files.outputs import replacing
 from ..files.result import Result
 from ..files.summary import Summary
+from ..measures import measure
 from . import charts, parts
 from .fields import FIELDS
 from .picture import (
+    MICRO,
     Cut,
+    Range,
     Stage,
-    beyond,
+    axes_at,
     blank,
     colour_bar,
     colour_range,
@@ -42,7 +45,6 @@ from .profiles import profiles
 from .solid import frames, solid
 from .words import alerts, title
 
-MICRO = 1e6
 PICTURES = 5  # of the cut
 PICTURE_PIXELS = 260  # along the particle: a picture is a third of the page wide
 
@@ -103,7 +105,7 @@ def report(result: Result) -> str:
     """The page about a run as HTML."""
     page, summary, values, scene = Page(), result.summary, result.values, parts.scene_of(result)
     history = result.history() if (result.directory / "history.csv").is_file() else {}
-    computed = parts.asked(scene, values) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
+    computed = parts.computed(scene, values) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
     page.section("computed", "What was computed", computed)
     page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
     page.section("impacts", "Impacts", parts.each_impact(summary))
@@ -120,16 +122,12 @@ def report(result: Result) -> str:
     else:
         page.section("in3d", "In 3D", '<p class="note">No step of particle, surface and target is stored yet.</p>')
     page.section("energy", "Energy", _energy(page, history, values))
-    motion = [
-        page.chart("lengths", charts.lengths(history)),
-        page.chart("velocity", charts.velocity(history)),
-        page.chart("force", charts.force(history)),
-    ]
+    motion = [page.chart(name, charts.over_time(history, name)) for name in ("lengths", "velocity", "force")]
     page.section("motion", "Motion", f'<div class="three">{"".join(motion)}</div>' if any(motion) else "")
-    spent, step = parts.timing(values), page.chart("step", charts.time_step(history))
+    spent, step = parts.timing(values), page.chart("step", charts.over_time(history, "step"))
     page.section("time", "Time spent", f'<div class="two"><div>{spent}</div>{step}</div>' if spent else step)
     page.section("scene", "Scene", _scene(result))
-    return page.html(title(result), _under(result, scene, history), _top(result, history), _footer(values))
+    return page.html(title(result), _under(result, scene), _top(result, history), _footer(values))
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
@@ -175,47 +173,38 @@ their range has the last one.</p>"""
 
 def _named_times(summary: Summary) -> dict[str, float]:
     """The time of the greatest deformation of each impact, s from the start of the run."""
-    entries, found, start = summary.get("impacts", []), {}, 0.0
+    entries, times, start = summary.get("impacts", []), {}, 0.0
     for number, entry in enumerate(entries, 1):
         time, lasted = ((entry.get(block) or {}).get("time_s") for block in ("greatest", "end"))
         if isinstance(time, int | float):
-            found["greatest deformation" + (f" of impact {number}" if len(entries) > 1 else "")] = start + float(time)
+            times["greatest deformation" + (f" of impact {number}" if len(entries) > 1 else "")] = start + float(time)
         start += float(lasted) if isinstance(lasted, int | float) else 0.0
-    return found
+    return times
 
 
-def _under(result: Result, scene: Mapping[str, object], history: Mapping[str, NDArray]) -> str:
-    said = [str(scene.get("name", result.directory.resolve().name))]
-    if "preset" in scene:
-        said.append(f"preset {scene['preset']}")
-    end = result.values.get("sim_time_s")
-    if isinstance(end, float):
-        said.append(f"{end * 1e9:.1f} ns simulated")
-    wall = result.values.get("wall_s")
-    if isinstance(wall, float):
-        said.append(f"computed in {wall:.0f} s")
-    return escape(" · ".join(said))
+def _under(result: Result, scene: Mapping[str, object]) -> str:
+    texts = [str(scene.get("name", result.directory.resolve().name))]
+    texts += [f"preset {scene['preset']}"] if "preset" in scene else []
+    for key, text in (("sim_time_s", "{:.1f} ns simulated"), ("wall_s", "computed in {:.0f} s")):
+        if isinstance(value := result.values.get(key), float):
+            texts.append(text.format(value * measure(key).factor))
+    return escape(" · ".join(texts))
 
 
 def _top(result: Result, history: Mapping[str, NDArray]) -> str:
-    state = ""
+    notes: list[tuple[str, str, str]] = []  # id, head and text as HTML
     if not result.finished:
         reached = f" It has reached {history['time'][-1] * 1e9:.1f} ns." if len(history.get("time", ())) else ""
-        state = (
-            f'<p class="warn" id="unfinished"><b>This run is not finished</b>: it is still running or was stopped.{reached}'
-            " What follows is what was written so far.</p>"
-        )
+        text = f": it is still running or was stopped.{reached} What follows is what was written so far."
+        notes.append(("unfinished", "This run is not finished", text))
     if result.undecided is not None:
-        said = f"{escape(result.undecided)}. <code>coldspray resume</code> goes on with it."
-        state = f'<p class="warn" id="undecided"><b>This run is undecided</b>: {said}</p>'
+        text = f": {escape(result.undecided)}. <code>coldspray resume</code> goes on with it."
+        notes.append(("undecided", "This run is undecided", text))
     doubts = alerts(result.summary)
-    state += "".join(
-        f'<p class="warn" id="doubtful"><b>This result is doubtful</b>: {escape(text)}</p>' for text in doubts
-    )
-    warned = result.values.get("warnings") if result.finished else parts.planned_warnings(result)
-    if isinstance(warned, list):
-        warned = [text for text in warned if text not in doubts]
-    return state + parts.tiles(result.summary) + parts.warnings(warned)
+    notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in doubts]
+    state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
+    warned = (result.values if result.finished else result.plan).get("warnings") or []
+    return state + parts.tiles(result.summary) + parts.warnings([text for text in warned if text not in doubts])
 
 
 def _footer(values: Mapping[str, object]) -> str:
@@ -241,56 +230,50 @@ def _so_far(history: Mapping[str, NDArray]) -> str:
     return parts.table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
 
 
-def _cuts(cuts: Sequence[Cut], ranges: Mapping[str, tuple[float, float]], named: Mapping[str, float]) -> str:
+def _cuts(cuts: Sequence[Cut], ranges: Mapping[str, Range], named: Mapping[str, float]) -> str:
     """Pictures of the cut at several times, a row for each, and the colours above."""
     left, right, bottom, top = cuts[0].window
     wide, gap = 4.0, 0.06  # inches
-    tall, count = wide * (top - bottom) / (right - left), len(ranges)
-    whole = count * wide + (count - 1) * gap
+    tall, whole = wide * (top - bottom) / (right - left), len(ranges) * (wide + gap) - gap
     bars = blank(whole, 0.62, 150)
     for k, (name, ends) in enumerate(ranges.items()):
-        place = bars.add_axes(((k * (wide + gap) + 0.25) / whole, 0.72, (wide - 0.5) / whole, 0.24))
-        colour_bar(place, name, ends, beyond(cuts, name, ends), across=True)
-    found = [
-        f'<figure><img src="{embedded(bars)}" alt="colours: {", ".join(FIELDS[name].label for name in ranges)}"></figure>'
-    ]
-    for one in cuts:
-        figure = blank(whole, tall, 150)
-        for k, (name, ends) in enumerate(ranges.items()):
-            axis = figure.add_axes((k * (wide + gap) / whole, 0, wide / whole, 1))
-            draw(axis, one, name, ends)
-            scale_bar(axis, one.window, 10)
-        words = [word for word, time in named.items() if math.isclose(time, one.time, rel_tol=1e-6)]
-        said = f"<b>t = {one.time * 1e9:.1f} ns</b>{''.join(', ' + escape(word) for word in words)}"
-        found.append(
-            f'<figure><figcaption>{said}</figcaption><img src="{embedded(figure)}" alt="cut at {one.time * 1e9:.1f} ns"></figure>'
+        colour_bar(
+            axes_at(bars, k * (wide + gap) + 0.25, 0.72 * 0.62, wide - 0.5, 0.24 * 0.62), name, ends, across=True
         )
-    return "".join(found)
+    labels = ", ".join(FIELDS[name].label for name in ranges)
+    pictures = [f'<figure><img src="{embedded(bars)}" alt="colours: {labels}"></figure>']
+    for section in cuts:
+        figure, time = blank(whole, tall, 150), f"{section.time * 1e9:.1f} ns"
+        for k, (name, ends) in enumerate(ranges.items()):
+            axis = axes_at(figure, k * (wide + gap), 0, wide, tall)
+            draw(axis, section, name, ends)
+            scale_bar(axis, section.window, 10)
+        words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
+        caption = f"<figcaption><b>t = {time}</b>{words}</figcaption>"
+        pictures.append(f'<figure>{caption}<img src="{embedded(figure)}" alt="cut at {time}"></figure>')
+    return "".join(pictures)
 
 
 def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
-    reach = 1.5 * at.diameter / MICRO
-    lines = [one for step in steps for one in profiles(result, step, ("T", "eps_p", "von_mises", "stress"), at, reach)]
-    last = [one for one in lines if one.time == max(line.time for line in lines)]
-    span = (min(float(one.depth[0]) for one in lines) * MICRO, reach * MICRO)
-    found = [
-        page.chart(f"depth-{name}", charts.with_depth(lines, name, FIELDS[name].words, FIELDS[name].factor, span))
-        for name in FIELDS
-    ]
-    found.append(page.chart("depth-stress", charts.stress_with_depth(last, span)))
-    said = (
+    reach, names = 1.5 * at.diameter / MICRO, ("T", "eps_p", "von_mises", "stress")
+    lines = [profile for step in steps for profile in profiles(result, step, names, at, reach)]
+    last = [profile for profile in lines if profile.time == max(line.time for line in lines)]
+    span = (min(float(profile.depth[0]) for profile in lines) * MICRO, reach * MICRO)
+    figures = {
+        f"depth-{k}": charts.with_depth(lines, k, field.words, field.factor, span) for k, field in FIELDS.items()
+    }
+    figures["depth-stress"] = charts.stress_with_depth(last, span)
+    places = "".join(page.chart(name, figure) for name, figure in figures.items())
+    caption = (
         "On the vertical line through the middle of the splat, from its top into the substrate; the gap in each line is where the "
         "bodies meet, the dashed line the undeformed surface. Normal stresses at the last time, tension positive."
     )
     key = "".join(
         f'<span><i style="background:{colour}"></i>{time * 1e9:.1f} ns</span>'
-        for time, colour in charts.shades(one.time for one in lines).items()
+        for time, colour in charts.shades(profile.time for profile in lines).items()
     )
-    return (
-        f'<p class="caption">{said}</p><p class="key">{key}</p><div class="four">{"".join(found)}</div>'
-        if any(found)
-        else ""
-    )
+    head = f'<p class="caption">{caption}</p><p class="key">{key}</p>'
+    return f'{head}<div class="four">{places}</div>' if places else ""
 
 
 def _energy(page: Page, history: Mapping[str, NDArray], values: Mapping[str, object]) -> str:
@@ -298,11 +281,11 @@ def _energy(page: Page, history: Mapping[str, NDArray], values: Mapping[str, obj
     stack = page.chart("ledger", charts.energy(history, float(kinetic_0) if isinstance(kinetic_0, float) else None))
     if not stack:
         return ""
-    said = (
+    caption = (
         "Where the initial kinetic energy is at each time. The stack is the sum of all terms of the ledger; its distance from 100 % "
         "is the drift below."
     )
-    return f'<p class="caption">{said}</p>{stack}{page.chart("drift", charts.drift(history), "Drift of the ledger")}'
+    return f'<p class="caption">{caption}</p>{stack}{page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")}'
 
 
 def _scene(result: Result) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -32,6 +34,14 @@ VOID = 1.6  # spacings: twice what lies between the points of a lattice
 PIXELS = 500  # along the longer side of the particle
 
 Window = tuple[float, float, float, float]  # left, right, bottom, top, um
+
+
+class Range(NamedTuple):
+    """Ends of the colours of a field, in the units of `FIELDS`; exceeded: some values lie clearly above them."""
+
+    low: float
+    high: float
+    exceeded: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,20 +175,21 @@ def _images(
     return images, (float(left), float(right), float(bottom), float(top))
 
 
-def colour_range(cuts: Sequence[Cut], name: str) -> tuple[float, float]:
-    """Ends of the colours of a field, one range for all cuts, so that colours mean the same in each of them."""
+def colour_range(cuts: Sequence[Cut], name: str) -> Range:
+    """The colours of a field, one range for all cuts, so that colours mean the same in each of them."""
     field = FIELDS[name]
-    parts = _numbers(cuts, name)
+    parts = [part[np.isfinite(part)] for cut in cuts for part in (cut.values[name], cut.images[name])]  # no hollows
+    parts = [part for part in parts if part.size]
     low = field.floor if field.floor is not None else min((float(part.min()) for part in parts), default=0.0)
     # A few points at an edge must not take the whole range of colours, nor one body that of the other.
-    tops = [float(np.percentile(part, 99.5)) for part in parts]
-    return low, max([*tops, low + field.least_range])
+    high = max([*(float(np.percentile(part, 99.5)) for part in parts), low + field.least_range])
+    return Range(low, high, any(part.max() > 1.02 * high for part in parts))
 
 
-def draw(axis: Axes, section: Cut, name: str, ends: tuple[float, float]) -> None:
-    """Draw the cut coloured by one field. ends: of the colours, as from `colour_range`."""
+def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
+    """Draw the cut coloured by one field."""
     left, right, bottom, top = section.window
-    colours, scale = FIELDS[name].colours, Normalize(*ends)
+    colours, scale = FIELDS[name].colours, Normalize(ends.low, ends.high)
     corners, values = section.corners, section.values[name]
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
     flat = corners.reshape(-1, 2)
@@ -186,57 +197,36 @@ def draw(axis: Axes, section: Cut, name: str, ends: tuple[float, float]) -> None
     # Thinner than a pixel or two they show nothing but streaks of colours beyond those of their corners.
     double_area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
     thick = double_area > (right - left) / 600 * np.hypot(sides[..., 0], sides[..., 1]).max(axis=1)
-    below = {
-        "array": values.mean(axis=1),
-        "cmap": colours,
-        "norm": scale,
-        "edgecolors": "face",
-        "linewidths": 0.5,
-    }
-    axis.add_collection(PolyCollection(list(corners), **below))  # so that no seam shows white
+    style = {"array": values.mean(axis=1), "cmap": colours, "norm": scale, "edgecolors": "face", "linewidths": 0.5}
+    axis.add_collection(PolyCollection(list(corners), **style))  # so that no seam shows white
     if thick.any():
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
-    rim = LineCollection(list(section.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2)
-    axis.add_collection(rim)
+    axis.add_collection(LineCollection(list(section.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2))
     if section.loops:
-        closed = (Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
-        outline = Outline.make_compound_path(*closed)
-        picture = axis.imshow(
-            section.images[name], extent=section.extent, origin="lower", cmap=colours, norm=scale, zorder=3
+        outline = Outline.make_compound_path(
+            *(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
         )
-        picture.set_clip_path(outline, axis.transData)
-        hollow = np.isnan(section.images[name])
-        if hollow.any():
-            edge = axis.contour(hollow, [0.5], extent=section.extent, colors="black", linewidths=1.0, zorder=4)
-            edge.set_clip_path(outline, axis.transData)
+        image, extent = section.images[name], section.extent
+        inside: list[Artist] = [axis.imshow(image, extent=extent, origin="lower", cmap=colours, norm=scale, zorder=3)]
+        if (hollow := np.isnan(image)).any():
+            inside.append(axis.contour(hollow, [0.5], extent=extent, colors="black", linewidths=1.0, zorder=4))
+        for artist in inside:
+            artist.set_clip_path(outline, axis.transData)
         axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))
     axis.plot([left, right], [section.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axis.set_axis_off()
 
 
-def colour_bar(box: Axes, name: str, ends: tuple[float, float], beyond: bool, across: bool = False) -> None:
-    """Draw the colours of a field with their values. beyond: some values lie above them; across: lying down."""
+def colour_bar(box: Axes, name: str, ends: Range, across: bool = False) -> None:
+    """Draw the colours of a field with their values. across: lying down."""
     field = FIELDS[name]
     bar = box.figure.colorbar(
-        ScalarMappable(Normalize(*ends), field.colours),
-        cax=box,
-        extend="max" if beyond else "neither",
-        orientation="horizontal" if across else "vertical",
-    )
+        ScalarMappable(Normalize(ends.low, ends.high), field.colours), cax=box,
+        extend="max" if ends.exceeded else "neither", orientation="horizontal" if across else "vertical",
+    )  # fmt: skip
     bar.set_label(field.words, fontsize=11)
-
-
-def beyond(cuts: Sequence[Cut], name: str, ends: tuple[float, float]) -> bool:
-    """Whether values lie clearly above the colours."""
-    return any(part.max() > ends[1] * 1.02 for part in _numbers(cuts, name))
-
-
-def _numbers(cuts: Sequence[Cut], name: str) -> list[NDArray]:
-    """All values of a field that are drawn, of each body in each cut; without hollows."""
-    parts = [part[np.isfinite(part)] for one in cuts for part in (one.values[name], one.images[name])]
-    return [part for part in parts if part.size]
 
 
 def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
@@ -257,22 +247,23 @@ def blank(width: float, height: float, dpi: float) -> Figure:
     return figure
 
 
-def panels(section: Cut, ranges: dict[str, tuple[float, float]], heading: str, arrows: dict[str, bool]) -> Figure:
-    """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other.
+def axes_at(figure: Figure, left: float, bottom: float, width: float, height: float) -> Axes:
+    """Axes at a place in a figure, all in inches."""
+    across, down = figure.get_size_inches()
+    return figure.add_axes((left / across, bottom / down, width / across, height / down))
 
-    arrows: name -> whether the bar shows that values go beyond it.
-    """
+
+def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
+    """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other."""
     left, right, bottom, top = section.window
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
-    tall = width * (top - bottom) / (right - left)
-    count = len(ranges)
+    tall, count = width * (top - bottom) / (right - left), len(ranges)
     size = (width + bar + 2 * margin, count * tall + (count - 1) * gap + margin + 0.55)
     figure = blank(*size, dpi=160)
     for row, (name, ends) in enumerate(ranges.items()):
-        low = margin + (count - 1 - row) * (tall + gap)
-        axis = figure.add_axes((margin / size[0], low / size[1], width / size[0], tall / size[1]))
+        axis = axes_at(figure, margin, margin + (count - 1 - row) * (tall + gap), width, tall)
         draw(axis, section, name, ends)
-        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, arrows[name])
+        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends)
     scale_bar(figure.axes[0], section.window)
     height = 1 - 0.27 / size[1]
     figure.text(margin / size[0], height, heading, fontsize=13, va="center", parse_math=False)
@@ -291,9 +282,7 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
     at, names = stage(result), ("T", "eps_p")
     read(result, step, names)
     section = cut(result, step, names, at, window(result, [step], at))
-    ranges = {name: colour_range([section], name) for name in names}
-    figure = panels(section, ranges, title(result), {name: beyond([section], name, ranges[name]) for name in names})
-    save(figure, path)
+    save(panels(section, {name: colour_range([section], name) for name in names}, title(result)), path)
     return path
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.result import Result
+from ..files.result import Fields, Result
 from .fields import at_nodes, from_points, in_tets
 from .picture import MICRO, Stage
 
@@ -37,34 +37,32 @@ def profiles(result: Result, step: int, names: Sequence[str], at: Stage, reach: 
     level = at.level / MICRO
     particle, surface, target = (result.fields(step, domain) for domain in ("particle", "surface", "target"))
     x, y = (float(surface.points[:, k].min() + surface.points[:, k].max()) / 2 for k in (0, 1))
-    found = []
+
+    def on_axis(z: NDArray) -> NDArray:
+        return np.column_stack([np.full_like(z, x), np.full_like(z, y), z])
+
+    def profile(fields: Fields, body: str, z: NDArray, nodes: NDArray, weight: NDArray) -> Profile:
+        values = {
+            name: np.einsum("kj,kj...->k...", weight, at_nodes(fields, name)[nodes])
+            for name in names
+            if name in fields.data
+        }
+        return Profile(fields.time, body, level - z, values)
+
+    lines = []
     crossings = on_vertical(surface.points, surface.cells, x, y)
     for low, high in zip(crossings[0::2], crossings[1::2], strict=False):
         z = np.linspace(high, low, SAMPLES)
-        index, weight = from_points(
-            particle.points, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]), at.void
-        )
-        values = {
-            name: np.einsum("kj,kj...->k...", weight, at_nodes(particle, name)[index])
-            for name in names
-            if name in particle.data
-        }
-        found.append(Profile(particle.time, "splat", level - z, values))
-    found.reverse()  # the upper piece first
+        lines.append(profile(particle, "splat", z, *from_points(particle.points, on_axis(z), at.void)))
+    lines.reverse()  # from the top down
 
     # Elements grow with depth, and so do the distances of the samples.
     top = float(target.points[:, 2].max()) + 1e-9
     z = top - (top - level + reach) * np.linspace(0, 1, 4 * SAMPLES) ** 1.5
-    owner, share = in_tets(target.points, target.cells, np.column_stack([np.full_like(z, x), np.full_like(z, y), z]))
+    owner, share = in_tets(target.points, target.cells, on_axis(z))
     inside = owner >= 0
-    corners = target.cells[owner[inside]]
-    values = {
-        name: np.einsum("kj,kj...->k...", share[inside], at_nodes(target, name)[corners])
-        for name in names
-        if name in target.data
-    }
-    found.append(Profile(target.time, "substrate", level - z[inside], values))
-    return [profile for profile in found if len(profile.depth)]
+    lines.append(profile(target, "substrate", z[inside], target.cells[owner[inside]], share[inside]))
+    return [line for line in lines if len(line.depth)]
 
 
 def on_vertical(points: NDArray, triangles: NDArray, x: float, y: float) -> list[float]:

@@ -20,7 +20,7 @@ from ..files.result import Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
-from .picture import MICRO, Stage, read
+from .picture import MICRO, Range, Stage, read
 
 FRAMES = 26  # of the time slider, at most
 VERTICES = 2500  # of the particle's surface: more are merged
@@ -36,9 +36,7 @@ def frames(count: int) -> list[int]:
     return sorted({round(step) for step in np.linspace(0, count - 1, min(count, FRAMES))})
 
 
-def solid(
-    result: Result, steps: Sequence[int], ranges: Mapping[str, tuple[float, float]], at: Stage
-) -> dict[str, object]:
+def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at: Stage) -> dict[str, object]:
     """The 3D view as plain data for JSON. steps: stored ones to show. ranges: ends of the colours of each field.
 
     `times` (ns); `box`: ends in x, y, z (um); `plane`: y of the cut (um);
@@ -67,7 +65,7 @@ def solid(
                 "particle cut": _particle_cut(particle.points, cloud, loops, at),
             }
         )
-        lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(_within(rim, box)))
+        lines.append([np.vstack([loop, loop[:1]]) for loop in loops] + list(rim[_reaches_into(rim, box)]))
         times.append(round(particle.time * 1e9, 3))
     every = {name: np.concatenate([mesh[2][name] for meshes in shown for mesh in meshes.values()]) for name in ranges}
     reach = {name: (float(values.min()), float(np.ptp(values)) or 1.0) for name, values in every.items()}
@@ -77,7 +75,7 @@ def solid(
         "box": box.T.tolist(),
         "plane": at.plane * MICRO,
         "lowest": min(float(mesh[0][:, 2].min()) for mesh in (each["particle"] for each in shown)) - 0.1 * at.diameter,
-        "fields": [_colours(name, *ranges[name], *reach[name]) for name in ranges],
+        "fields": [_colours(name, ranges[name], *reach[name]) for name in ranges],
         "frames": [_frame(*each, box, reach, triangles) for each in zip(shown, lines, strict=True)],
         "triangles": list(triangles),
     }
@@ -122,24 +120,21 @@ def _box(skins: Sequence[NDArray], at: Stage) -> NDArray:
     )
 
 
-def _within(corners: NDArray, box: NDArray) -> NDArray:
-    """Those of the polygons (q, k, 2 or 3) that reach into the box; of two coordinates these are x and z."""
+def _reaches_into(corners: NDArray, box: NDArray) -> NDArray:
+    """Whether each of the polygons (q, k, 2 or 3) reaches into the box; of two coordinates these are x and z."""
     low, high = (box if corners.shape[-1] == 3 else box[:, [0, 2]])[:, None]
-    return corners[((corners.max(1) > low) & (corners.min(1) < high)).all(1)]
+    return ((corners.max(1) > low) & (corners.min(1) < high)).all(1)
 
 
 def _target(points: NDArray, skin: NDArray, nodal: Mapping[str, NDArray], box: NDArray) -> Mesh:
     """The target's surface near the impact."""
-    corners = points[skin]
-    near = ((corners.max(1) > box[0]) & (corners.min(1) < box[1])).all(1)
-    used, triangles = np.unique(skin[near], return_inverse=True)
+    used, triangles = np.unique(skin[_reaches_into(points[skin], box)], return_inverse=True)
     return points[used], triangles.reshape(-1, 3), {name: values[used] for name, values in nodal.items()}
 
 
 def _target_cut(target: Fields, nodal: Mapping[str, NDArray], at: Stage, box: NDArray) -> Mesh:
     polygons, _ = cut_tets(target.points, target.cells, at.plane)
-    corners = crossing(target.points, polygons, at.plane)[0] * MICRO
-    near = ((corners.max(1) > box[0, [0, 2]]) & (corners.min(1) < box[1, [0, 2]])).all(1)
+    near = _reaches_into(crossing(target.points, polygons, at.plane)[0] * MICRO, box)
     edges, corner = np.unique(np.sort(polygons[near], axis=2).reshape(-1, 2), axis=0, return_inverse=True)
     corner = corner.reshape(-1, 4)
     places, share = crossing(target.points, edges, at.plane)
@@ -189,11 +184,11 @@ def _upright(places: NDArray, at: Stage) -> NDArray:
     return np.stack([places[:, 0], np.full(len(places), at.plane * MICRO), places[:, 1]], axis=1)
 
 
-def _colours(name: str, low: float, high: float, least: float, span: float) -> dict[str, object]:
+def _colours(name: str, ends: Range, least: float, span: float) -> dict[str, object]:
     field = FIELDS[name]
     scale = [[k / 16, to_hex(colormaps[field.colours](k / 16))] for k in range(17)]
     words = {"name": name, "label": field.label, "unit": field.unit, "colours": scale}
-    return words | {"low": low, "high": high, "least": least, "span": span}
+    return words | {"low": ends.low, "high": ends.high, "least": least, "span": span}
 
 
 def _frame(

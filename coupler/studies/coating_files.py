@@ -14,7 +14,6 @@ from ..files.result import Result
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from ..report.picture import Stage, colour_range, cut, panels, read, save
-from ..report.picture import beyond as beyond_of
 from .coating import CoatingMeasures, Splats
 from .table import write_rows
 
@@ -49,11 +48,7 @@ def section(result: Result, path: Path, radius: float, heading: str, plane: floa
     points = result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
     section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, across, 1.6 * spacing), seen)
-    ranges = {name: colour_range([section_cut], name) for name in _DRAWN}
-    figure = panels(
-        section_cut, ranges, heading, {name: beyond_of([section_cut], name, ranges[name]) for name in _DRAWN}
-    )
-    save(figure, path)
+    save(panels(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN}, heading), path)
     return path
 
 
