@@ -284,8 +284,9 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     from ..files.outputs import claim_file
     from ..files.result import Result
-    from ..report.compare import compare, comparison_picture, comparison_table
+    from ..report.compare import check_count, compare, comparison_picture, comparison_table
 
+    check_count(len(arguments.runs))
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
     problems: list[ColdsprayError] = []
     results: list[Result] = []

@@ -72,7 +72,7 @@ def comparison_table(results: Sequence[Result]) -> Table:
 
     Raises StoreError if a summary is damaged or the runs are too few or too many.
     """
-    _check(results)
+    check_count(len(results))
     entries = [measured(result) for result in results]
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
@@ -101,7 +101,7 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
 
     Raises StoreError if a run has nothing that can be drawn.
     """
-    _check(results)
+    check_count(len(results))
     names = [name for name in ("T", "eps_p") if all(name in drawable(result) for result in results)]
     empty = [str(result.directory) for result in results if not drawable(result)]
     if empty or not names:
@@ -146,7 +146,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
 
 def comparison_page(results: Sequence[Result]) -> str:
     """The comparison as one HTML file with figure, table and curves."""
-    _check(results)
+    check_count(len(results))
     page, names = Page(), names_of(results)
     of_name = dict(zip(names, results, strict=True))
     image = f'<img src="{embedded(comparison_picture(results))}" alt="cuts of the runs side by side">'
@@ -165,9 +165,10 @@ def comparison_page(results: Sequence[Result]) -> str:
     return page.html(f"{len(results)} runs side by side", under, top, "")
 
 
-def _check(results: Sequence[Result]) -> None:
-    if not 2 <= len(results) <= MOST:
-        raise StoreError(f"a comparison needs 2 to {MOST} folders of results, got {len(results)}")
+def check_count(runs: int) -> None:
+    """Raises StoreError if so many runs do not go side by side."""
+    if not 2 <= runs <= MOST:
+        raise StoreError(f"a comparison needs 2 to {MOST} folders of results, got {runs}")
 
 
 def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[Cut], tuple[float, float, float]]:

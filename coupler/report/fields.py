@@ -46,14 +46,16 @@ def from_points(points: NDArray, places: NDArray, void: float = np.inf) -> tuple
     indices and weights, (k, j) each; weights of a place sum to one, and are not numbers in a void.
     """
     near = min(NEAR, len(points))
-    distance, index = cKDTree(points).query(places, k=near)
-    distance, index = distance.reshape(len(places), near), index.reshape(len(places), near)
+    tree, inside = cKDTree(points), np.arange(len(places))
+    distance, index = np.full((len(places), near), np.inf), np.zeros((len(places), near), np.int64)
+    if np.isfinite(void):  # most places of a picture lie in none of the metal
+        inside = np.flatnonzero(np.isfinite(tree.query(places, distance_upper_bound=void)[0]))
+    distance[inside], index[inside] = (of.reshape(-1, near) for of in tree.query(places[inside], k=near))
     # Weights fall over the distance of the points from each other, wherever that has been stretched.
     reach = np.maximum(distance[:, min(3, near - 1)], 1e-12)[:, None]
-    weight = np.exp(-((distance / reach) ** 2))
-    weight /= weight.sum(1, keepdims=True)
-    weight[distance[:, 0] > void] = np.nan
-    return index, weight
+    weight = np.full_like(distance, np.nan)
+    weight[inside] = np.exp(-((distance[inside] / reach[inside]) ** 2))
+    return index, weight / weight.sum(1, keepdims=True)
 
 
 def at_nodes(fields: Fields, name: str) -> NDArray:
