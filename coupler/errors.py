@@ -9,8 +9,8 @@ import os
 _RANK = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK")
 
 
-def speaks() -> bool:
-    """Whether this process is the one that talks to the user: the only one, or rank 0."""
+def is_first_rank() -> bool:
+    """Whether this process prints messages: the only process, or rank 0."""
     return all(os.environ.get(name, "0") == "0" for name in _RANK)
 
 

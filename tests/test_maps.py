@@ -17,7 +17,9 @@ from coupler.commands import main as cli
 from coupler.errors import SceneError, StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
+from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.studies import sweep
 from coupler.studies.maps import AXES, BAND, COLUMNS, interpolate, table, varying, write_table
 from coupler.studies.sweep import Sweep
@@ -42,7 +44,10 @@ def pretend(folder: Path, name: str, **measures: float) -> None:
     run = folder / name
     run.mkdir()
     (run / "scene.toml").write_text(scene.to_toml())
-    (run / "summary.json").write_text(json.dumps(summary_of({"end": measures})))
+    decided = plan(scene)
+    (run / "plan.json").write_text(plan_text(decided))
+    own = {"velocity_ratio": decided.impact.velocity_ratio, "restitution": 20.0 / scene.particle.velocity}
+    (run / "summary.json").write_text(json.dumps(summary_of(own | {"end": measures})))
     (folder / f"{name}.json").write_text(json.dumps({"status": "done", "reason": "", "exit_code": 0}))
 
 
@@ -251,6 +256,7 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
         (looked_at / "summary.json").unlink()
         scene = (looked_at / "scene.toml").read_text()
         (looked_at / "scene.toml").unlink()
+        (looked_at / "plan.json").unlink()
         write(looked_at, 1, 200, 20.0, scene, summary)
         return tmp_path
 

@@ -6,13 +6,12 @@ from pathlib import Path
 import pytest
 from test_scene import scene_with, several
 
-from coupler.deposition.run import read_plan
 from coupler.errors import StoreError
 from coupler.plan import cost as estimates
 from coupler.plan import effects
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
-from coupler.plan.record import plan_text
+from coupler.plan.record import plan_text, read_plan
 from coupler.plan.text import describe
 from coupler.scene.effects import NAMES, check_request
 

@@ -10,6 +10,9 @@ from coupler.commands import mesh as mesh_command
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.files.store import Store
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.sph import packing
 
 D = 25e-6
@@ -40,7 +43,7 @@ def test_a_run_becomes_a_mesh_with_its_fields(tmp_path: Path, capsys: pytest.Cap
         "eps_p": np.full(n, 0.5),
         "velocity": np.tile([1.0, 2, 3], (n, 1)),
     }
-    with Store.create(tmp_path / "run", SCENE) as store:
+    with Store.create(tmp_path / "run", SCENE, plan_json=plan_text(plan(Scene.from_text(SCENE)))) as store:
         for time in (0.0, 1e-9):
             store.write("particle", time, points, np.arange(n)[:, None], fields)
             store.write("surface", time, vertices, triangles, {})

@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 
 from coupler import Scene, run
-from coupler.errors import speaks
+from coupler.errors import is_first_rank
 from coupler.progress import Progress
 
 SCENE = """
@@ -46,7 +46,7 @@ def main() -> None:
         placement=a.placement,
         probe=probe,
     )
-    if speaks():  # rank 0, or the only process
+    if is_first_rank():  # rank 0, or the only process
         idle = ", ".join(f"{share:.0%}" for share in result.idle_share) or "none: one process"
         print(
             f"flattening {result.flattening_ratio:.3f}, crater {result.crater_depth_m * 1e6:.2f} um, {result.ranks} rank(s)"

@@ -2,8 +2,11 @@
 
 import argparse
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeAlias
+
+from ..errors import ColdsprayError
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
 
@@ -26,17 +29,24 @@ def seconds(text: str) -> float:
     return value
 
 
-def simulated_time(text: str) -> float:
-    """A positive simulated time with its unit, in s, for argparse. Raises ArgumentTypeError."""
-    from ..units import parse
+def quantity(option: str, dimension: str, positive: bool = True, form: str = "{}") -> Callable[[str], float]:
+    """The type of an option that takes text with a unit, such as "300 ns": a function to SI, which raises ColdsprayError.
 
-    try:
-        value = parse(text, "time")
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"{text!r} must be positive")
-    return value
+    form: what the text is put into before it is read.
+    """
+
+    def read(text: str) -> float:
+        from ..units import UnitError, parse
+
+        try:
+            value = parse(form.format(text), dimension)
+        except UnitError as error:
+            raise ColdsprayError(f"{option} {text}: {error}") from None
+        if positive and not value > 0.0:
+            raise ColdsprayError(f"{option} {text}: must be more than zero")
+        return value
+
+    return read
 
 
 def add_force(parser: argparse.ArgumentParser) -> None:

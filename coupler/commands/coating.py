@@ -5,9 +5,8 @@ import contextlib
 import io
 from typing import TYPE_CHECKING
 
-from ..errors import StoreError
 from ..files.inputs import reading
-from .arguments import Commands, add_force, path
+from .arguments import Commands, add_force, path, quantity
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -20,46 +19,37 @@ def add(commands: Commands) -> None:
     parser.add_argument("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
     parser.add_argument("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
     parser.add_argument(
-        "--window", metavar="L", help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)'
+        "--window", type=quantity("--window", "length"), metavar="L",
+        help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)',
+    )  # fmt: skip
+    parser.add_argument(
+        "--section",
+        type=quantity("--section", "length", positive=False),
+        metavar="L",
+        default=0.0,
+        help="the plane y of the cut (default: 0 um)",
     )
     add_force(parser)
-    parser.add_argument("--section", metavar="L", default="0 um", help="the plane y of the cut (default: 0 um)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from .. import units
     from ..files.outputs import claim_folder
     from ..files.result import Result
     from ..studies import coating, coating_files
 
-    def length(name: str, text: str, positive: bool) -> float:
-        try:
-            value = units.parse(text, "length")
-        except units.UnitError as error:
-            raise StoreError(f"--{name} {text}: {error}") from None
-        if positive and not value > 0.0:
-            raise StoreError(f"--{name} {text}: must be more than zero")
-        return value
-
-    radius = length("window", arguments.window, True) if arguments.window is not None else None
-    plane = length("section", arguments.section, False)
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
     with reading(arguments.run):
-        measures = coating.measure(result, radius)
+        splats = coating.read(result)
+        measures = coating.measure(splats, arguments.window)
         coating_files.write_measures(folder, measures)
-        heading = (
-            f"{measures.impacts} of {measures.of} impacts"
-            if measures.impacts < measures.of
-            else f"{measures.of} impacts"
-        )
-        coating_files.section(
-            result, folder / "section.png", 1.3 * measures.window_radius_m / coating.WINDOW, heading, plane
-        )
-        with contextlib.redirect_stdout(io.StringIO()):  # meshio speaks of what it thinks of the fields
-            meshes = coating_files.write_meshes(coating.read(result), folder)
+        heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
+        radius = 1.3 * measures.window_radius_m / coating.WINDOW
+        coating_files.section(result, folder / "section.png", radius, heading, arguments.section)
+        with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks on the fields
+            meshes = coating_files.write_meshes(splats, folder)
     print("\n".join(describe(measures)))
     print(f"coating.json, coating_depth.csv, section.png, coating.vtu and {len(meshes) - 1} surfaces in {folder}")
     return 0

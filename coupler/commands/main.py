@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn, TypedDict, TypeVar, Unpack
 
-from ..errors import ColdsprayError, speaks
+from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from . import accuracy as accuracy_command
 from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
-from .arguments import add_force, path, seconds, simulated_time
+from .arguments import add_force, path, quantity, seconds
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -56,8 +56,8 @@ class _Options(TypedDict, total=False):
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
-    arguments = _parser().parse_args(argv)
     try:
+        arguments = _parser().parse_args(argv)
         with bounded_memory():
             code = arguments.command(arguments)
         sys.stdout.flush()
@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     resume.add_argument("folder", type=path, metavar="DIR", help="folder of the run")
     resume.add_argument(
-        "--until", type=simulated_time, metavar="TIME",
+        "--until", type=quantity("--until", "time"), metavar="TIME",
         help='time limit of its impact, such as "300 ns" (default: as long again as it has had)',
     )  # fmt: skip
     resume.set_defaults(command=_resume)
@@ -168,7 +168,7 @@ class _Parser(argparse.ArgumentParser):
     """Of several ranks, one says what is wrong with the command line."""
 
     def error(self, message: str) -> NoReturn:
-        if not speaks():
+        if not is_first_rank():
             self.exit(2)
         super().error(message)
 
@@ -202,7 +202,7 @@ def _run(arguments: argparse.Namespace) -> int:
     keep_inputs(out, RUN_FILES, [arguments.scene])
     if arguments.within or arguments.accuracy:
         scene, remark = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
-        if not arguments.quiet and speaks():
+        if not arguments.quiet and is_first_rank():
             print(remark)
 
     def work(**options: Unpack[_Options]) -> "Result":
@@ -239,7 +239,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
     finally:
         progress.stop()
-    if not arguments.quiet and speaks():
+    if not arguments.quiet and is_first_rank():
         from rich.console import Console
 
         from ..report import alerts, summary_table
@@ -331,7 +331,7 @@ def _file_problem(error: Exception) -> str | None:
 
 
 def _fail(message: str, code: int) -> int:
-    if not speaks():  # every rank ends with the same error; one says so
+    if not is_first_rank():  # every rank ends with the same error; one says so
         return code
     try:
         print(f"coldspray: {message}", file=sys.stderr)

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SplatError
-from .arguments import Commands, add_force, path
+from .arguments import Commands, add_force, path, quantity
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from ..files.result import Result
     from ..splat.cloud import Cloud, Splat
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
@@ -39,42 +40,31 @@ def add(commands: Commands) -> None:
     )
     add_force(parser)
     option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
-    option("--size", metavar="L", help=f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)')
-    option("--spacing", metavar="L", help="of the points before they were deformed (default: the run's, or estimated)")
-    option("--unit", metavar="U", default="m", help="of the coordinates in a file: m (default), mm, um, nm")
+    for name, form, default, text in (
+        ("--size", "{}", None, f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),
+        ("--spacing", "{}", None, "of the points before they were deformed (default: the run's, or estimated)"),
+        ("--unit", "1 {}", 1.0, "of the coordinates in a file: m (default), mm, um, nm"),
+    ):
+        option(name, type=quantity(name, "length", form=form), metavar="L", default=default, help=text)
     option("--step", type=int, metavar="N", default=-1, help="step of a run (default: the last)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from .. import units
     from ..files.inputs import reading, require_memory
     from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert
 
-    def length(name: str, text: str | None) -> float | None:
-        if text is None:
-            return None
-        try:
-            value = units.parse(text, "length")
-        except units.UnitError as error:
-            raise SplatError(f"--{name} {text}: {error}") from None
-        if not value > 0.0:
-            raise SplatError(f"--{name} {text}: must be more than zero")
-        return value
-
-    size, spacing, unit = (length(n, t) for n, t in (
-        ("size", arguments.size), ("spacing", arguments.spacing), ("unit", f"1 {arguments.unit}")))  # fmt: skip
     source: Path = arguments.cloud
     out = arguments.out or (source / "splat.vtu" if source.is_dir() else source.with_name(f"{source.stem}_mesh.vtu"))
     in_its_run = arguments.out is None and kind_of(out.parent) == "run"
     claim_file(out, SUFFIXES, [source], arguments.force or in_its_run)
     if source.is_dir():
         with reading(source):
-            cloud, notes = of_run(source, arguments.step, spacing)
+            cloud, notes = of_run(source, arguments.step, arguments.spacing)
     else:
-        cloud, notes = of_file(source, spacing, unit or 1.0)
-    size = size or SIZE_OVER_SPACING * cloud.spacing
+        cloud, notes = of_file(source, arguments.spacing, arguments.unit)
+    size = arguments.size or SIZE_OVER_SPACING * cloud.spacing
     require_memory(_MEMORY_EACH * len(cloud.x), f"to mesh {len(cloud.x)} points")
     splat = convert(cloud, size, arguments.method)
     write(out, splat)
@@ -84,11 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple["Cloud", list[str]]:
-    """The particle of a run's folder at a stored step, with its carried surface; and remarks. Raises StoreError, SceneError."""
+    """The particle of a run's folder at a stored step, with its carried surface; and remarks. Raises StoreError."""
     import numpy as np
 
     from ..files.result import Result
-    from ..plan.reading import Scene
+    from ..plan.record import read_plan
     from ..splat.cloud import Cloud
 
     result = Result(folder)
@@ -96,9 +86,8 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         fields = result.fields(step)
     except IndexError as problem:
         raise SplatError(f"--step {step}: {problem}") from None
-    scene = Scene.from_text(result.scene_text, str(folder / "scene.toml"))
-    metal = scene.derived.material(scene.particle.material)
-    spacing = spacing or float(result.values.get("spacing_m") or scene.derived.spacing)
+    impact = read_plan(folder).impacts[_impact_at(result, fields.time)]
+    spacing = spacing or impact.spacing
     times = result.times("surface")
     skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
     surface, notes = None, []
@@ -109,11 +98,20 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         notes.append("no surface was stored at this step: the shape is taken from the points")
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
-        fields.points, np.full(len(fields.points), spacing**3), spacing, metal.rho, velocity=data.get("velocity"),
+        fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
         stress=data["stress"][:, _SWAP] if "stress" in data else None, eps_p=data.get("eps_p"), T=data.get("T"),
-        surface=surface, wave_speed=metal.wave_speed,
+        surface=surface, wave_speed=impact.material.wave_speed,
     )  # fmt: skip
     return cloud, notes
+
+
+def _impact_at(result: "Result", time: float) -> int:
+    """The impact, from 0, whose particle is stored at a time (s)."""
+    if not (result.directory / "history.csv").is_file():
+        return 0
+    history = result.history()
+    row = int(history["time"].searchsorted(time * (1.0 - 1e-9)))
+    return int(history["impact"][: row + 1][-1]) - 1
 
 
 def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tuple["Cloud", list[str]]:

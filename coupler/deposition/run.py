@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
-from ..errors import CheckpointError, ColdsprayError, StoreError, speaks
+from ..errors import CheckpointError, ColdsprayError, is_first_rank
 from ..files import checkpoint
-from ..files.inputs import read_json_object
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
 from ..files.summary import Values
@@ -23,7 +22,7 @@ from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
 from ..plan.reading import Scene
-from ..plan.record import FILE, plan_from, plan_text
+from ..plan.record import plan_text, read_plan
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..report import section_picture
@@ -103,22 +102,10 @@ def resume(
 
 def _complete(result: Result) -> None:
     """Do what a run does after its summary, where it was ended before."""
-    if speaks():
+    if is_first_rank():
         checkpoint.clear(result.directory)
         if not (result.directory / PICTURE).exists():
             section_picture(result)
-
-
-def read_plan(folder: Path) -> Plan:
-    """The plan that a run was started with. Raises StoreError: there is none, it is damaged, or of another format."""
-    if not (folder / FILE).exists():
-        raise StoreError(
-            f"{folder} has no {FILE}: version 0.1 wrote none, and its unfinished runs cannot be resumed; compute the scene anew"
-        )
-    try:
-        return plan_from(read_json_object(folder / FILE))
-    except ValueError as error:
-        raise StoreError(f"{folder / FILE} {error}: this version cannot go on with it") from error
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,12 @@ import types
 import typing
 from collections.abc import Mapping
 from functools import cache
+from pathlib import Path
 from typing import TypeVar
 
 from .. import __version__
+from ..errors import StoreError
+from ..files.inputs import read_json_object
 from .planning import Plan
 
 FILE = "plan.json"
@@ -43,6 +46,17 @@ def plan_from(data: Mapping[str, object]) -> Plan:
         return from_json(Plan, data["plan"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"is damaged: {error}") from error
+
+
+def read_plan(folder: Path) -> Plan:
+    """The plan that a run was started with. Raises StoreError: there is none, it is damaged, or of another format."""
+    path = folder / FILE
+    if not path.exists():
+        raise StoreError(f"{folder} has no {FILE}, as runs of version 0.1: compute the scene anew with this version")
+    try:
+        return plan_from(read_json_object(path))
+    except ValueError as error:
+        raise StoreError(f"{path} {error}: this version cannot go on with it") from error
 
 
 def _checksum(data: object) -> str:

@@ -6,16 +6,20 @@ crosses the closed surfaces of the bodies, so overlaps and gaps between splats a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from .. import units
 from ..errors import StoreError
+from ..files.inputs import parse_toml
 from ..files.result import Fields, Result
 from ..geometry.tetrahedra import boundary_faces, volumes
-from ..plan.reading import Scene
+from ..physics.shapes import sphere_volume
+from ..plan.record import read_plan
 
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
@@ -26,16 +30,24 @@ COLUMN = 0.125  # splat element sizes between two columns, and between two heigh
 class Splats:
     """The coating at the last written step. mesh: substrate and splats; body (m,): of each tetrahedron, 0 the substrate; impact
     (bodies,): from which each came, counted from 1, 0 for the substrate. last: surface of the last particle, still made of
-    points, (points (k,3) m, triangles), None if it has left; sites (n,2) m: where particles were aimed at; rebounded (n,)."""
+    points, (points (k,3) m, triangles), None if it has left; rebounded (n,), mass (n,) kg: of each finished impact; planned: impacts of
+    the run, in so many layers; patch m: radius of the disc that particles are aimed at; element_size m: of the splats."""
 
     mesh: Fields
     body: NDArray[np.int64]
     impact: NDArray[np.int64]
     last: tuple[NDArray, NDArray] | None
-    last_impact: int
-    sites: NDArray
     rebounded: NDArray[np.bool_]
     mass: NDArray
+    planned: int
+    layers: int
+    patch: float
+    element_size: float
+
+    @property
+    def finished(self) -> int:
+        """Number of finished impacts."""
+        return len(self.mass)
 
     @property
     def deposition_efficiency(self) -> float:
@@ -45,7 +57,7 @@ class Splats:
 
 def read(result: Result) -> Splats:
     """What a run has built so far, finished or not. Raises StoreError where the files do not tell which body is which."""
-    scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
+    plan = read_plan(result.directory)
     numbers, times = result.history("impact"), result.history("time")
     if not len(numbers) or not len(result.times("target")):
         raise StoreError(f"{result.directory} holds no impact yet: nothing to measure")
@@ -72,10 +84,12 @@ def read(result: Result) -> Splats:
         last = None if left[-1] else (surface.points, surface.cells)
     elif not left:
         raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
-    particles = scene.particles[: len(left)]  # one that is still falling is not counted
-    mass = np.array([p.volume * scene.derived.material(p.material).rho for p in particles])
-    sites = np.array([p.offset for p in particles])
-    return Splats(mesh, body, impact, last, len(left), sites, np.array(left), mass)
+    impacts = plan.impacts[: len(left)]  # one that is still falling is not counted
+    mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
+    coating = parse_toml(result.scene_text).get("coating")
+    patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
+    return Splats(mesh, body, impact, last, np.array(left), mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
+                  plan.splat_element_size)  # fmt: skip
 
 
 class Columns:
@@ -215,33 +229,26 @@ class CoatingMeasures:
     warnings: list[str]
 
 
-def measure(result: Result, radius: float | None = None) -> CoatingMeasures:
-    """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default.
-
-    Raises StoreError where there is nothing to measure.
-    """
-    scene = Scene.from_text(result.scene_text, str(result.directory / "scene.toml"))
-    splats = read(result)
-    patch = scene.coating.radius if scene.coating is not None else float(np.hypot(*splats.sites.T).max())
-    size, planned = scene.derived.splat_element_size, len(scene.particles)
-    radius = radius or max(WINDOW * patch, 4.0 * size)
+def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
+    """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default."""
+    size, planned = splats.element_size, splats.planned
+    radius = radius or max(WINDOW * splats.patch, 4.0 * size)
     columns = Columns(splats, (0.0, 0.0), radius, COLUMN * size)
     top = columns.top()
     thickness = top - columns.interface()
     Sa, Sq = roughness(top)
     opened, closed = columns.voids(FINEST * size)
     volume = float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum())
-    layers = scene.coating.layers if scene.coating is not None else 1
-    unfinished = f"the run is not finished: {splats.last_impact} of {planned} impacts"
+    unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
     return CoatingMeasures(
-        impacts=splats.last_impact, of=planned, rebounded=int(splats.rebounded.sum()),
+        impacts=splats.finished, of=planned, rebounded=int(splats.rebounded.sum()),
         deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=columns.step,
         thickness_mean_m=float(thickness.mean()), thickness_min_m=float(thickness.min()), thickness_max_m=float(thickness.max()),
         height_mean_m=float(top.mean()), bare_share=float((thickness < columns.step).mean()), Sa_m=Sa, Sq_m=Sq,
         porosity_open=float(opened.sum()) / volume if volume else 0.0,
         porosity_closed=float(closed.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
-        layers=per_layer(splats, -(-planned // layers)), depth=over_depth(splats, radius, 0.5 * size),
-        warnings=[] if result.finished else [unfinished],
+        layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
+        warnings=[] if splats.finished == planned else [unfinished],
     )  # fmt: skip
 
 
@@ -252,7 +259,7 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
     """
     volume, data = np.abs(volumes(splats.mesh.points, splats.mesh.cells)), splats.mesh.data
     layer = np.where(splats.impact > 0, (splats.impact - 1) // each + 1, 0)[splats.body]
-    found = []
+    rows = []
     for number in range(int(layer.max()) + 1):
         own = (layer == number) & ((number > 0) | (data["eps_p"] > 0.002))
         if not own.any():
@@ -269,8 +276,8 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
             row[f"{name}_mean"] = float(np.average(value, weights=volume[own]))
             row[f"{name}_p99"] = float(value[order][np.searchsorted(share, 0.99)])
             row[f"{name}_max"] = float(value.max())
-        found.append(row)
-    return found
+        rows.append(row)
+    return rows
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:

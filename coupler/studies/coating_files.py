@@ -73,7 +73,7 @@ def write_meshes(splats: Splats, folder: Path) -> list[Path]:
             for b in range(1, len(splats.impact))
         ]
         if splats.last is not None:
-            skins.append((splats.last_impact, *splats.last))
+            skins.append((splats.finished, *splats.last))
         several = {number for number, _, _ in skins if sum(other == number for other, _, _ in skins) > 1}
         for k, (number, points, faces) in enumerate(skins):
             part = f"_{k}" if number in several else ""

@@ -7,7 +7,6 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 from __future__ import annotations
 
 import contextlib
-import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,30 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import units
-from ..errors import ColdsprayError, SceneError, StoreError
+from ..errors import StoreError
 from ..files.inputs import read_json_object, read_toml, reading
 from ..files.result import Result
-from ..physics.adhesion import critical_velocity
-from ..plan.reading import Scene
+from ..plan.record import read_plan
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
-            "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s")  # fmt: skip
-COLUMNS = (
-    "point",
-    "material",
-    "substrate",
-    *AXES,
-    "status",
-    "reason",
-    *MEASURES,
-    "restitution",
-    "velocity_ratio",
-    "bonded",
-    "version",
-)
+            "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
+            "velocity_ratio")  # fmt: skip
+COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "bonded", "version")
 LEAST_POINTS = 6  # of which a map is drawn
 LARGEST = 1e30  # a measure beyond it is damage
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
@@ -51,10 +38,9 @@ Row = dict[str, Any]
 def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
-    status: "done", "failed" (then `reason` says why) or "unfinished"; measures of points that are not done are missing.
-    restitution: rebound over impact velocity, along the surface normal, 0 for particles that bonded; velocity_ratio: impact over
-    critical velocity (`adhesion.critical_velocity`); bonded: as the run says, where its scene has an adhesion; version: of the
-    program that computed the run. Raises StoreError if the folder is not there or holds no point.
+    status: "done", "failed" (then `reason` says why) or "unfinished"; measures, as in the summaries, of points that are not done
+    are missing. bonded: as the run says, where its plan has an adhesion; version: of the program that computed the run. Raises
+    StoreError if the folder is not there or holds no point.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -78,61 +64,34 @@ def _readable_row(folder: Path, name: str) -> Row:
 
 
 def _row(folder: Path, name: str) -> Row:
-    """The row of a point: from its scene, its end status and its summary."""
-    row: Row = dict.fromkeys(COLUMNS) | {
-        "point": name,
-        "material": "",
-        "substrate": "",
-        "status": "unfinished",
-        "reason": "",
-    }
-    scene = _scene(folder, name, row)
+    """The row of a point: from its plan, its end status and its summary."""
+    scene, run = folder / f"{name}.toml", folder / name
+    row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": ""}
+    row |= _as_written(scene if scene.is_file() else run / "scene.toml")
     ended = _ended(folder / f"{name}.json")
     if ended.get("status") == "failed":
         return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}
-    if row["status"] == "failed" or not (folder / name / "scene.toml").is_file():
+    result = Result(run) if (run / "scene.toml").is_file() else None
+    if result is None or not result.finished:
         return row
-    try:
-        result = Result(folder / name)
-        values = result.values
-    except StoreError as error:
-        return row | {"status": "failed", "reason": str(error)}
-    if not values or scene is None:
-        return row
+    values, plan = result.values, read_plan(run)
+    if len(plan.impacts) > 1:
+        return row | {"status": "failed", "reason": f"has {len(plan.impacts)} impacts; a point of a map is one"}
+    impact = plan.impact
     row |= {"status": "done", "version": str(values["version"]), "reason": result.undecided or ""}
+    row |= {"material": impact.material.name, "substrate": plan.target.material.name}
+    row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
     row |= {key: _number(values.get(key)) for key in MEASURES}
-    p, law = scene.particle, scene.derived.adhesion_law
-    rebound = row["rebound_velocity_m_s"]
-    row["restitution"] = None if rebound is None else rebound / (p.velocity * math.cos(p.angle))
     if (
-        law.kind != "none" and values.get("rebounded") is not None
-    ):  # without adhesion everything rebounds, which tells nothing
+        plan.adhesion.kind != "none" and values.get("rebounded") is not None
+    ):  # without adhesion all rebound: that tells nothing
         row["bonded"] = not values["rebounded"]
-        row["restitution"] = 0.0 if row["bonded"] else row["restitution"]
-    with contextlib.suppress(ColdsprayError):  # a metal without tensile strength has no critical velocity
-        row["velocity_ratio"] = p.velocity / critical_velocity(scene.derived.material(p.material), p.temperature)
     return row
 
 
 def _number(value: object) -> float | None:
     """A measure; None where a summary has no number, or one that no run gives."""
     return value if isinstance(value, int | float) and abs(value) < LARGEST else None
-
-
-def _scene(folder: Path, name: str, row: Row) -> Scene | None:
-    """The point's scene, its values put into the row; None, and why, if it cannot be read."""
-    given = folder / f"{name}.toml"
-    try:
-        scene = Scene.load(given if given.is_file() else folder / name / "scene.toml")
-    except SceneError as error:
-        row |= _as_written(given) | {"status": "failed", "reason": " ".join(str(error).split())}
-        return None
-    p = scene.particle
-    row |= {"material": p.material, "substrate": scene.substrate.material}
-    row |= dict(zip(AXES, (p.velocity, p.diameter, p.temperature), strict=True))
-    if len(scene.particles) > 1:
-        row |= {"status": "failed", "reason": f"has {len(scene.particles)} impacts; a point of a map is one"}
-    return scene
 
 
 def _is_scene(path: Path) -> bool:
@@ -143,19 +102,14 @@ def _is_scene(path: Path) -> bool:
 
 
 def _as_written(path: Path) -> Row:
-    """Material and axes of a scene that cannot be computed, as far as they can be read."""
-    found: Row = {}
-    try:
+    """Material and axes as a scene says them, so far as they can be read."""
+    row: Row = {"material": "", "substrate": ""}
+    with contextlib.suppress(StoreError, ValueError, LookupError, TypeError):
         data = read_toml(path)
-        found["material"], found["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
-        for axis, (key, dimension) in zip(AXES, _WRITTEN, strict=True):
-            found[axis] = units.parse(data["particle"][key], dimension)
-    except (StoreError, ValueError, KeyError, TypeError):
-        pass
-    return found
-
-
-_WRITTEN = (("velocity", "velocity"), ("diameter", "length"), ("temperature", "temperature"))
+        row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
+        for axis, dimension in zip(AXES, ("velocity", "length", "temperature"), strict=True):
+            row[axis] = units.parse(data["particle"][axis.split("_")[0]], dimension)
+    return row
 
 
 def _ended(path: Path) -> Mapping[str, object]:
@@ -221,9 +175,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
     names = tuple(axes) if axes is not None else varying(rows)
     if quantity not in COLUMNS:
-        raise StoreError(
-            f"{quantity} is no column of a map's table; known: {', '.join((*MEASURES, 'restitution', 'velocity_ratio'))}"
-        )
+        raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
     if len(used) < LEAST_POINTS or not names:
         raise StoreError(
             f"{quantity}: {len(used)} points are done; a map needs at least {LEAST_POINTS}, and an axis that varies"
