@@ -10,7 +10,6 @@ from scenes import scene
 from test_sequence import block, substrate
 
 from coupler import Result, Scene, run
-from coupler.contact.hold import Hold
 from coupler.contact.penalty import PointContact
 from coupler.deposition.run import resume
 from coupler.impact.rebound import deposition_efficiency
@@ -23,51 +22,6 @@ COARSE = {"spacing": 3.2, "element_size": 5.5, "diameter": 100, "height": 50}
 ONE = scene(("Ni", 25, 500), **COARSE)
 STRONG = '[adhesion]\nkind = "cohesive"\nstrength = "462 MPa"\nenergy = "150 J/m2"\n'
 WEAK = STRONG.replace("150 J/m2", "8 J/m2")
-
-
-def patch(pull: float, energy: float = np.inf) -> tuple[Hold, np.ndarray, np.ndarray]:
-    """Four points on a square of two facets, 1 um across, the points pulled off by `pull` m after they were bonded."""
-    x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5.0]]) * 1e-6
-    facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
-    xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
-    law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
-    hold = Hold(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law)
-    return hold, xp + np.array([0.0, 0.0, pull]), x
-
-
-def test_a_hold_pulls_back_and_gives_as_much_to_the_facets() -> None:
-    hold, xp, x = patch(1e-9)
-    f, g = np.zeros_like(xp), np.zeros_like(x)
-    hold.forces(xp, x, f, g)
-    np.testing.assert_allclose(f[1:, 2], -1e17 * 1e-9 * 0.25e-12, rtol=1e-9)
-    assert not f[0].any()
-    assert not g[4].any()
-    np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-18)
-    np.testing.assert_allclose(np.cross(xp, f).sum(axis=0) + np.cross(x, g).sum(axis=0), 0.0, atol=1e-22)
-    assert hold.energy == pytest.approx(0.5 * 1e17 * 1e-18 * 1e-12)
-    assert hold.whole.all()
-
-
-def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
-    hold, xp, x = patch(0.0, energy=10.0)
-    f, g = np.zeros_like(xp), np.zeros_like(x)
-    for _ in range(300):
-        xp[:, 2] += 2e-10  # to 60 nm: the last opening is 2 G / strength = 50 nm
-        hold.forces(xp, x, f, g)
-    assert not hold.whole.any()
-    assert hold.energy == pytest.approx(10.0 * 1e-12, rel=5e-3)
-    assert hold.area == (pytest.approx(1e-12), 0.0)
-    again = Hold.from_state(hold.state())
-    np.testing.assert_array_equal(again.rows, hold.rows)
-    assert again.energy == hold.energy
-
-
-def test_its_step_is_that_of_a_mass_on_a_spring() -> None:
-    hold, _, _ = patch(0.0)
-    mass = 1e-15
-    dt = hold.stable_dt(1.0 / mass, np.full(5, 1e3))
-    # each point on one spring of k a; Gershgorin counts the foot's side too
-    assert dt == pytest.approx(0.9 * 2.0 / np.sqrt(2.0 * 1e17 * 0.25e-12 / mass))
 
 
 def test_who_is_held_in_the_impact() -> None:

@@ -25,7 +25,8 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 @dataclass(frozen=True)
 class BondRows:
     """Of n bonds: nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2) Pa and energy (n,2) J/m2,
-    normal and shear; loose: compression is left to the contact; damage 0 to 1; opening (n,3) m; traction (n,2) Pa."""
+    normal and shear; loose: compression is left to the contact; damage 0 to 1; opening (n,3) m; traction (n,2) Pa; spent J,
+    dissipated by each, of which `heated` J has become heat of the bodies."""
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="nodes")]
     triangles: Annotated[np.ndarray, Rows(3, dtype=np.int64, index_of="nodes")]
@@ -39,6 +40,8 @@ class BondRows:
     damage: Annotated[np.ndarray, Rows()]
     opening: Annotated[np.ndarray, Rows(3)]
     traction: Annotated[np.ndarray, Rows(2)]
+    spent: Annotated[np.ndarray, Rows()]
+    heated: Annotated[np.ndarray, Rows()]
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,8 @@ class Bond:
     damage: np.ndarray
     opening: np.ndarray
     traction: np.ndarray
+    spent: np.ndarray
+    heated: np.ndarray
 
     def __init__(
         self,
@@ -114,6 +119,7 @@ class Bond:
         self.exponent = float(exponent)
         self.loose, self.damage = np.zeros(n, bool), np.zeros(n)
         self.opening, self.traction = np.zeros((n, 3)), np.zeros((n, 2))
+        self.spent, self.heated = np.zeros(n), np.zeros(n)
         self.stored = self.dissipated = 0.0
         _check(self.stiffness, self.strength, self.energy, self.exponent)
         self._ready()
@@ -124,23 +130,44 @@ class Bond:
     def _ready(self) -> None:
         with np.errstate(divide="ignore"):
             self._weakness, self._ease = 1.0 / self.strength, 1.0 / self.energy
-        self._sums = np.zeros(2)
+        self._sums, self._free = np.zeros(2), np.full(len(self), -1.0)
 
     @property
     def broken(self) -> np.ndarray:
         """Mask (n,) of the bonds that carry neither tension nor shear."""
         return self.damage >= 1.0
 
-    def forces(self, x: np.ndarray, f: np.ndarray) -> None:
-        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on."""
+    def forces(self, x: np.ndarray, f: np.ndarray, depth: np.ndarray | None = None) -> None:
+        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. depth (n,) m: of a contact
+        that presses the nodes, for bonds that leave compression to it (`bond_kernels.bond_forces`; default: all are free)."""
         if len(self) == 0:
             return
         k.bond_forces(
             x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
-            self.exponent, self.loose, self.damage, self.opening, self.traction, f, self._sums,
+            self.exponent, self.loose, self.damage, self.opening, self.traction, self.spent,
+            self._free if depth is None else depth, f, self._sums,
         )  # fmt: skip
         self.stored = float(self._sums[0])
         self.dissipated += float(self._sums[1])
+
+    def heat(self) -> np.ndarray:
+        """Heat (n,) J of fracture since the last call."""
+        heat, self.heated = self.spent - self.heated, self.spent.copy()
+        return heat
+
+    @property
+    def resistance(self) -> np.ndarray:
+        """Energy (n,) J that each bond can still take up in tension; infinite where it does not break."""
+        with np.errstate(invalid="ignore"):
+            left = self.area * self.energy[:, 0] - self.spent
+        return np.where(self.broken, 0.0, np.maximum(left, 0.0))
+
+    @property
+    def soundness(self) -> np.ndarray:
+        """Share (n,) of the fracture energy in tension that each bond has left; 1 of one that is whole and brittle or tied."""
+        whole = self.area * self.energy[:, 0]
+        finite = np.isfinite(whole) & (whole > 0.0)
+        return np.where(finite, self.resistance / np.where(finite, whole, 1.0), ~self.broken)
 
     def load(self, size: int) -> np.ndarray:
         """What the springs add to each of `size` nodes in the bound on omega^2, N/m: largest load / mass (Gershgorin)."""

@@ -85,7 +85,8 @@ def damage_at(
 @njit(cache=True, nogil=True)
 def bond_forces(
     x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
-    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, f: Floats, sums: Floats,
+    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, spent: Floats, depth: Floats,
+    f: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
 
@@ -97,8 +98,11 @@ def bond_forces(
         U = area k / 2 ((1 - D) (<delta>^2 + |s|^2) + <-delta>^2),   delta = d.n - gap,   s = d - (d.n) n
 
     and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment
-    of forces which act across a gap. damage D (n,), opening <delta> n + s (n,3) m and traction (n,2) Pa, normal
-    and shear, move on in place. sums: [energy stored, energy the damage of this call has dissipated], J.
+    of forces which act across a gap. depth (n,) m: penetration of a contact that presses node i; 0 where the contact presses
+    beside it (`in_contact`); negative where the node is free. In contact the net normal traction is compressive: delta is 0
+    and `gap` follows the surface, so that the bond opens from the place where the contact lets go. damage D (n,), opening
+    <delta> n + s (n,3) m, traction (n,2) Pa, normal and shear, and spent (n,) J, the energy that each bond has dissipated,
+    move on in place. sums: [energy stored, dissipated by this call], J.
     """
     stored = 0.0
     lost = 0.0
@@ -113,21 +117,33 @@ def bond_forces(
         d1 = p[1] - (wa * A[1] + wb * B[1] + wc * C[1])
         d2 = p[2] - (wa * A[2] + wb * B[2] + wc * C[2])
         h = d0 * n0 + d1 * n1 + d2 * n2
-        delta = h - gap[i]
+        k = stiffness[i]
+        D = damage[i]
+        loss = 0.0
+        if depth[i] > 0.0 or (depth[i] == 0.0 and traction[i, 0] <= 0.0):
+            gap[i] = h + depth[i]
+            if traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
+                loss = 0.5 * area[i] * traction[i, 0] ** 2 / ((1.0 - D) * k)
+                along = opening[i, 0] * n0 + opening[i, 1] * n1 + opening[i, 2] * n2
+                opening[i, 0] -= along * n0
+                opening[i, 1] -= along * n1
+                opening[i, 2] -= along * n2
+            delta = 0.0
+        else:
+            delta = h - gap[i]
         s0, s1, s2 = d0 - h * n0, d1 - h * n1, d2 - h * n2
         slip2 = s0 * s0 + s1 * s1 + s2 * s2
         wide = max(delta, 0.0)
-
-        k = stiffness[i]
-        D = damage[i]
         if D < 1.0:
             D = max(D, damage_at(wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha))
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
         if D > damage[i]:
             # the work of the mean force of the step, less the change of U
             along = o0 * opening[i, 0] + o1 * opening[i, 1] + o2 * opening[i, 2]
-            lost += 0.5 * k * area[i] * (D - damage[i]) * along
+            loss += 0.5 * k * area[i] * (D - damage[i]) * along
             damage[i] = D
+        spent[i] += loss
+        lost += loss
         opening[i, 0], opening[i, 1], opening[i, 2] = o0, o1, o2
 
         sound = (1.0 - D) * k
@@ -160,6 +176,26 @@ def bond_forces(
         f[c, 2] += c2 - wc * f2
     sums[0] = stored
     sums[1] = lost
+
+
+@njit(cache=True, nogil=True)
+def in_contact(
+    rows: Ints, start: Ints, ring: Ints, penetration: Floats, gaps: Floats, reach: float, depth: Floats
+) -> None:  # fmt: skip
+    """Which points of a surface are pressed against another: depth (n,) m of the points `rows` for `bond_forces` is written.
+
+    penetration, gaps (k,) m of all points; ring: the neighbours of row i are ring[start[i]:start[i + 1]]. Two unlike
+    triangulations touch at some of their points only: one nearer than `reach` (m) whose neighbour presses is in contact too.
+    """
+    for i in range(len(rows)):
+        depth[i] = penetration[rows[i]]
+        if depth[i] <= 0.0:
+            depth[i] = -1.0
+            if gaps[rows[i]] < reach:
+                for j in range(start[i], start[i + 1]):
+                    if penetration[ring[j]] > 0.0:
+                        depth[i] = 0.0
+                        break
 
 
 @njit(cache=True, nogil=True)

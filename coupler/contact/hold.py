@@ -1,16 +1,21 @@
-"""A particle that has bonded in its impact: vertices of its surface held to the facets they lie on while it rebounds."""
+"""A particle that bonds in its impact: vertices of its surface held to the facets they lie on while it rebounds."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from ..geometry.triangles import rings
 from ..state.records import Shape, check_indices
 from .bond import Bond, BondState
+from .bond_kernels import in_contact
+from .penalty import PointContact
 from .surfaces import Interface, Surfaces
 
-CONTACT_RANGE = 0.1  # spacings: points that lie closer to the surface count as touching (contact chatters)
+CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
 HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
+FEWEST = 3  # bonds: fewer hold a point or a line, about which a particle turns
 
 
 @dataclass(frozen=True)
@@ -22,36 +27,86 @@ class HoldState:
     nodes: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]
 
 
+@dataclass(frozen=True)
+class HeldPlaces:
+    """Places (k,3) m that are bonded: strength (k,2) Pa and energy (k,2) J/m2, normal and shear; damage (k,)."""
+
+    points: np.ndarray
+    strength: np.ndarray
+    energy: np.ndarray
+    damage: np.ndarray
+
+    def near(self, points: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest place to each of the points (n,3): its index (n,), and whether it is no farther than `distance` m (n,)."""
+        if len(self.points) == 0:
+            return np.zeros(len(points), np.int64), np.zeros(len(points), bool)
+        away, index = cKDTree(self.points).query(points)
+        return index, away <= distance
+
+
 class Hold:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and places on facets of the target.
 
-    rows (n,): the points, ascending; nodes (k,): of the facets. The springs are at rest where they are made, under the
-    pressure of the contact there, which they leave alone: they carry the tension from then on, and give way by strength
-    and fracture energy as bonds between bodies do.
+    rows (n,): the points; nodes (k,): of the facets. The contact carries the pressure between them. A spring carries shear, and
+    tension from the moment at which the contact lets go: the opening is zero while the net normal traction of the point and
+    its neighbours is compressive. Springs give way by strength and fracture energy as bonds between bodies do.
     """
 
     def __init__(
         self, rows: np.ndarray, facets: np.ndarray, xp: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
-        **law: float,
+        strength: float | np.ndarray = np.inf, energy: float | np.ndarray = np.inf,
+        shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
     ):  # fmt: skip
-        """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; law: strengths
-        (Pa) and energies (J/m2) as `Bond` takes them, none to hold for ever. Raises SolverError as `Bond` does."""
+        """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; the others
+        as for `Bond`. Raises SolverError as it does."""
         self.rows, self.nodes = np.asarray(rows, np.int64), np.unique(facets).astype(np.int64)
         n = len(self.rows)
         local = n + np.searchsorted(self.nodes, facets)
         every = np.arange(n)
         surfaces = Surfaces(np.ascontiguousarray(local, np.int64), np.zeros(n, np.int64), every)
         where = Interface(every, every, np.full((n, 3), 1.0 / 3.0), np.zeros(n), area, np.zeros((0, 2), np.int64))
-        self.bond = Bond(where, surfaces, self._gather(xp, x), stiffness, **law)
+        self.bond = Bond(
+            where, surfaces, self._gather(xp, x), stiffness, strength, energy, shear_strength, shear_energy
+        )
+        self.bond.loose[:] = True
+        self._ring = np.zeros(n + 1, np.int64), np.zeros(0, np.int64)
 
     def _gather(self, xp: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.concatenate([xp[self.rows], x[self.nodes]])
 
-    def forces(self, xp: np.ndarray, x: np.ndarray, f_point: np.ndarray, f_node: np.ndarray) -> None:
-        """Add the forces of this instant to f_point (like xp) and f_node (like x), N; damage moves on."""
-        n = len(self.rows)
+    def joined(self, later: "Hold") -> "Hold":
+        """This hold and the springs of a later one, between other points and the same target."""
+        both = Hold.__new__(Hold)
+        both.rows, both.nodes = np.concatenate([self.rows, later.rows]), np.union1d(self.nodes, later.nodes)
+        first = 0
+        for hold in (self, later):
+            own, place = np.arange(len(hold.rows)) + first, np.searchsorted(both.nodes, hold.nodes)
+            hold.bond.renumber(np.concatenate([own, len(both.rows) + place]))
+            first += len(hold.rows)
+        both.bond = Bond.joined([self.bond, later.bond])
+        return both
+
+    def on(self, triangles: np.ndarray) -> "Hold":
+        """The hold itself, its points' neighbours taken from the triangles (m,3) of their surface."""
+        self._ring = rings(triangles, self.rows)
+        return self
+
+    def forces(
+        self,
+        xp: np.ndarray,
+        x: np.ndarray,
+        f_point: np.ndarray,
+        f_node: np.ndarray,
+        contact: PointContact | None = None,
+    ) -> None:
+        """Add the forces of this instant to f_point (like xp) and f_node (like x), N; damage moves on. contact: between the points
+        and the target, of this instant (default: there is none)."""
+        n, depth = len(self.rows), None
+        if contact is not None:
+            depth = np.zeros(n)
+            in_contact(self.rows, *self._ring, contact.depth, contact.gap, CONTACT_RANGE * contact.spacing, depth)
         f = np.zeros((n + len(self.nodes), 3))
-        self.bond.forces(self._gather(xp, x), f)
+        self.bond.forces(self._gather(xp, x), f, depth)
         f_point[self.rows] += f[:n]
         f_node[self.nodes] += f[n:]
 
@@ -69,13 +124,28 @@ class Hold:
 
     @property
     def area(self) -> tuple[float, float]:
-        """Area (m2) that was bonded, and that still is."""
-        return float(self.bond.area.sum()), float(self.bond.area[self.whole].sum())
+        """Area (m2) that was bonded, and that still is: of a damaged spring by the share of its fracture energy that is left."""
+        return float(self.bond.area.sum()), float(self.bond.area @ self.bond.soundness)
+
+    def places(self, xp: np.ndarray) -> "HeldPlaces":
+        """Where the springs hold, and their laws. xp as for `forces`."""
+        b, whole = self.bond, self.whole
+        return HeldPlaces(xp[self.rows[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
 
     @property
     def energy(self) -> float:
         """What the springs hold and have dissipated, J."""
         return self.bond.stored + self.bond.dissipated
+
+    @property
+    def resistance(self) -> float:
+        """Energy (J) that the springs together can still take up before they part; 0 where fewer than FEWEST hold."""
+        return float(self.bond.resistance.sum()) if np.count_nonzero(self.whole) >= FEWEST else 0.0
+
+    def heat(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Heat of fracture since the last call: (rows (n,) of the surface, nodes (n,3) of the target, J (n,))."""
+        n = len(self.rows)
+        return self.rows, self.nodes[self.bond.triangles - n], self.bond.heat()
 
     def state(self) -> HoldState:
         """Everything there is to keep."""
@@ -88,4 +158,5 @@ class Hold:
         hold = cls.__new__(cls)
         hold.rows, hold.nodes = state.rows.copy(), state.nodes.copy()
         hold.bond = Bond.from_state(state.bond)
+        hold._ring = np.zeros(len(hold.rows) + 1, np.int64), np.zeros(0, np.int64)
         return hold

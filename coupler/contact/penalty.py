@@ -73,7 +73,9 @@ class PointContact:
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
         self._searched = self._corners.copy()
         self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
-        self._nearest, self._foot, self._gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
+        #: Signed distance of the points `rows` from the facets, m.
+        self.gap: np.ndarray
+        self._nearest, self._foot, self.gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
         self._capacity = 64 * points
         self._margin, self._jump = np.inf, jump * spacing
 
@@ -130,7 +132,7 @@ class PointContact:
         self._searched[: len(self._ids)] = self._corners[: len(self._ids)]
         self._look(xp, rows)
         # a tenth of a spacing for what the surfaces gain in speed
-        close = (self._nearest[rows] >= 0) & (self._gap[rows] < travel + 0.1 * self.spacing)
+        close = (self._nearest[rows] >= 0) & (self.gap[rows] < travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
         touched = self.depth[self.rows]
         self.depth[:] = 0.0
@@ -143,7 +145,7 @@ class PointContact:
         """
         if within > 0.0:
             rows = self.rows[self.rows < first]
-            rows = rows[self._gap[rows] < within]
+            rows = rows[self.gap[rows] < within]
         else:
             rows = np.flatnonzero(self.depth[:first] > 0.0)
         rows = rows[self._nearest[rows] >= 0]
@@ -155,12 +157,12 @@ class PointContact:
         shift = k.moved(self._corners[:count], self._searched[:count])
         rows = k.due(rows, xp, self._seen, self._room, shift)
         k.closest_facets(
-            xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self._gap
+            xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self.gap
         )  # fmt: skip
         # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
         deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
-        self._nearest[rows[self._gap[rows] < -deepest]] = -1
-        k.note(rows, xp, self._gap, shift, self._seen, self._room)
+        self._nearest[rows[self.gap[rows] < -deepest]] = -1
+        k.note(rows, xp, self.gap, shift, self._seen, self._room)
 
     def forces(
         self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats
@@ -173,7 +175,7 @@ class PointContact:
         self._look(xp, self.rows)
         k.contact_forces(
             dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
-            self._boxes, self._ids, self._nearest, self._foot, self._gap, self.facets, x, v, f_point, f_node,
+            self._boxes, self._ids, self._nearest, self._foot, self.gap, self.facets, x, v, f_point, f_node,
             self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
         self.friction_heat += float(self.sums[2])

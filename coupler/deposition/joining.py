@@ -74,8 +74,8 @@ def join(
         for b in splat.bodies
     ]  # fmt: skip
     report["meshing_s"] = clock.perf_counter() - started
-    where = hold_places(domains, hold) if plan.adhesion.in_impact else None
-    new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, where)
+    held = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
+    new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, held)
     report |= {
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
@@ -123,11 +123,6 @@ def _ready(
 def release_time(plan: Plan) -> float:
     """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
     return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
-
-
-def hold_places(domains: Domains, hold: Hold | None) -> np.ndarray:
-    """Where the particle is still held, (k,3) m: its new body is bonded there and nowhere else."""
-    return domains.surface.contacts(domains.particle.x)[hold.rows[hold.whole]] if hold is not None else np.zeros((0, 3))
 
 
 def _paused(

@@ -379,6 +379,15 @@ class Target:
             0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y
         )
 
+    def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:
+        """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""
+        conn = self.mesh.conn
+        around = np.bincount(conn.ravel(), minlength=len(self.x))
+        of_node = np.bincount(nodes.ravel(), heat.ravel(), len(self.x)) / np.maximum(around, 1)
+        of_element = of_node[conn].sum(axis=1)
+        elements = np.flatnonzero(of_element)
+        self.warm(elements, of_element[elements])
+
     def stress(self) -> np.ndarray:
         """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""
         sigma = self.s.copy()

@@ -33,6 +33,18 @@ def vertex_areas(points: NDArray, triangles: NDArray) -> NDArray:
     return np.bincount(triangles.ravel(), np.repeat(third, 3), len(points))
 
 
+def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
+    """The neighbours of some points (k,) of a triangulation: (start (k+1,), neighbours), of point i from start[i] to start[i+1]."""
+    a, b = np.concatenate([triangles, triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]])[:, :2].T
+    pairs = np.unique(np.concatenate([np.stack([a, b], axis=1), np.stack([b, a], axis=1)]), axis=0)
+    order = np.argsort(points, kind="stable")
+    place = np.searchsorted(points, pairs[:, 0], sorter=order)
+    own = order[np.minimum(place, len(points) - 1)]
+    pairs, own = pairs[points[own] == pairs[:, 0]], own[points[own] == pairs[:, 0]]
+    start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=len(points)))])
+    return start, pairs[np.argsort(own, kind="stable"), 1].astype(np.int64)
+
+
 def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
     """Volume inside a closed surface with outward normals; negative where they point inwards (divergence theorem)."""
     a, b, c = (points[triangles[:, i]] for i in range(3))

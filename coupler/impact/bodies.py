@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
+from ..contact.hold import HeldPlaces
 from ..contact.surfaces import Interface, Surfaces, interface
 from ..errors import CheckpointError, SolverError
 from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
@@ -76,7 +76,12 @@ class Bodies:
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
     def search(self, travel: float) -> None:
-        """Find what can touch before surfaces have moved `travel` m; give the heat of friction to the elements."""
+        """Find what can touch before surfaces have moved `travel` m; give the heat of friction and fracture to the elements."""
+        if self.bond is not None:
+            heat = 0.5 * self.bond.heat()  # of each side
+            if heat.any():
+                self.target.warm_around(self.bond.nodes, heat)
+                self.target.warm_around(self.bond.triangles, np.repeat(heat / 3.0, 3))
         if self.contact is not None:
             self.target.warm(*self.contact.heat())
             self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes)
@@ -147,11 +152,11 @@ class Bodies:
         size: float,
         origin: tuple[float, float, float],
         ratio: float | None,
-        where: np.ndarray | None = None,
+        held: HeldPlaces | None = None,
     ) -> "Bodies":
         """These bodies and finished splats, bonded where `adhesion` says, numbered outwards from origin (m). size: of elements, m;
-        ratio: velocity of the impact over the critical one; where (k,3) m: the places at which the impact has left it bonded, in
-        place of the criterion.
+        ratio: velocity of the impact over the critical one; held: the places at which the impact has left it bonded, with their
+        laws and damage, where bonds act in the impact (`Adhesion.in_impact`).
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
         equilibrium: see `relaxation.settle`. Raises SolverError when a splat cannot be put in place.
@@ -170,13 +175,16 @@ class Bodies:
         for body in range(self.count, new.count):
             contact_pairs = interface(surfaces, x, body, NEAR * size)
             buried.append(_covered(contact_pairs, surfaces, x, body, NEAR * size))
-            chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio)
-            if where is not None:
-                chosen = _near(x[contact_pairs.nodes], where, size)
-            if chosen.any():
-                K = float(new.target.laws["K"].min())
-                stiffness = penalty(K, surfaces.spacing(x, body))
-                bonds.append(Bond(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
+            stiffness = penalty(float(new.target.laws["K"].min()), surfaces.spacing(x, body))
+            if not adhesion.in_impact:
+                chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio) & (contact_pairs.area > 0.0)
+                if chosen.any():
+                    bonds.append(Bond(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
+            elif held is not None:
+                place, chosen = held.near(x[contact_pairs.nodes], size)
+                chosen &= contact_pairs.area > 0.0
+                if chosen.any():
+                    bonds.append(_taken_over(held, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         new.placed = x.copy()
@@ -313,11 +321,14 @@ def _bonded(
     return adhesion.bonded(n, strain, pressure, ratio)
 
 
-def _near(points: np.ndarray, places: np.ndarray, distance: float) -> np.ndarray:
-    """Mask (n,) of points (n,3) m no farther than `distance` m from one of the places (k,3) m."""
-    if len(places) == 0:
-        return np.zeros(len(points), bool)
-    return cKDTree(places).query(points)[0] <= distance
+def _taken_over(
+    held: HeldPlaces, place: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
+) -> Bond:
+    """Bonds of an interface (n rows) with the laws and the damage of the places (n,)."""
+    strength, energy = held.strength[place], held.energy[place]
+    bond = Bond(where, surfaces, x, stiffness, strength[:, 0], energy[:, 0], strength[:, 1], energy[:, 1])
+    bond.damage[:] = held.damage[place]
+    return bond
 
 
 def _covered(contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:

@@ -14,8 +14,8 @@ HELD_TIME = 0.5  # ... for this part of D / v, about a period
 @dataclass(frozen=True)
 class EndState:
     """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
-    contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded or moved faster than
-    HELD_STILL of its impact speed."""
+    contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
+    HELD_STILL of its impact speed with energy that its bonds may not stop."""
 
     peak: float = 0.0
     turned: float | None = None
@@ -37,14 +37,14 @@ class EndCriterion:
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self._state = EndState()
 
-    def observe(self, time: float, sinking: float, force: float, held: bool = False) -> None:
+    def observe(self, time: float, sinking: float, force: float, held: bool = False, secure: bool = False) -> None:
         """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; held:
-        whether the particle is bonded."""
+        whether the particle is bonded; secure: whether its bonds can take up far more energy than there is left to part them."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
             s = replace(s, turned=time)
-        if not held or abs(sinking) > self.held_slow:
+        if not held or (abs(sinking) > self.held_slow and not secure):
             s = replace(s, fast=time)
         self._state = replace(s, loud=time) if abs(force) > QUIET_FORCE * s.peak else s
 

@@ -25,6 +25,7 @@ from .ledger import Ledger, LedgerState
 WINDOW = (
     10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
 )
+SECURE = 4.0  # times the energy left to part them that bonds can take up when a particle counts as held
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,20 @@ class Impact:
     def sinking(self) -> float:
         """Downward speed of the particle's centre of mass, m/s."""
         return -float(self.particle.momentum()[2] / self.particle.mass.sum())
+
+    @property
+    def held(self) -> tuple[bool, bool]:
+        """Whether bonds hold the particle, and whether they can take up SECURE times the energy there is left to part them: that of
+        the centre of mass normal to the surface, and that stored in the bonds."""
+        if self.hold is None:
+            return False, False
+        resistance, left = self.hold.resistance, self.normal_energy + self.hold.bond.stored
+        return resistance > 0.0, resistance > SECURE * left
+
+    @property
+    def normal_energy(self) -> float:
+        """Kinetic energy (J) of the particle's centre of mass normal to the surface."""
+        return 0.5 * float(self.particle.mass.sum()) * self.sinking**2
 
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
@@ -141,7 +156,7 @@ class Impact:
         s.contacts(p.v, rows, self._v)
         self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
         if self.hold is not None:
-            self.hold.forces(self._x, t.x, self._forces, t.f_ext)
+            self.hold.forces(self._x, t.x, self._forces, t.f_ext, self.contact)
         s.spread(self._forces, rows, p.f_ext)
         t.finish()
         self._left -= 1
@@ -149,18 +164,25 @@ class Impact:
         self._ahead = self._second.submit(lambda: self._advance_bodies(dt)) if self._second and self._left else None
 
     def conduct_heat(self, time: float) -> None:
-        """Let heat flow for `time` s and turn the heat of friction into temperature, of points and of elements behind facets."""
+        """Let heat flow for `time` s and turn the heat of friction and fracture into temperature, of points and of elements behind
+        facets."""
         self.paths.flow(time, self.particle, self.target, self.surface, self.contact)
         self.paths.release_friction(self.particle, self.target, self.surface, self.contact)
+        if self.hold is not None:
+            self.paths.release_fracture(self.particle, self.target, self.surface, self.contact.share, self.hold)
 
     def bond(self, adhesion: Adhesion, velocity_ratio: float | None) -> None:
-        """Hold the particle where its surface touches at this instant and the criterion is met.
+        """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
         Of both sides the larger strain counts. velocity_ratio: of the impact to the critical velocity. Raises SolverError where
         strength and energy make no bond.
         """
         p, t, s = self.particle, self.target, self.surface
         rows, facets = self.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
+        new = self._pressed(rows)
+        if self.hold is not None:
+            new &= ~np.isin(rows, self.hold.rows)
+        rows, facets = rows[new], facets[new]
         if len(rows) == 0:
             return
         strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
@@ -170,7 +192,15 @@ class Impact:
         chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
         if chosen.any():
             rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
-            self.hold = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **adhesion.law())
+            later = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **adhesion.law())
+            self.hold = (later if self.hold is None else self.hold.joined(later)).on(s.triangles)
+
+    def _pressed(self, rows: np.ndarray) -> np.ndarray:
+        """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does."""
+        pressing = self.contact.depth[: self.surface.weights.shape[0]] > 0.0
+        beside = np.zeros(len(pressing), bool)
+        beside[self.surface.triangles[pressing[self.surface.triangles].any(axis=1)]] = True
+        return beside[rows] | pressing[rows]
 
     def update_ledger(self) -> dict[str, float]:
         """Energies of this instant (`Ledger.update`)."""
@@ -192,4 +222,4 @@ class Impact:
         self.hold = None
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
-            self.hold = Hold.from_state(state.hold)
+            self.hold = Hold.from_state(state.hold).on(self.surface.triangles)

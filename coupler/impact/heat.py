@@ -4,6 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..contact.hold import Hold
 from ..contact.penalty import PointContact
 from ..fe.explicit import Target
 from ..geometry.triangles import areas, vertex_areas
@@ -27,8 +28,8 @@ class Particle(Protocol):
 
 
 class HeatPaths:
-    """The heat paths that are open. friction: its heat warms what has rubbed; points: conduction in the particle, or None;
-    interface: heat crosses the contact, which is perfect."""
+    """The heat paths that are open. friction: its heat, and that of fracture, warms what has rubbed or torn; points: conduction in the
+    particle, or None; interface: heat crosses the contact, which is perfect."""
 
     def __init__(self, friction: bool = True, points: PointConduction | None = None, interface: bool = False):
         self.friction, self.points, self.interface = friction, points, interface
@@ -60,6 +61,20 @@ class HeatPaths:
         if len(facets):
             target.warm(target.mesh.facet_element[contact.facet_ids[facets]], contact.heat_facet[facets])
             contact.heat_facet[facets] = 0.0
+
+    def release_fracture(
+        self, particle: Particle, target: Target, surface: CarriedSurface, share: float, hold: Hold
+    ) -> None:
+        """Turn the heat of torn bonds since the last call into temperature, `share` of it on the particle's side."""
+        if not self.friction:
+            return
+        rows, nodes, heat = hold.heat()
+        if not heat.any():
+            return
+        into = np.zeros(surface.touching.shape[0])
+        into[rows] = share * heat
+        particle.warm(surface.spread_heat(into))
+        target.warm_around(nodes, np.repeat((1.0 - share) / 3.0 * heat, 3))
 
     def crossing(
         self, time: float, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact

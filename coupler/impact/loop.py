@@ -25,10 +25,11 @@ def advance_to_end(
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
-        ending.observe(impact.time, impact.sinking, float(impact.force[2]), impact.hold is not None)
-        if ending.turned is not None and recorder.greatest is None:
+        ending.observe(impact.time, impact.sinking, float(impact.force[2]), *impact.held)
+        if ending.turned is not None:
             bond(impact, recorder.plan, recorder.i)
-            recorder.record_greatest(impact)
+            if recorder.greatest is None:
+                recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))
         if probe is not None:
             probe(impact)
@@ -49,6 +50,6 @@ def advance_window(impact: Impact, end_time: float | None = None) -> float:
 
 
 def bond(impact: Impact, plan: Plan, i: int) -> None:
-    """At the greatest deformation: bond the particle where the plan's criterion is met."""
+    """From the greatest deformation on: bond the particle where it presses and the plan's criterion is met."""
     if plan.adhesion.in_impact:
         impact.bond(plan.adhesion, plan.impacts[i].velocity_ratio)
