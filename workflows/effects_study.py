@@ -264,7 +264,7 @@ def thresholds_part(rows: list[Row]) -> list[str]:
         most = max(near, key=lambda row: worst_change(row) / float(row["number"]))
         allowed = largest_threshold(effect) or 0.0
         case = [most["scene"], most["number"], f"{worst_change(most):.2f}"]
-        lines.append([effect, f"{THRESHOLDS[effect][1]:g}", f"{allowed:.2g}", *case])
+        lines.append([effect, f"{THRESHOLDS[effect].threshold:g}", f"{allowed:.2g}", *case])
     head = [
         "effect",
         "threshold",

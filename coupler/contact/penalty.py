@@ -11,7 +11,6 @@ from ..state.records import Shape, assign, collect
 from . import broad
 from . import kernels as k
 
-CONTACT_STIFFNESS = 1.0  # K a / h
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
@@ -46,7 +45,7 @@ class PointContact:
         bulk_modulus: float,
         friction: float,
         share: float = 0.5,
-        factor: float = CONTACT_STIFFNESS,
+        factor: float = 1.0,
         facet_ids: np.ndarray | None = None,
         jump: float = np.inf,
     ):

@@ -21,10 +21,9 @@ from ..fe.patch import Patch, Renewal, patch_of, renewed
 from ..fe.state import ElementState, NodeState
 from ..files.summary import Values
 from ..geometry.mesher import fill_apart
-from ..geometry.tetrahedra import volumes
+from ..geometry.tetrahedra import TETS_PER_H3, volumes
 from ..impact import measure as measures
 from ..impact.bodies import NEAR, Bodies, bodies_of
-from ..plan import cost as estimates
 from ..splat import quality
 from ..splat.meshing import MIN_GAMMA
 from ..splat.renew import renewed_surface
@@ -171,7 +170,7 @@ def _remesh_patch(
     report: Values = {"done": False, "place_m": centre[seed].tolist(), "failed": []}
     best: _NewPatch | None = None
     for reach, factor in TRIES:
-        edge = (estimates.TETS_PER_H3 * mesh.V0[seed]) ** (1.0 / 3.0)
+        edge = (TETS_PER_H3 * mesh.V0[seed]) ** (1.0 / 3.0)
         worn = same & (bad | (domain.elements.eps_p > STRAINED))
         near = cKDTree(centre[worn]).query(centre)[0] < reach * edge
         patch = patch_of(mesh, near & same, allowed & same, seed)
@@ -195,7 +194,7 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
     """A patch made new with edges of `factor` times the old ones'. Raises SplatError or SolverError where it cannot be."""
     mesh, x = domain.mesh, domain.nodes.x
     own = mesh.conn[patch.elements]
-    edge = factor * float(estimates.TETS_PER_H3 * np.median(mesh.V0[patch.elements])) ** (1.0 / 3.0)
+    edge = factor * float(TETS_PER_H3 * np.median(mesh.V0[patch.elements])) ** (1.0 / 3.0)
     skin, triangles, moved = renewed_surface(x[patch.nodes], patch.triangles, patch.cut, patch.free, edge)
     points, tets = fill_apart([(skin, triangles)], edge, graded=True)
     points, tets = _seamed(points, tets, x[patch.nodes[: patch.cut]], SEAM * edge)

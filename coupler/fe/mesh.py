@@ -10,11 +10,9 @@ from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
 from ..errors import SolverError
 from ..geometry import mesher
-from ..geometry.tetrahedra import oriented, volumes
+from ..geometry.tetrahedra import COARSEST, oriented, volumes
 from ..geometry.triangles import area_vectors
 from ..state.records import Shape
-
-COARSEST = 1 / 6  # largest element over the smaller dimension of a cylinder, unless said
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
+TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 #: Faces of a tetrahedron of positive volume, normals outwards; face i lies opposite corner i.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 

@@ -93,29 +93,29 @@ def _share(row: Mapping[str, str], points: float) -> tuple[float, str]:
 def of_measures(kind: Kind) -> tuple[Band, ...]:
     """The bands of all measures that have one."""
     measures = dict.fromkeys(row["measure"] for row in _rows())
-    return tuple(found for measure in measures if (found := band(measure, kind)) is not None)
+    return tuple(b for measure in measures if (b := band(measure, kind)) is not None)
 
 
 def half_widths(
     bands: Sequence[Band], values: Mapping[str, float | None], T_0: float
 ) -> dict[str, dict[str, float | str]]:
     """Measure -> half_width in its own unit, and why. values: the measures; T_0: K, the particle's before the impact."""
-    found: dict[str, dict[str, float | str]] = {}
+    widths: dict[str, dict[str, float | str]] = {}
     for each in bands:
         value = values.get(each.measure)
         whole = abs(value - record(each.measure).initial(T_0)) if value is not None else 0.0
         if whole > 0.0:
-            found[each.measure] = {"half_width": each.share * whole, "why": each.why}
-    return found
+            widths[each.measure] = {"half_width": each.share * whole, "why": each.why}
+    return widths
 
 
 def worst(kind: Kind, measures: tuple[str, ...] = SHAPE) -> tuple[str, float]:
     """The measure with the widest band, and its share. Raises AccuracyError if there is no table."""
-    found = {m: got.share for m in measures if (got := band(m, kind)) is not None}
-    if not found:
-        raise AccuracyError("coupler/plan/bands.csv knows none of the measures: make it again with `make accuracy`")
-    name = max(found, key=lambda m: found[m])
-    return name, found[name]
+    shares = {m: b.share for m in measures if (b := band(m, kind)) is not None}
+    if not shares:
+        raise AccuracyError("coupler/plan/bands.csv has none of the measures: make it again with `make accuracy`")
+    name = max(shares, key=lambda m: shares[m])
+    return name, shares[name]
 
 
 def points_for(share: float, kind: Kind) -> int:

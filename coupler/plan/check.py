@@ -106,11 +106,11 @@ def _room(d: Derived) -> Iterator[Problem]:
                 f" {units.rounded(drift, 'um')} over the gap and lands {units.rounded(landing, 'um')} off the axis, over the"
                 f" target's edge; at most {units.rounded(max(room, 0.0), 'um')}: take a smaller gap or a wider target",
             )
-        flight, said = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
-        if said is not None and flight >= said:
+        flight, limit = gap / (particle.velocity * math.cos(particle.angle)), scene.end.time
+        if limit is not None and flight >= limit:
             yield (
                 (f"{where}.gap", f"{where}.velocity", f"{where}.angle", "end.time"),
-                f"end.time = {text_of(said, 'ns')}: shorter than the flight over the gap of {units.rounded(gap, 'um')}, which takes"
+                f"end.time = {text_of(limit, 'ns')}: shorter than the flight over the gap of {units.rounded(gap, 'um')}, which takes"
                 f" {units.rounded(flight, 'ns')}: {where} would not touch the target",
             )
 

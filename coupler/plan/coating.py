@@ -11,26 +11,26 @@ from ..scene.tables import Coating, read_table
 _STAND_IN = {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}  # while the table itself is at fault
 _CANDIDATES = 20  # places of which an "even" layer takes the one farthest from those it has
 _CUT = 2.0  # standard deviations of the velocity
-_BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not said
+_BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not given
 
 
-def expand(given: dict[str, object]) -> list[str]:
+def expand(raw: dict[str, object]) -> list[str]:
     """Put the particles of a table [coating] into a scene that has none of its own. Returns the problems that only both have.
 
-    given: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
-    are. The table's own problems are found by the scene's check; until then a particle stands in for those it would make.
+    raw: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
+    are. The table's own problems are reported by the scene's check; until then a particle stands in for those it would make.
     """
-    table, _ = read_table(Coating, given["coating"])
+    table, _ = read_table(Coating, raw["coating"])
     if table is None:
-        given.setdefault("particle", [dict(_STAND_IN)])
+        raw.setdefault("particle", [dict(_STAND_IN)])
         return []
-    there = given.get("particle")
+    there = raw.get("particle")
     if there is None:
         problems = []
-        if table.velocity is None and "gas" not in given:
+        if table.velocity is None and "gas" not in raw:
             problems = ['coating.velocity: missing; add for example velocity = "600 m/s", or a table [gas]']
         stand_in: dict[str, str | list[str]] = {"velocity": _STAND_IN["velocity"]} if problems else {}
-        given["particle"] = [stand_in | particle for particle in particles(table)]
+        raw["particle"] = [stand_in | particle for particle in particles(table)]
         return problems
     if not isinstance(there, list) or len(there) != table.number:
         return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
@@ -45,7 +45,7 @@ def particles(table: Coating) -> list[dict[str, str | list[str]]]:
     """
     dice = random.Random(table.seed)
     places: list[tuple[float, float]] = []
-    found = []
+    drawn = []
     for i in range(table.number):
         if i % (table.number // table.layers) == 0:
             places = []  # of this layer
@@ -54,20 +54,20 @@ def particles(table: Coating) -> list[dict[str, str | list[str]]]:
         diameter = _diameter(table, dice.random())
         off = _cut_normal(dice.random())
         shape, tilt = _shape(table, dice.random()), 180.0 * dice.random() - 90.0
-        one: dict[str, str | list[str]] = {
+        particle: dict[str, str | list[str]] = {
             "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
             "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
         }  # fmt: skip
         if shape != "sphere":
-            one["tilt"] = f"{tilt:.1f} deg"
+            particle["tilt"] = f"{tilt:.1f} deg"
         if table.velocity is not None:
-            one["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
+            particle["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
         if table.temperature is not None:
-            one["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
+            particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
         if table.dwell:
-            one["dwell"] = units.show(table.dwell, "us")
-        found.append(one)
-    return found
+            particle["dwell"] = units.show(table.dwell, "us")
+        drawn.append(particle)
+    return drawn
 
 
 def by_size(pairs: tuple[tuple[float, float], ...], diameter: float) -> float:

@@ -1,14 +1,13 @@
 """Size and cost of a run from a handful of numbers, before anything is built: the constants to tune."""
 
-from __future__ import annotations
-
 import math
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from ..physics.materials import Material
+import numpy as np
+
+from ..geometry.tetrahedra import COARSEST, TETS_PER_H3
+from ..physics.materials import Material
 
 # preset -> points of the particle
 PRESETS = {"draft": 1000, "standard": 5000, "fine": 16000}
@@ -16,9 +15,7 @@ LEAST_POINTS = 200
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
 ELEMENT_SIZE_OVER_SPACING = 1.7
-COARSEST = 1 / 6  # largest element over the target's smaller dimension
 REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
-TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 
 WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
 MANY = 10  # particles from which on that is done
@@ -72,12 +69,9 @@ def elements(diameter: float, height: float, element_size: float, refined_radius
     growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
     """
     outer = (3 / 8 * diameter**2 * height) ** (1 / 3)
-    shells, total = 400, 0.0
-    for i in range(shells):
-        r = (i + 0.5) / shells * outer
-        h = min(element_size + growth * max(0.0, r - refined_radius), COARSEST * min(diameter, height))
-        total += TETS_PER_H3 * 2 * math.pi * r**2 * (outer / shells) / h**3
-    return round(total)
+    r, dr = np.linspace(0.0, outer, 401)[:-1] + outer / 800, outer / 400
+    h = np.minimum(element_size + growth * np.maximum(0.0, r - refined_radius), COARSEST * min(diameter, height))
+    return round(float(np.sum(TETS_PER_H3 * 2 * math.pi * r**2 * dr / h**3)))
 
 
 def splat_elements(volume: float, element_size: float) -> int:
@@ -164,7 +158,7 @@ def point_time(steps: float, points: float, engine: str = "compiled") -> float:
     return steps * SECONDS_PER_POINT[engine] * points
 
 
-def home_load(points: float, n_elements: float, engine: str = "compiled") -> float:
+def target_load(points: float, n_elements: float, engine: str = "compiled") -> float:
     """Cost of what the rank of the target does in a step, target and contact, over the cost of the particle."""
     own = SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points
     return own / (SECONDS_PER_POINT[engine] * points)

@@ -94,9 +94,9 @@ class Derived:
     @cached_property
     def adhesion_law(self) -> Adhesion:
         """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
-        said = self.scene.adhesion.model_dump()
-        said["kind"] = said["kind"] or ("tied" if len(self.scene.particles) > 1 else "none")
-        return Adhesion(**said)
+        law = self.scene.adhesion.model_dump()
+        law["kind"] = law["kind"] or ("tied" if len(self.scene.particles) > 1 else "none")
+        return Adhesion(**law)
 
     def gap_of(self, particle: Particle) -> float:
         """Distance of a particle's lowest point from what lies under it at the start, m; half a spacing by default."""

@@ -6,48 +6,55 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 from ..physics.materials import Material
-from ..scene.effects import WHOLE
+from ..scene.effects import WHOLE, Switches
 
-# effect -> (the number that decides, its threshold); on when the number is above. What the study's rows allow (`largest_threshold`,
-# docs/evidence/effects.md), rounded down to one digit.
-THRESHOLDS: dict[str, tuple[str, float]] = {
-    "thermal_softening": ("heating or preheat / (T_m - T)", 0.006),
-    "rate_hardening": ("C ln(v/D / eps_dot_0)", 0.0005),
-    "plastic_heating": ("Taylor-Quinney coefficient", 0.0),
-    "temperature_dependent_cp": ("relative change of cp", 0.007),
-    "temperature_dependent_k": ("change of k x diffusion length / size", 0.04),
-    "friction": ("friction coefficient", 0.0),
-    "friction_heat": ("friction x heating / (T_m - T)", 0.009),
-    "mie_gruneisen": ("v / c0", 0.02),
-    "thermal_expansion": ("Gamma0 rho cp heating / K", 0.005),
-    "adhesion": ("splats that the scene bonds", 0.0),
-    "absorbing_boundaries": ("time / wave's way to the side and back", 1.0),
-    "conduction": ("sqrt(alpha time) / size x warming", 0.04),
-    "particle_conduction": ("sqrt(alpha time) / spacing", 0.007),
-    "interface_conduction": ("sqrt(alpha time) / size, both", 0.07),
-    "cooling": ("sqrt(alpha dwell) / diameter", 0.05),
-}
+
+class Criterion(NamedTuple):
+    """What decides about an effect: on when the number is above its threshold. why_on, why_off: the reason in words."""
+
+    number: str
+    threshold: float
+    why_on: str
+    why_off: str
+
+
+# The thresholds are what the study's rows allow (`largest_threshold`, docs/evidence/effects.md), rounded down to one digit.
+THRESHOLDS = {
+    "thermal_softening": Criterion("heating or preheat / (T_m - T)", 0.006,
+        "the metal gets warm enough to lose strength", "heating is too small to matter"),
+    "rate_hardening": Criterion("C ln(v/D / eps_dot_0)", 0.0005,
+        "the strain rate raises the flow stress", "the flow stress does not depend on the rate"),
+    "plastic_heating": Criterion("Taylor-Quinney coefficient", 0.0,
+        "temperature is a result", "no plastic work becomes heat"),
+    "temperature_dependent_cp": Criterion("relative change of cp", 0.007,
+        "heating changes cp", "cp stays nearly constant"),
+    "temperature_dependent_k": Criterion("change of k x diffusion length / size", 0.04,
+        "k changes where heat flows", "k stays, or conducts little"),
+    "friction": Criterion("friction coefficient", 0.0,
+        "the coefficient is above zero", "the coefficient is zero"),
+    "friction_heat": Criterion("friction x heating / (T_m - T)", 0.009,
+        "rubbing warms the surfaces", "what rubbing could heat is too little"),
+    "mie_gruneisen": Criterion("v / c0", 0.02,
+        "pressures are in the shock range", "compression is small: linear is enough"),
+    "thermal_expansion": Criterion("Gamma0 rho cp heating / K", 0.005,
+        "heat raises the pressure", "heat hardly raises the pressure"),
+    "adhesion": Criterion("splats that the scene bonds", 0.0,
+        "splats stick to what they lie on", "there is nothing that the scene bonds"),
+    "absorbing_boundaries": Criterion("time / wave's way to the side and back", 1.0,
+        "waves would come back from the sides", "no wave comes back in time"),
+    "conduction": Criterion("sqrt(alpha time) / size x warming", 0.04,
+        "heat crosses elements of the target", "in the target heat stays in its element"),
+    "particle_conduction": Criterion("sqrt(alpha time) / spacing", 0.007,
+        "heat goes from point to point", "in the particle heat stays where it arises"),
+    "interface_conduction": Criterion("sqrt(alpha time) / size, both", 0.07,
+        "heat crosses the contact", "there is no time to cross the contact"),
+    "cooling": Criterion("sqrt(alpha dwell) / diameter", 0.05,
+        "heat leaves the splat between impacts", "no pause, or too short a one"),
+}  # fmt: skip
 LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most, as the study's rows have it
-
-_WHY = {  # (why on, why off)
-    "thermal_softening": ("the metal gets warm enough to lose strength", "heating is too small to matter"),
-    "rate_hardening": ("the strain rate raises the flow stress", "the flow stress does not depend on the rate"),
-    "plastic_heating": ("temperature is a result", "no plastic work becomes heat"),
-    "temperature_dependent_cp": ("heating changes cp", "cp stays nearly constant"),
-    "temperature_dependent_k": ("k changes where heat flows", "k stays, or conducts little"),
-    "friction": ("the coefficient is above zero", "the coefficient is zero"),
-    "friction_heat": ("rubbing warms the surfaces", "what rubbing could heat is too little"),
-    "mie_gruneisen": ("pressures are in the shock range", "compression is small: linear is enough"),
-    "thermal_expansion": ("heat raises the pressure", "heat hardly raises the pressure"),
-    "adhesion": ("splats stick to what they lie on", "there is nothing that the scene bonds"),
-    "particle_conduction": ("heat goes from point to point", "in the particle heat stays where it arises"),
-    "interface_conduction": ("heat crosses the contact", "there is no time to cross the contact"),
-    "cooling": ("heat leaves the splat between impacts", "no pause, or too short a one"),
-    "absorbing_boundaries": ("waves would come back from the sides", "no wave comes back in time"),
-    "conduction": ("heat crosses elements of the target", "in the target heat stays in its element"),
-}
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ class Situation:
     """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
 
     end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
-    of this impact alone (default: the same); dwell: the pause after it; bonded: whether its splat is to be.
+    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be.
     """
 
     materials: tuple[Material, Material]
@@ -65,16 +72,16 @@ class Situation:
     friction: float
     side_distance: float  # from the impact to the nearest absorbing face; infinite without any
     end_time: float
-    element_size: float = math.inf  # of the target, the smallest
-    spacing: float = math.inf
-    duration: float | None = None
-    dwell: float = 0.0
-    bonded: bool = False
+    element_size: float  # of the target, the smallest
+    spacing: float
+    duration: float
+    dwell: float
+    bonded: bool
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One row: the number that decides, its value and threshold, the decision, why, and who made it."""
+    """One row: the number that decides, its value and threshold, the decision, and the reason."""
 
     name: str
     number: str
@@ -82,28 +89,12 @@ class Effect:
     threshold: float
     on: bool
     why: str
-    forced_by_user: bool
 
 
 @dataclass(frozen=True)
-class Effects:
-    """The effects of a run: a field for each, True where it takes part; and a row for each, with the reason."""
+class Effects(Switches):
+    """The effects of a run, and a row for each, with the reason."""
 
-    thermal_softening: bool
-    rate_hardening: bool
-    plastic_heating: bool
-    temperature_dependent_cp: bool
-    temperature_dependent_k: bool
-    friction: bool
-    friction_heat: bool
-    mie_gruneisen: bool
-    thermal_expansion: bool
-    adhesion: bool
-    absorbing_boundaries: bool
-    conduction: bool
-    particle_conduction: bool
-    interface_conduction: bool
-    cooling: bool
     rows: tuple[Effect, ...]
 
     @property
@@ -125,16 +116,17 @@ def decide(request: str | Sequence[str], *situations: Situation) -> Effects:
     a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
     one of signed names only changes "auto".
     """
-    base, said = _read(request)
+    base, requested = _read(request)
+    values = [numbers(situation) for situation in situations]
     rows = []
-    found = [numbers(situation) for situation in situations]
-    for name, (number, threshold) in THRESHOLDS.items():
-        value = max(each[name] for each in found)
-        wanted = value > threshold
-        forced = name in said or base != "auto"
-        on = said.get(name, wanted if base == "auto" else base == "all")
-        why = "as the scene says" if forced else _WHY[name][0 if on else 1]
-        rows.append(Effect(name, number, value, threshold, on, why, forced))
+    for name, criterion in THRESHOLDS.items():
+        value = max(each[name] for each in values)
+        above = value > criterion.threshold
+        on = requested.get(name, above if base == "auto" else base == "all")
+        why = criterion.why_on if on else criterion.why_off
+        if name in requested or base != "auto":
+            why = "as the scene says"
+        rows.append(Effect(name, criterion.number, value, criterion.threshold, on, why))
     return Effects(rows=tuple(rows), **{row.name: row.on for row in rows})
 
 
@@ -143,10 +135,9 @@ def numbers(situation: Situation) -> dict[str, float]:
     bodies = list(zip(situation.materials, situation.temperatures, strict=True))
     v, rate = situation.velocity, situation.velocity / situation.diameter
     wave = situation.materials[1].wave_speed
-    duration = situation.end_time if situation.duration is None else situation.duration
     in_target = math.sqrt(diffusivity(*bodies[1]) * situation.end_time) / situation.element_size
-    in_particle = math.sqrt(diffusivity(*bodies[0]) * duration) / situation.spacing
-    across = math.sqrt(diffusivity(*bodies[1]) * duration) / situation.element_size
+    in_particle = math.sqrt(diffusivity(*bodies[0]) * situation.duration) / situation.spacing
+    across = math.sqrt(diffusivity(*bodies[1]) * situation.duration) / situation.element_size
     warm = max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies)
     k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
@@ -168,22 +159,11 @@ def numbers(situation: Situation) -> dict[str, float]:
     }
 
 
-@dataclass(frozen=True)
-class Influence:
-    """What leaving an effect out has changed in the measured case that comes nearest, in percent: flattening, crater, mean
-    temperature and its 99th percentile (both in K); cost: share of a step's processor time, None where it was not measured."""
+def expected(name: str, values: Mapping[str, float]) -> dict[str, str] | None:
+    """The row of the study to expect of leaving out an effect; None where nothing was measured (docs/evidence/effects.md).
 
-    scene: str
-    flattening: float
-    crater: float
-    T_mean: float
-    T_p99: float
-    cost: float | None
-
-
-def expected(name: str, values: Mapping[str, float]) -> Influence | None:
-    """What to expect of leaving out an effect; None where nothing was measured (docs/evidence/effects.md).
-
+    flattening, crater, T_mean, T_p99 (both of K): changes in percent; cost_share: of a step's processor time, "" where it was not
+    measured.
     values: the number of each effect, as in the rows of `Effects`. Nearest is the case whose own number comes nearest; where
     several do, the one whose other numbers come nearest too.
     """
@@ -198,15 +178,7 @@ def expected(name: str, values: Mapping[str, float]) -> Influence | None:
         others = numbers_of[row["scene"]]
         return _apart(others[name], values[name]) + 0.1 * max(_apart(others[n], values[n]) for n in others)
 
-    nearest = min(cases, key=far)
-    return Influence(
-        scene=nearest["scene"],
-        flattening=float(nearest["flattening"]),
-        crater=float(nearest["crater"]),
-        T_mean=float(nearest["T_mean"]),
-        T_p99=float(nearest["T_p99"]),
-        cost=float(nearest["cost_share"]) if nearest["cost_share"] else None,
-    )
+    return min(cases, key=far)
 
 
 def largest_threshold(name: str) -> float | None:
@@ -226,7 +198,7 @@ def largest_threshold(name: str) -> float | None:
 
 def worst_change(row: Mapping[str, str]) -> float:
     """The largest change of any measure in a row of the study, in percent, without its sign."""
-    return max(abs(float(row[what])) for what in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
+    return max(abs(float(row[measure])) for measure in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
 
 
 def _apart(a: float, b: float) -> float:

@@ -54,37 +54,37 @@ def arrival(conditions: GasConditions, nozzle: Nozzle, material: Material, diame
     }
 
 
-def fill(given: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
+def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]:
     """Put velocity and temperature into the particles of a scene that lack them, where it has a table [gas].
 
-    given: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the
+    raw: the scene as nested dicts, changed in place; what cannot be computed gets a stand-in. catalogue: the
     materials. Returns the problems that only the gas has; the scene's own check finds the others.
     """
-    said = given.get("nozzles")
-    tables = {k: v for k, v in said.items() if isinstance(v, Mapping)} if isinstance(said, Mapping) else {}
+    own = raw.get("nozzles")
+    tables = {k: v for k, v in own.items() if isinstance(v, Mapping)} if isinstance(own, Mapping) else {}
     known, problems = nozzles.from_tables(tables)
-    if "gas" not in given:
+    if "gas" not in raw:
         return problems
-    conditions, _ = read(given["gas"])
+    conditions, _ = read(raw["gas"])
     if conditions is not None and conditions.nozzle not in known:
         if conditions.nozzle not in tables:  # else its own problems are in the list already
             problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
         conditions = None
-    particles = given.get("particle")
+    particles = raw.get("particle")
     particles = particles if isinstance(particles, list) else [particles]
     if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
         conditions = None
     for particle in particles:
         if not isinstance(particle, dict):
             continue
-        found = _STAND_IN
+        arriving = _STAND_IN
         material, diameter = _material(particle, catalogue), _diameter(particle)
         if conditions is not None and material is not None and diameter is not None:
             try:
-                found = arrival(conditions, known[conditions.nozzle], material, diameter)
+                arriving = arrival(conditions, known[conditions.nozzle], material, diameter)
             except ColdsprayError as error:
                 problems.append(f"gas.{error}")
-        particle |= {field: text for field, text in found.items() if field not in particle}
+        particle |= {field: text for field, text in arriving.items() if field not in particle}
     return list(dict.fromkeys(problems))
 
 

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from ..geometry.tetrahedra import COARSEST
 from ..physics.adhesion import Adhesion, critical_velocity
 from ..physics.materials import Material
 from ..scene.tables import Face
@@ -83,7 +84,7 @@ class Plan:
     """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
     impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
-    wall time and memory are those of all; home_load: cost of the target and the contact over that of the particles. gas: lines
+    wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
     about what the gas gives. engine: of the particles (`coupler.sph.engine`).
     """
 
@@ -101,7 +102,7 @@ class Plan:
     steps_estimate: int
     memory_bytes: float
     cost: estimates.Cost
-    home_load: float
+    target_load: float
     preset: str
     engine: str
     gas: tuple[str, ...]
@@ -122,21 +123,6 @@ class Plan:
         """The longest all impacts together may take, s, without the pauses."""
         return sum(impact.end_time for impact in self.impacts)
 
-    @property
-    def end_at_rest(self) -> bool:
-        """Whether impacts end at rest."""
-        return self.impact.end_at == "rest"
-
-    @property
-    def output_every(self) -> float:
-        """Simulated time between two written steps, s, the shortest of all impacts."""
-        return min(impact.output_every for impact in self.impacts)
-
-    @property
-    def rate_filter(self) -> float:
-        """Time constant of the strain rate's smoothing, s, the shortest of all impacts."""
-        return min(impact.rate_filter for impact in self.impacts)
-
 
 def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
     """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness, for studies of the scheme.
@@ -155,7 +141,7 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         elements.append(elements[-1] + scene.derived.splat_elements_of(particle))
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
-    loads = [estimates.home_load(points, n, scene.resolution.engine) for _, points, n in costs]
+    loads = [estimates.target_load(points, n, scene.resolution.engine) for _, points, n in costs]
     conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
     return Plan(
         name=scene.name,
@@ -176,7 +162,7 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
             points=sum(estimates.point_time(n, N, scene.resolution.engine) for n, N, _ in costs),
             rest=estimates.run_time(elements[0]) + conversions,
         ),
-        home_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
+        target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),
@@ -248,7 +234,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
         sides=substrate.sides if absorbing or substrate.sides != "absorbing" else "free",
         bottom=substrate.bottom if absorbing or substrate.bottom != "absorbing" else "fixed",
         element_size=scene.derived.element_size,
-        largest_element=estimates.COARSEST * min(substrate.diameter, substrate.height),
+        largest_element=COARSEST * min(substrate.diameter, substrate.height),
         centre=scene.derived.centre,
         refined_radius=scene.derived.refined_radius,
         growth=scene.resolution.growth,
@@ -258,9 +244,9 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
 
 def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> list[Situation]:
     """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
-    found, left = [], sum(i.end_time for i in impacts)
+    situations, left = [], sum(i.end_time for i in impacts)
     for impact in impacts:
-        found.append(
+        situations.append(
             Situation(
                 materials=(impact.material, base),
                 temperatures=(impact.temperature, scene.substrate.temperature),
@@ -277,7 +263,7 @@ def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -
             )
         )
         left -= impact.end_time
-    return found
+    return situations
 
 
 def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:

@@ -59,27 +59,27 @@ class Scene(SceneData):
 
 def _checked(data: Mapping[str, object], source: str) -> Scene:
     """A scene from nested dicts, or a SceneError with all its problems. source: what messages call it."""
-    given = copy.deepcopy(dict(data))
-    tables = given.get("materials", {})
+    raw = copy.deepcopy(dict(data))
+    tables = raw.get("materials", {})
     problems = []
     if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
         problems.append("materials: expected tables, such as [materials.MyNi]")
-        given["materials"] = tables = {}
+        raw["materials"] = tables = {}
     catalogue, material_problems = materials.from_scene(tables)
-    given.setdefault("name", safe_name(source))
-    if "coating" in given:
-        problems += expand(given)
-    if "gas" in given or "nozzles" in given:
-        problems += fill(given, catalogue)
+    raw.setdefault("name", safe_name(source))
+    if "coating" in raw:
+        problems += expand(raw)
+    if "gas" in raw or "nozzles" in raw:
+        problems += fill(raw, catalogue)
     faulty: set[str] = set()
-    read, entries = read_table(Scene, given)
+    read, entries = read_table(Scene, raw)
     scene: SceneData | None = read
     if entries:
-        particles = given.get("particle")
+        particles = raw.get("particle")
         several = isinstance(particles, list) and len(particles) > 1
         problems += [in_words(entry, several) for entry in entries]
         faulty = {dotted(entry["loc"], several) for entry in entries}
-        scene = without(given, [entry["loc"] for entry in entries])
+        scene = without(raw, [entry["loc"] for entry in entries])
     problems += material_problems
     if scene is not None:
         own = {f"materials.{name}" for name in tables if name not in catalogue}

@@ -20,7 +20,7 @@ from ..files.inputs import read_json_object
 from .planning import Plan
 
 FILE = "plan.json"
-FORMAT = 1
+FORMAT = 2
 Json = dict[str, object] | list[object] | str | float | int | bool | None
 T = TypeVar("T")
 

@@ -38,8 +38,8 @@ def describe(plan: Plan, forecast: str = "") -> str:
         f"  steps      about {_round(plan.steps_estimate)}",
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
-        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.home_load)} ...:"
-        f" the target and the contact cost {plan.home_load:.2g} of the particle",
+        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
+        f" the target and the contact cost {plan.target_load:.2g} of the particle",
         "",
         "  effect                    on   decided by",
     ]
@@ -60,12 +60,12 @@ def _influence(plan: Plan) -> list[str]:
     values = {row.name: row.value for row in plan.effects.rows}
     lines = []
     for name in values:
-        found = effects.expected(name, values)
-        if found is not None:
-            changed = (found.flattening, found.crater, found.T_mean, found.T_p99)
+        row = effects.expected(name, values)
+        if row is not None:
+            changed = (float(row[measure]) for measure in ("flattening", "crater", "T_mean", "T_p99"))
             flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
-            saved = "-" if found.cost is None else f"{max(100.0 * found.cost, 0.0):.0f} %"
-            lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {found.scene}")
+            saved = f"{max(100.0 * float(row['cost_share']), 0.0):.0f} %" if row["cost_share"] else "-"
+            lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {row['scene']}")
     basis = "  of the case of docs/evidence/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
     return [head, *lines, basis] if lines else []
 
@@ -113,8 +113,8 @@ def _splats(plan: Plan) -> list[str]:
     if a.strength is not None and a.energy is not None:
         held += f", {units.rounded(a.strength, 'MPa')} and {units.rounded(a.energy, 'J/m2')}"
         shear = (a.shear_strength, "MPa"), (a.shear_energy, "J/m2")
-        said = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
-        held += f" ({said} in shear)" if said else ""
+        in_shear = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
+        held += f" ({in_shear} in shear)" if in_shear else ""
     reached = 1.0 if a.threshold is None else a.threshold
     where = {
         "all": "wherever they touch",

@@ -1,26 +1,33 @@
 """Names of the effects that a scene may ask for, and the grammar of the request."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 from .. import units
 
-NAMES = (
-    "thermal_softening",
-    "rate_hardening",
-    "plastic_heating",
-    "temperature_dependent_cp",
-    "temperature_dependent_k",
-    "friction",
-    "friction_heat",
-    "mie_gruneisen",
-    "thermal_expansion",
-    "adhesion",
-    "absorbing_boundaries",
-    "conduction",
-    "particle_conduction",
-    "interface_conduction",
-    "cooling",
-)
+
+@dataclass(frozen=True)
+class Switches:
+    """Which effects take part in a run; a scene asks for them by these names."""
+
+    thermal_softening: bool
+    rate_hardening: bool
+    plastic_heating: bool
+    temperature_dependent_cp: bool
+    temperature_dependent_k: bool
+    friction: bool
+    friction_heat: bool
+    mie_gruneisen: bool
+    thermal_expansion: bool
+    adhesion: bool
+    absorbing_boundaries: bool
+    conduction: bool
+    particle_conduction: bool
+    interface_conduction: bool
+    cooling: bool
+
+
+NAMES = tuple(field.name for field in fields(Switches))
 WHOLE = ("auto", "all", "none")
 
 

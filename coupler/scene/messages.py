@@ -21,9 +21,9 @@ _COATING_EXAMPLE = {
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 
 
-def without(given: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
+def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
     """The scene with its faulty fields replaced, so that the others can be checked against each other."""
-    mended = copy.deepcopy(dict(given))
+    mended = copy.deepcopy(dict(raw))
     particles = mended.get("particle")
     mended["particle"] = particles if isinstance(particles, list) else [particles]
     for section, *inner in faulty:

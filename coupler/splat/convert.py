@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import SplatError
+from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import Body, Cloud, Splat
-from .meshing import TETS_PER_SIZE3
 from .worker import Attempts, Task, write_task
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
@@ -45,11 +45,11 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
     cloud.check()
     if not (np.isfinite(element_size) and element_size > 0.0):
         raise SplatError(f"element_size must be positive, is {element_size:g}")
-    expected = TETS_PER_SIZE3 * cloud.solid_volume / element_size**3
+    expected = TETS_PER_H3 * cloud.solid_volume / element_size**3
     if expected > MAX_ELEMENTS:
         raise SplatError(
             f"elements of {element_size:.3g} m would be {expected:.2g} in this body: give a larger size, "
-            f"at least {(TETS_PER_SIZE3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
+            f"at least {(TETS_PER_H3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
         )
     start = clock.perf_counter()
     with tempfile.TemporaryDirectory(prefix="splat-") as name:

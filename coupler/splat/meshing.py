@@ -18,7 +18,6 @@ from .cloud import Cloud, Report
 
 T = TypeVar("T")
 MIN_GAMMA = 0.05
-TETS_PER_SIZE3 = 4.2  # tetrahedra that gmsh makes in a volume size^3
 MIN_STEP_LENGTH = 0.05  # of an element size, of the worst element; regular tetrahedra have about 0.4
 MAX_VOLUME_ERROR = 0.01
 SIGMAS = (0.15, 0.2, 0.25, 0.32, 0.4)  # smoothing over element size

@@ -18,9 +18,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
+from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import MIN_POINTS, Body, Cloud, Report
 from .fit import fit_of
-from .meshing import SIGMAS, TETS_PER_SIZE3, CloudShape, build_mesh, strategies
+from .meshing import SIGMAS, CloudShape, build_mesh, strategies
 from .transfer import transfer
 
 LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
@@ -108,7 +109,7 @@ def linked_groups(x: np.ndarray, spacing: float) -> list[np.ndarray]:
 
 def element_size_of(cloud: Cloud, task: Task) -> float:
     """Element size (m) for a body: the task's, or smaller where that gives fewer than MIN_TETS elements."""
-    return min(task.element_size, (TETS_PER_SIZE3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
+    return min(task.element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
 
 
 def separate(cloud: Cloud, index: np.ndarray, task: Task) -> list[tuple[np.ndarray, CloudShape]]:
