@@ -12,6 +12,10 @@ from test_sequence import block, substrate
 from coupler import Result, Scene, run
 from coupler.contact.penalty import PointContact
 from coupler.deposition.run import resume
+from coupler.errors import SolverError
+from coupler.geometry.tetrahedra import volumes
+from coupler.impact import bodies
+from coupler.impact.bodies import Bodies
 from coupler.impact.rebound import deposition_efficiency
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
@@ -58,6 +62,23 @@ def test_no_hole_around_a_splat() -> None:
     out = top[beyond[mesh.facets[top]].any(axis=1)]
     assert np.isin(out, new.reachable()).all()
     assert len(new.buried) > 0
+
+
+def test_a_splat_put_on_the_surface_keeps_its_volume(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cube of 20 um that reaches 1.2 um into the substrate loses 6 % of its volume there; its free surface makes up for it."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    body = block((-10e-6, -10e-6, -1.2e-6), 0.0, 1.0, law)
+
+    def joined() -> Bodies:
+        return substrate().joined([body], Adhesion(kind="tied"), 6e-6, (0.0, 0.0, 0.0), 1.0)
+
+    new = joined()
+    own = new.target.mesh.conn[new.body == 1]
+    assert volumes(new.target.x, own).sum() == pytest.approx(8e-15, rel=1e-3)
+    assert new.target.x[np.unique(own), 2].min() > -1e-9, "it lies on the substrate"
+    monkeypatch.setattr(bodies, "MOST_OFFSET", 0.0)
+    with pytest.raises(SolverError, match="changed its volume by -6"):
+        joined()
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from coupler.errors import SplatError
-from coupler.geometry.tetrahedra import boundary_faces, volumes
+from coupler.geometry.tetrahedra import boundary_faces, correct_volume, volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.sph import packing
 from coupler.splat import field as fields
@@ -118,7 +118,7 @@ def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:
 def test_stuffing_is_closed_whole_and_of_bounded_quality(size: float) -> None:
     field, _ = fields.of_surface(*sphere(0.05), 0.04, 0.05)
     points, tets = stuffing.stuff(field, 0.5, size)
-    points, _ = stuffing.correct_volume(points, tets, BALL, 0.2 * size)
+    points, _ = correct_volume(points, tets, BALL, 0.2 * size)
     volume = volumes(points, tets)
     assert volume.min() > 0.0
     assert volume.sum() == pytest.approx(BALL, rel=1e-6)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from coupler.geometry.tetrahedra import volumes
+from coupler.geometry.tetrahedra import correct_volume, volumes
 from coupler.physics.materials import material
 from coupler.sph import packing
 from coupler.splat import field as fields
@@ -30,7 +30,7 @@ def mesh() -> tuple[Cloud, np.ndarray, np.ndarray]:
     )  # fmt: skip
     field = fields.of_points(x, cloud.current_volume, 0.5 * dx, 0.6 * dx)
     points, tets = stuffing.stuff(field, 0.46, 1.7 * dx)
-    points, _ = stuffing.correct_volume(points, tets, cloud.solid_volume, dx)
+    points, _ = correct_volume(points, tets, cloud.solid_volume, dx)
     return cloud, points, tets
 
 

@@ -45,6 +45,13 @@ def rings(triangles: NDArray, points: NDArray) -> tuple[NDArray, NDArray]:
     return start, pairs[np.argsort(own, kind="stable"), 1].astype(np.int64)
 
 
+def vertex_normals(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Unit normals (n,3) at the points, triangles weighted by their area."""
+    face = area_vectors(points, triangles)
+    total = np.stack([np.bincount(triangles.ravel(), np.repeat(face[:, i], 3), len(points)) for i in range(3)], axis=1)
+    return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+
+
 def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
     """Volume inside a closed surface with outward normals; negative where they point inwards (divergence theorem)."""
     a, b, c = (points[triangles[:, i]] for i in range(3))

@@ -1,6 +1,6 @@
 """The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -14,13 +14,18 @@ from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
-from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.tetrahedra import boundary_faces, correct_volume, volumes
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
 from ..state.records import Shape, check_indices
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
 LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
+FITTED_VOLUME = (
+    0.01  # change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
+)
+MOST_OFFSET = 0.25  # ... which may move by this part of an element size
+LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it the mesh is not the splat
 
 
 @dataclass(frozen=True)
@@ -231,18 +236,28 @@ class Bodies:
             share[np.unique(splat.tets[bad])] *= 0.5
         else:
             points = splat.points
-        return BodyState(
-            points,
-            splat.tets,
-            splat.stress,
-            splat.eps_p,
-            splat.T,
-            splat.J,
-            splat.velocity,
-            splat.energy,
-            splat.mass,
-            splat.law,
-        )
+        return replace(splat, points=self._of_volume(points, splat, contact_pairs.nodes - n, size))
+
+    @staticmethod
+    def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
+        """Points (n,3) m of a splat whose nodes `placed` lie on other bodies, with the volume it had before: its free surface moves.
+
+        size: m, of elements. Raises SolverError where the volume cannot be restored.
+        """
+        before = volumes(splat.points, splat.tets)
+        whole, now = float(before.sum()), volumes(points, splat.tets)
+        if abs(now.sum() / whole - 1.0) > FITTED_VOLUME:
+            fixed = np.zeros(len(points), bool)
+            fixed[placed] = True
+            corrected, _ = correct_volume(points, splat.tets, whole, MOST_OFFSET * size, fixed)
+            if (volumes(corrected, splat.tets) > LEAST_QUALITY * before).all():
+                points, now = corrected, volumes(corrected, splat.tets)
+        if abs(error := now.sum() / whole - 1.0) > LOST_VOLUME:
+            raise SolverError(
+                f"a splat changed its volume by {error:+.1%} as it was put on the surface below it, allowed {LOST_VOLUME:.0%}:"
+                " try a finer preset, or another [splat] method"
+            )
+        return points
 
 
 def bodies_of(

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import SplatError
 from ..geometry import mesher
 from ..geometry.poisson import poisson_surface
-from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.tetrahedra import boundary_faces, correct_volume, volumes
 from ..geometry.triangles import enclosed_volume
 from . import field as fields
 from . import quality, stuffing, surface
@@ -179,7 +179,7 @@ def build_mesh(
         if strategy.mesher == "stuffing":
             points, tets = timed("volume", lambda: stuffing.stuff(shape.field, shape.level, size))
             points, tets = quality.largest(points, tets)
-            points, moved = stuffing.correct_volume(points, tets, solid, max_offset)
+            points, moved = correct_volume(points, tets, solid, max_offset)
             report |= {"moved_m": moved, **check_mesh(points, tets, solid, size)}
             return points, tets, report
         level_set = surface.LevelSet(shape.field, shape.level, size)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from ..geometry.triangles import area_vectors
+from ..geometry.triangles import vertex_normals
 from ..state.arrays import Floats, Ints
 
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
@@ -58,15 +58,8 @@ def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
             total[:, i] += np.bincount(t[:, a], x[t[:, b], i], len(x))
     step = total / count[:, None] - x
     step[:fixed] = 0.0
-    normal = normals(x, t)
+    normal = vertex_normals(x, t)
     return x + 0.5 * (step - np.einsum("ij,ij->i", step, normal)[:, None] * normal)
-
-
-def normals(x: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Unit outward normals (k,3) at the vertices, triangles counted by area."""
-    face = area_vectors(x, t)
-    total = np.stack([np.bincount(t.ravel(), np.repeat(face[:, i], 3), len(x)) for i in range(3)], axis=1)
-    return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
 
 def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

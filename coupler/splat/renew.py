@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
-from ..geometry.triangles import enclosed_volume, surface_area
+from ..geometry.triangles import enclosed_volume, surface_area, vertex_normals
 from . import remesh
 from .surface import open_or_double
 
@@ -91,7 +91,7 @@ def renewed_surface(
         missing = target - enclosed_volume(x, t)
         if abs(missing) < VOLUME_TOLERANCE * target:
             break
-        normal = remesh.normals(x, t)
+        normal = vertex_normals(x, t)
         normal[:fixed] = 0.0
         loose = (t >= fixed).any(axis=1)
         step = missing / surface_area(x, t[loose])

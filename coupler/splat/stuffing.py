@@ -7,11 +7,9 @@ angles (11 deg) is not guaranteed.
 
 import numpy as np
 
-from ..geometry.tetrahedra import boundary_faces, oriented, volumes
-from ..geometry.triangles import surface_area
+from ..geometry.tetrahedra import oriented
 from .field import Field
 from .quality import compact
-from .remesh import normals
 
 WARP_LONG, WARP_SHORT = 0.24999, 0.41189  # of an edge: a vertex closer to a cut is moved onto the cut
 EDGE = 1.25  # lattice constant over the element size: tetrahedra have about the volume of those of gmsh
@@ -126,17 +124,3 @@ def _clip(
 
     points = np.concatenate([x, cut])
     return compact(points, oriented(points, np.concatenate(kept)))
-
-
-def correct_volume(points: np.ndarray, tets: np.ndarray, target: float, max_offset: float) -> tuple[np.ndarray, float]:
-    """Points (n,3) m with the boundary moved along its normals until the mesh has `target` m3, and the offset, m."""
-    used, numbered = np.unique(boundary_faces(tets)[0], return_inverse=True)
-    numbered = numbered.reshape(-1, 3)
-    x, moved = points.copy(), 0.0
-    for _ in range(6):
-        skin = x[used]
-        area = surface_area(skin, numbered)
-        step = float(np.clip(moved + (target - float(volumes(x, tets).sum())) / area, -max_offset, max_offset)) - moved
-        x[used] = skin + step * normals(skin, numbered)
-        moved += step
-    return x, moved

@@ -5,7 +5,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
-from ..geometry.triangles import enclosed_volume, surface_area
+from ..geometry.triangles import enclosed_volume, surface_area, vertex_normals
 from . import remesh
 from .field import Field
 from .quality import compact
@@ -85,6 +85,6 @@ def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tu
         missing = target - sum(enclosed_volume(*part) for part in parts)
         step = missing / sum(surface_area(*part) for part in parts)
         step = float(np.clip(moved + step, -max_offset, max_offset)) - moved
-        parts = [(part[0] + step * remesh.normals(*part), part[1]) for part in parts]
+        parts = [(part[0] + step * vertex_normals(*part), part[1]) for part in parts]
         moved += step
     return parts, moved
