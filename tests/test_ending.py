@@ -1,5 +1,8 @@
 """When an impact is over, and what is said of one that is not."""
 
+import contextlib
+import io
+
 import numpy as np
 import pytest
 from scenes import TINY, scene
@@ -46,6 +49,20 @@ def test_a_time_limit_is_not_rest():
     assert ending.undecided(40e-9, 138.0) == "not at rest at its time limit of 40 ns: the particle sinks at 138 m/s"
 
 
+def test_a_particle_that_slides_over_the_rim_has_left_undecided():
+    """Silent for more than a tenth of D / v beyond the rim; silent above the target it may still come down."""
+    over, beside = EndCriterion(200e-9, "rest", 50e-9, 500.0), EndCriterion(200e-9, "rest", 50e-9, 500.0)
+    for time, force, above in ((10, 3.0, True), (30, 1.0, False), (34, 0.0, False), (36, 0.0, False)):
+        for ending, is_above in ((over, True), (beside, above)):
+            ending.observe(time * 1e-9, 40.0, force, above=is_above)
+    assert not over.reached(36e-9)
+    assert beside.reached(36e-9)
+    assert not beside.met(36e-9)
+    assert beside.undecided(36e-9, 40.0) == (
+        "not at rest when it slid over the rim of the target: make substrate.diameter larger"
+    )
+
+
 def test_an_end_by_time_is_met_by_time():
     ending = observed(EndCriterion(40e-9, "time", 50e-9, 500.0), (40, 138.0, 2.0))
     assert ending.met(40e-9)
@@ -58,9 +75,10 @@ def limited(tmp_path_factory):
     """A run whose time limit comes before its greatest deformation: folder and exit code."""
     folder = tmp_path_factory.mktemp("limited")
     (folder / "limited.toml").write_text('effects = "all"\n' + LIMITED)
-    return folder, main(
-        ["run", str(folder / "limited.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"]
-    )
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        code = main(["run", str(folder / "limited.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"])
+    assert said.getvalue().endswith(f"275 m/s; go on with coldspray resume {folder / 'out'}\n")
+    return folder, code
 
 
 def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
@@ -68,6 +86,7 @@ def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
     result = Result(folder / "out")
     assert code == 4
     assert result.undecided.startswith("not at rest at its time limit of 20 ns")
+    assert result.at_limit
     assert result.rebounded is None
     assert result.restitution is None
     assert result.deposition_efficiency is None

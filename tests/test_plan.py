@@ -1,6 +1,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,23 @@ def test_nickel_on_steel():
     off = {"adhesion", "cooling"}
     assert made.effects.active == [name for name in NAMES if name not in off]
     assert any("strain rates" in warning for warning in made.warnings)
+
+
+def test_the_time_limit_follows_from_what_stops_the_particle():
+    """Poncelet's time for a hardness far below the inertia: pi / 3 rho_p D / sqrt(H rho_t / 2)."""
+    nickel, aluminium = scene_with().derived.material("Ni"), scene_with().derived.material("Al")
+    soft = replace(aluminium, A=1e3, B=1e3)
+    slow, fast = (estimates.stopping_time((nickel, soft), (300, 300), v, 25e-6) for v in (250.0, 1000.0))
+    resistance = [estimates.HARDNESS_OVER_YIELD * estimates.flow_stress(soft, 300, v / 25e-6) for v in (250, 1000)]
+    for time, H in zip((slow, fast), resistance, strict=True):
+        assert time == pytest.approx(math.pi / 3 * nickel.rho * 25e-6 / math.sqrt(0.5 * H * soft.rho), rel=0.01)
+    usual = scene_with()
+    assert usual.derived.end_time == usual.derived.usual_time_of(usual.particle)
+    hard = scene_with(particle__velocity="1250 m/s", substrate__material="Al")
+    assert hard.derived.end_time > 1.5 * hard.derived.usual_time_of(hard.particle)
+    steep, steeper = (scene_with(particle__angle=f"{angle} deg", particle__gap="0 um") for angle in (60, 80))
+    assert steep.derived.end_time == pytest.approx(3 * 25e-6 / 500)
+    assert steeper.derived.end_time == pytest.approx(1.5 * 25e-6 / (500 * math.cos(math.radians(80))))
 
 
 def test_each_impact_is_planned():

@@ -31,6 +31,7 @@ from coupler.studies.table import Row
 
 POINTS = 400
 ALIAS = {"Cu": "OFHC_Cu"}
+SLIDE, STEEP = 4.0, 60.0  # diameters that a particle slides beyond an angle, degrees
 PATIENCE = 90.0  # s of processor time for one scene
 COLUMNS = (
     "scene", "verdict", "points", "steps", "end ns", "flattening", "drift", "momentum", "dissipated", "volume", "heat", "depth",
@@ -90,9 +91,10 @@ def particle(
 def scene(
     *particles: dict[str, object], on: str = "SS304", points: int = POINTS, **more: dict[str, object]
 ) -> dict[str, object]:
-    """A scene with so many points in its largest particle, on a target four diameters wide."""
+    """A scene with so many points in its largest particle, on a target four diameters wide, and wider where one slides."""
     largest = max(float(p["diameter"].split()[0]) for p in particles)
     far = max(np.hypot(*(float(x.split()[0]) for x in p["offset"])) for p in particles)
+    far += max(SLIDE * largest * (float(p["angle"].split()[0]) > STEEP) for p in particles)
     wide = 2.0 if any(p["shape"] in ("rod", "flake", "oblate", "hollow_sphere") for p in particles) else 1.0
     spacing = (np.pi / 6 * largest**3 / points) ** (1 / 3)
     substrate = {

@@ -239,13 +239,14 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
     finally:
         progress.stop()
+    if result.undecided is not None and is_first_rank():
+        hint = f"; go on with coldspray resume {out}" if result.at_limit else ""
+        print(f"undecided: {result.undecided}{hint}", file=sys.stderr if arguments.quiet else sys.stdout)
     if not arguments.quiet and is_first_rank():
         from rich.console import Console
 
         from ..report import alerts, summary_table
 
-        if result.undecided is not None:
-            print(f"undecided: {result.undecided}; go on with coldspray resume {out}")
         for text in alerts(result.summary):
             print(f"doubtful: {text}")
         Console().print(summary_table(result))

@@ -82,6 +82,11 @@ class Result:
         return str(reason) if reason is not None else None
 
     @property
+    def at_limit(self) -> bool:
+        """Whether the run is undecided because its time was over, so that more of it decides."""
+        return "time limit" in (self.undecided or "")
+
+    @property
     def summary(self) -> Summary:
         """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. StoreError if it is damaged or of an
         unknown format; that of version 0.1 is put into today's form."""

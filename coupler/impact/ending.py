@@ -15,12 +15,14 @@ HELD_TIME = 0.5  # ... for this part of D / v, about a period
 class EndState:
     """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
     contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
-    HELD_STILL of its impact speed with energy that its bonds may not stop."""
+    HELD_STILL of its impact speed with energy that its bonds may not stop; above: last time (s) at which its centre was above the
+    target, not beyond the rim."""
 
     peak: float = 0.0
     turned: float | None = None
     loud: float = 0.0
     fast: float = 0.0
+    above: float = 0.0
 
 
 class EndCriterion:
@@ -28,7 +30,7 @@ class EndCriterion:
 
     Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`. Over: at "rest", the contact force
     has then stayed below QUIET_FORCE of its peak for `quiet` seconds (the particle has left, or rests); at "greatest", at once; at
-    "time", and in any case, at end_time.
+    "time", and in any case, at end_time. A particle that has slid over the rim of the target has left it: no criterion is met.
     """
 
     def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0):
@@ -37,15 +39,20 @@ class EndCriterion:
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self._state = EndState()
 
-    def observe(self, time: float, sinking: float, force: float, held: bool = False, secure: bool = False) -> None:
+    def observe(
+        self, time: float, sinking: float, force: float, held: bool = False, secure: bool = False, above: bool = True
+    ) -> None:
         """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; held:
-        whether the particle is bonded; secure: whether its bonds can take up far more energy than there is left to part them."""
+        whether the particle is bonded; secure: whether its bonds can take up far more energy than there is left to part them;
+        above: whether its centre is above the target."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
             s = replace(s, turned=time)
         if not held or (abs(sinking) > self.held_slow and not secure):
             s = replace(s, fast=time)
+        if above:
+            s = replace(s, above=time)
         self._state = replace(s, loud=time) if abs(force) > QUIET_FORCE * s.peak else s
 
     @property
@@ -55,7 +62,7 @@ class EndCriterion:
 
     def reached(self, time: float) -> bool:
         """Whether the impact is over at `time` s, the time last observed: its criterion is met, or its time limit has come."""
-        return self.met(time) or self.at_limit(time)
+        return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
         """Whether the criterion itself is met at `time` s."""
@@ -68,6 +75,10 @@ class EndCriterion:
         particle has moved little for `held_quiet` s."""
         s = self._state
         return s.turned is not None and (time - s.loud > self.quiet or time - s.fast > self.held_quiet)
+
+    def slid_off(self, time: float) -> bool:
+        """Whether the particle has left over the rim of the target: beyond it the contact has been silent for `quiet` s."""
+        return self.touched and time - max(self._state.above, self._state.loud) > self.quiet
 
     def at_limit(self, time: float) -> bool:
         """Whether the time limit has come at `time` s."""
@@ -83,6 +94,8 @@ class EndCriterion:
         if self.met(time):
             return None
         aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]
+        if self.slid_off(time):
+            return f"not {aim} when it slid over the rim of the target: make substrate.diameter larger"
         motion = f"sinks at {sinking:.3g} m/s" if sinking > 0.0 else f"rises at {-sinking:.3g} m/s"
         return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 

@@ -25,7 +25,8 @@ def advance_to_end(
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
-        ending.observe(impact.time, impact.sinking, float(impact.force[2]), *impact.held)
+        force, above = float(impact.force[2]), recorder.is_above(impact)
+        ending.observe(impact.time, impact.sinking, force, *impact.held, above)
         if ending.turned is not None:
             bond(impact, recorder.plan, recorder.i)
             if recorder.greatest is None:

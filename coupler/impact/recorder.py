@@ -100,6 +100,11 @@ class Recorder:
         if self.progress is not None:
             self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 
+    def is_above(self, impact: Impact) -> bool:
+        """Whether the particle's centre is above the target, not beyond its rim."""
+        away = impact.particle.x[:, :2].mean(axis=0) - self.plan.target.centre
+        return bool(np.hypot(*away) < 0.5 * self.plan.target.diameter)
+
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
         """Note where the impact leaves the range of its models. skin (k,3) m: the particle's surface."""
         target, substrate = impact.target, self.plan.target

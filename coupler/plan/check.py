@@ -45,12 +45,12 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     yield from _room(d)
     yield from _resolution(d)
     yield from _adhesion(d, catalogue)
-    records = sum(d.end_time_of(p) / d.output_every_of(p) for p in scene.particles)
+    records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
     if records > _MOST_RECORDS:
         yield (
             ("output.every", "end.time", *_fields(scene, "diameter", "velocity", "shape", "tilt")),
             f"output.every = {text_of(d.output_every_of(scene.particle), 'ns')}: would write {records:.3g} steps;"
-            f" at most {_MOST_RECORDS}, so at least {units.rounded(d.end_time / _MOST_RECORDS, 'ns')}",
+            f" at most {_MOST_RECORDS}, so at least {units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, 'ns')}",
         )
 
 

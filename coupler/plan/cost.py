@@ -19,7 +19,10 @@ REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest 
 
 WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
 MANY = 10  # particles from which on that is done
-CAP = 3.0  # heights over velocity that an impact may take
+CAP = 3.0  # heights over velocity that an impact may take, or what is longer of ...
+SLIDES = 1.5  # ... heights over the velocity towards the target: beyond 60 degrees that is more
+STOPS = 2.0  # ... and times to stop: in the first the particle stops, in the second it rebounds
+HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, convergence_ni500): the
 # logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than 1 / CFL_AT_REST, are these coefficients times
@@ -98,6 +101,21 @@ def damage_numbers(
         inertia / flow_stress(m, T, velocity / diameter) for m, T in zip(materials, temperatures, strict=True)
     )
     return first, second
+
+
+def stopping_time(
+    materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
+) -> float:
+    """Time, s, in which a target that resists with the pressure H + rho_t v^2 / 2 stops a sphere (Poncelet 1829).
+
+    (2/3) rho_p D / sqrt(H rho_t / 2) atan(v sqrt(rho_t / 2 H)); H: hardness of the softer of both. materials, temperatures (K): of
+    particle and target; velocity m/s, diameter m.
+    """
+    rate = velocity / diameter
+    H = HARDNESS_OVER_YIELD * min(flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
+    particle, target = materials
+    slowing = math.atan(velocity * math.sqrt(target.rho / (2.0 * H)))
+    return 2.0 / 3.0 * particle.rho * diameter / math.sqrt(0.5 * H * target.rho) * slowing
 
 
 def _fitted(fit: tuple[float, ...], damage: tuple[float, float], points: float, angle: float) -> float:

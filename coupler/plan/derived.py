@@ -9,7 +9,7 @@ from ..physics import materials
 from ..physics.adhesion import Adhesion
 from ..physics.materials import Material
 from ..scene.model import SceneData
-from ..scene.tables import Particle
+from ..scene.tables import Particle, Substrate
 from . import cost as estimates
 
 _OUTPUTS_PER_CROSSING = 25.0  # written steps in D / v, of one impact ...
@@ -107,15 +107,38 @@ class Derived:
         outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 
-    def end_time_of(self, particle: Particle) -> float:
-        """The longest an impact may take, s: the scene's time, else the flight over the gap and 3 D / v.
+    def usual_time_of(self, particle: Particle) -> float:
+        """The longest an impact takes as a rule, s: the scene's time, else the flight over the gap and 3 D / v.
 
-        For D the particle's height, where that is larger.
+        For D the particle's height, where that is larger; at a grazing angle 1.5 D / v with the velocity v towards the target.
         """
         if self.scene.end.time is not None:
             return self.scene.end.time
+        towards = particle.velocity * math.cos(particle.angle)
+        crossings = max(estimates.CAP / particle.velocity, estimates.SLIDES / towards)
+        return self.gap_of(particle) / towards + particle.height * crossings
+
+    def end_time_of(self, particle: Particle) -> float:
+        """The longest an impact may take, s: the scene's time, else the usual one, or the flight and twice the time to stop.
+
+        Raises SceneError for an unknown material.
+        """
+        usual = self.usual_time_of(particle)
+        if self.scene.end.time is not None:
+            return usual
+        metal, T = self.material(particle.material), particle.temperature
+        stopping = max(
+            estimates.stopping_time((metal, self.material(name)), (T, T_under), particle.velocity, particle.diameter)
+            for name, T_under in self._underneath
+        )
         flight = self.gap_of(particle) / (particle.velocity * math.cos(particle.angle))
-        return flight + estimates.CAP * particle.height / particle.velocity
+        return max(usual, flight + estimates.STOPS * stopping)
+
+    @cached_property
+    def _underneath(self) -> set[tuple[str, float]]:
+        """Material and temperature (K) of all that a particle may meet."""
+        bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
+        return {(body.material, body.temperature) for body in bodies}
 
     @property
     def end_time(self) -> float:

@@ -105,6 +105,8 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
             "spacing": f"{text_of(d.spacing, 'um')}  (from: preset)",
             "element_size": f"{text_of(d.element_size, 'um')}  (from: spacing)",
         },
-        "[end]": {"time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity at most{each})"},
+        "[end]": {
+            "time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity, or twice the time to stop, at most{each})"
+        },
         "[output]": {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"},
     }.get(head, {})

@@ -198,8 +198,8 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
         text = f": it is still running or was stopped.{reached} What follows is what was written so far."
         notes.append(("unfinished", "This run is not finished", text))
     if result.undecided is not None:
-        text = f": {escape(result.undecided)}. <code>coldspray resume</code> goes on with it."
-        notes.append(("undecided", "This run is undecided", text))
+        hint = ". <code>coldspray resume</code> goes on with it." if result.at_limit else ""
+        notes.append(("undecided", "This run is undecided", f": {escape(result.undecided)}{hint}"))
     doubts = alerts(result.summary)
     notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in doubts]
     state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
