@@ -78,6 +78,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     import numpy as np
 
     from ..files.result import Result
+    from ..physics.shapes import sphere_volume
     from ..plan.record import read_plan
     from ..splat.cloud import Cloud
 
@@ -87,7 +88,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     except IndexError as problem:
         raise SplatError(f"--step {step}: {problem}") from None
     impact = read_plan(folder).impacts[_impact_at(result, fields.time)]
-    spacing = spacing or impact.spacing
+    spacing = spacing or (sphere_volume(impact.diameter) / len(fields.points)) ** (1.0 / 3.0)
     times = result.times("surface")
     skin = np.flatnonzero(np.isclose(times, fields.time, rtol=1e-9, atol=0.0))
     surface, notes = None, []
