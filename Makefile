@@ -99,7 +99,6 @@ bench: setup
 
 studies: test-setup
 	$(VENV)/bin/python workflows/taylor_bar.py
-	$(VENV)/bin/python workflows/taylor_bar_sph.py
 	$(VENV)/bin/python workflows/convergence.py --parameters
 
 accuracy: setup
@@ -107,7 +106,7 @@ accuracy: setup
 
 effects: setup
 	$(VENV)/bin/python workflows/effects_study.py
-	$(VENV)/bin/python workflows/effects_costs.py
+	$(VENV)/bin/python workflows/effects_study.py --costs
 	$(VENV)/bin/python workflows/effects_study.py --proof
 
 stability: setup

@@ -17,7 +17,9 @@ import matplotlib as mpl
 import pytest
 
 from coupler.commands.main import _parser, main
+from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.studies.sweep import Sweep
 
 ROOT = Path(__file__).parents[1]
@@ -70,6 +72,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scene = sweep.write(folder / "runs" / "map_ni", point)
         shutil.copytree(folder / "runs" / "single_ni", scene.with_suffix(""))
         (scene.with_suffix("") / "scene.toml").write_text(Scene.load(scene).to_toml())
+        (scene.with_suffix("") / "plan.json").write_text(plan_text(plan(Scene.load(scene))))
         scene.with_suffix(".json").write_text(json.dumps({"status": "done", "reason": "", "exit_code": 0}))
     return folder
 

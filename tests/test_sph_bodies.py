@@ -261,7 +261,7 @@ def test_a_coarse_taylor_bar() -> None:
 
 
 def program() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("taylor_bar_sph", HERE.parent / "workflows" / "taylor_bar_sph.py")
+    spec = importlib.util.spec_from_file_location("taylor_bar", HERE.parent / "workflows" / "taylor_bar.py")
     assert spec is not None
     assert spec.loader is not None
     found = importlib.util.module_from_spec(spec)

@@ -4,16 +4,13 @@ Elements elastic and plastic; scikit-fem's own forms for the same forces; points
 (medians; the rest: the fastest of several repeats). Machines differ, ratios within a table compare.
 """
 
-import argparse
-import os
-import platform
 import statistics
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from pages import TABLES, write_table
+from pages import TABLES, machine, options, single_impact, spacing_of, write_table
 
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
@@ -95,18 +92,22 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
 
     What slows down one slows down the other. The passes of the compiled engine also on two threads, in wall time.
     """
+
+    def free() -> None:
+        """No forces from outside."""
+
     cloud, volume = packing.sphere(25e-6, count)
     law = law_record(material("Ni"), rate_filter=5e-10)
     particles = {name: engine(cloud, volume, law, (0.0, 0.0, 0.0), 300.0) for name, engine in ENGINES.items()}
     for p in particles.values():
         p.v[:] = p.X * np.array([4e7, 3e7, -7e7])
         p._vest[:] = p.v
-        p.run(80, 1e-11, _nothing)
+        p.run(80, 1e-11, free)
     steps = max(STEPS, 40_000 // len(cloud))
     times = {name: np.inf for name in particles}
     for _ in range(REPEATS):
         for name, p in particles.items():
-            times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, _nothing), 1))  # type: ignore[misc]
+            times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, free), 1))  # type: ignore[misc]
     compiled, machdyn = particles["compiled"], particles["machdyn"]
     n, unit = len(cloud), "us per point and step"
     for name, seconds in times.items():
@@ -127,21 +128,12 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     machdyn.close()
 
 
-def _nothing() -> None:
-    """No forces from outside."""
-
-
 def points(rows: list[tuple[str, float, str]], count: int) -> None:
     """Microseconds per point and step of a real impact, part by part.
 
     LAMMPS itself: its integration and calling back. Contact, surface and search are the coupler's.
     """
-    scene = Scene.from_text(
-        f'[particle]\nmaterial="Ni"\ndiameter="25 um"\nvelocity="500 m/s"\n[substrate]\nmaterial="SS304"\n'
-        f'[resolution]\nspacing="{(np.pi / 6 * 25.0**3 / count) ** (1 / 3):.6f} um"\n',
-        "bench",
-    )
-    domains = build_domains(plan(scene))
+    domains = build_domains(plan(Scene.from_text(single_impact("Ni", 25.0, 500.0, spacing=spacing_of(count)), "bench")))
     p = domains.particle
     impact = Impact(domains)
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
@@ -159,19 +151,16 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
 
         return wrapper
 
-    for owner, name, part in (
-        (impact.target, "advance", "target"),
-        (impact.target, "finish", "target"),
-        (impact.target, "stable_dt", "target"),
-        (p.local, "_update_stress", "stress and internal forces"),
-        (p.local.lmp, "command", "LAMMPS itself"),
-        (domains.contact, "forces", "contact"),
-        (domains.contact, "search", "search"),
-        (domains.surface, "contacts", "surface to points and back"),
-        (domains.surface, "spread", "surface to points and back"),
-        (domains.surface, "support", "surface to points and back"),
+    for owner, names, part in (
+        (impact.target, ("advance", "finish", "stable_dt"), "target"),
+        (p.local, ("_update_stress",), "stress and internal forces"),
+        (p.local.lmp, ("command",), "LAMMPS itself"),
+        (domains.contact, ("forces",), "contact"),
+        (domains.contact, ("search",), "search"),
+        (domains.surface, ("contacts", "spread", "support"), "surface to points and back"),
     ):
-        setattr(owner, name, timed(getattr(owner, name), part))
+        for name in names:
+            setattr(owner, name, timed(getattr(owner, name), part))
     p.local.lmp.set_fix_external_callback("coupler", timed(p.local._callback, "callback"), None)
 
     def stretch() -> dict[str, float]:
@@ -185,8 +174,8 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         return {part: seconds / steps for part, seconds in (spent | {"whole": whole - spent["target"]}).items()}
 
     stretch()
-    found = [stretch() for _ in range(2 * REPEATS)]
-    median = {part: statistics.median(times[part] for times in found) for part in found[0]}
+    samples = [stretch() for _ in range(2 * REPEATS)]
+    median = {part: statistics.median(times[part] for times in samples) for part in samples[0]}
     point, per_point = "us per point and step", 1e6 / p.n
     rows.append(("points of the impact", float(p.n), ""))
     rows += [(f"{part}, in the impact", median[part] * per_point, point) for part in parts]
@@ -198,9 +187,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
 
 def main() -> None:
     """Measure, print, record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--points", type=int, default=5000)
-    a = parser.parse_args()
+    a = options(__doc__, points=5000)
     rows: list[tuple[str, float, str]] = []
     elements(rows)
     for count in (1000, 5000, 16000):
@@ -208,9 +195,8 @@ def main() -> None:
     points(rows, a.points)
     for name, value, unit in rows:
         print(f"{name:45s} {value:10.4g} {unit}")
-    machine = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
     table = [{"part": name, "value": f"{value:.4g}", "unit": unit} for name, value, unit in rows]
-    write_table(TABLES / "bench.csv", table, f"remake: make bench; {machine}")
+    write_table(TABLES / "bench.csv", table, f"remake: make bench; {machine()}")
 
 
 if __name__ == "__main__":

@@ -6,16 +6,13 @@ steps, its ratio to one process on one thread, and the share of it that each ran
 waits inside LAMMPS is not in it). The runs of a round follow one another; the median over rounds is kept.
 """
 
-import argparse
-import os
-import platform
 import statistics
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from pages import TABLES, write_table
+from pages import TABLES, machine, options, single_impact, write_table
 
 from coupler import Result
 
@@ -24,18 +21,7 @@ WAYS = {
     "two ranks, spread": (2, "spread", 1), "three ranks, split": (3, "split", 1), "three ranks, spread": (3, "spread", 1),
 }  # fmt: skip
 END = '[end]\ntime = "22 ns"\n'
-EQUAL = """
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-[resolution]
-spacing = "2.0 um"
-element_size = "2.4 um"
-growth = 0.12
-"""
+EQUAL = single_impact("Ni", 25.0, 500.0, spacing=2.0, more='element_size = "2.4 um"\ngrowth = 0.12\n')
 PROGRAM = """
 import sys
 from coupler import run
@@ -47,20 +33,14 @@ for path in (warm, scene):
 
 def main() -> None:
     """Measure, print, record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=3)
-    a = parser.parse_args()
+    a = options(__doc__, repeats=3)
     standard = (Path(__file__).parent / "single_ni.toml").read_text()
     scenes = {"single_ni": standard.replace('[end]\nat = "rest"\n', END), "equal loads": EQUAL + END}
     rows = [row for name, text in scenes.items() for row in measured(name, text, a.repeats)]
-    machine = f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
-    names = ["scene", "placement", "seconds", "of one process", "waiting, by rank"]
-    write_table(
-        TABLES / "ranks.csv", [dict(zip(names, row, strict=True)) for row in rows], f"remake: make bench; {machine}"
-    )
+    write_table(TABLES / "ranks.csv", rows, f"remake: make bench; {machine()}")
 
 
-def measured(scene: str, text: str, repeats: int) -> list[list[str]]:
+def measured(scene: str, text: str, repeats: int) -> list[dict[str, object]]:
     """A row of the table for each way to run the scene."""
     times: dict[str, list[float]] = {name: [] for name in WAYS}
     idle: dict[str, list[float]] = {}
@@ -78,13 +58,16 @@ def measured(scene: str, text: str, repeats: int) -> list[list[str]]:
                 times[name].append(result.wall_loop_s)
                 idle[name] = result.idle_share
                 print(f"{scene}, round {repeat + 1}: {name:26s} {times[name][-1]:6.2f} s", flush=True)
-    medians = {name: statistics.median(found) for name, found in times.items()}
+    medians = {name: statistics.median(values) for name, values in times.items()}
     first = medians["one process, one thread"]
     rows = []
     for name, seconds in medians.items():
         waiting = " ".join(f"{share:.2f}" for share in idle[name])
         print(f"{scene}: {name:26s} {seconds:6.2f} s  {seconds / first:.2f} of one process; waiting {waiting or '-'}")
-        rows.append([scene, name, f"{seconds:.2f}", f"{seconds / first:.2f}", waiting])
+        values = scene, name, f"{seconds:.2f}", f"{seconds / first:.2f}", waiting
+        rows.append(
+            dict(zip(("scene", "placement", "seconds", "of one process", "waiting, by rank"), values, strict=True))
+        )
     return rows
 
 

@@ -1,6 +1,7 @@
 """Convergence of one impact in the number of points, and in the parameters of the SPH scheme.
 
     python workflows/convergence.py [--points 1000 2000 ...] [--parameters] [--velocity 500]   # docs/tables/convergence_ni500.csv
+    python workflows/convergence.py --lattice hcp      # another lattice for the points of the ladder
     python workflows/convergence.py --docs     # runs nothing: fits orders to the table and writes them into the page
 
 25 um Ni on SS304. Each row is one run to rest; rows in the table are not computed again, failures are rows too. A run that was
@@ -8,7 +9,6 @@ stopped goes on from its last checkpoint in runs/convergence. Elements keep thei
 refined together.
 """
 
-import argparse
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +17,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from pages import PAGES, markdown, study_table, versions, write_parts
+from pages import PAGES, markdown, options, single_impact, spacing_of, study_table, versions, write_parts
 
 from coupler import Scene, run
 from coupler.deposition.run import resume
@@ -39,48 +39,19 @@ DEFAULTS: dict[str, float | str] = {
     "kernel_radius": 0.75, "Q1": 0.06, "hourglass": 1.0, "courant": 0.4, "contact_stiffness": 1.0, "lattice": "fcc",
 }  # fmt: skip
 CHANGES: list[dict[str, float | str]] = [
-    {"kernel_radius": 0.9},
-    {"kernel_radius": 1.1},
-    {"Q1": 0.0},
-    {"Q1": 0.2},
-    {"hourglass": 0.1},
-    {"hourglass": 0.3},
-    {"hourglass": 3.0},
-    {"courant": 0.1, "stretch": 0.3},
-    {"courant": 0.2, "stretch": 0.6},
-    {"courant": 0.5, "stretch": 1.2},
-    {"contact_stiffness": 0.3},
-    {"contact_stiffness": 3.0},
-    *({"lattice": name} for name in LATTICES if name != "fcc"),
-]
-SCENE = """
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "{velocity:g} m/s"
-[substrate]
-material = "SS304"
-[resolution]
-spacing = "{spacing!r} um"
-"""
-
-# What orders are fitted to: column, name, and the limit where it is known.
-MEASURES: list[tuple[str, str, float | None]] = [
-    ("flattening_gd", "flattening, greatest", None),
-    ("flattening_end", "flattening, end", None),
-    ("crater_gd_um", "crater, greatest, µm", None),
-    ("crater_end_um", "crater, end, µm", None),
-    ("diameter_end_um", "diameter, µm", None),
-    ("eps_p_mean", "eps_p mean", None),
-    ("eps_p_p99", "eps_p 99 %", None),
-    ("eps_p_max", "eps_p max", None),
-    ("T_mean_K", "T mean, K", None),
-    ("T_p99_K", "T 99 %, K", None),
-    ("T_max_K", "T max, K", None),
-    ("rebound_m_s", "rebound, m/s", None),
-    ("numerical_particle", "dissipated by SPH", 0.0),
-    ("numerical_target", "bulk viscosity", 0.0),
-]
+    *({"kernel_radius": value} for value in (0.9, 1.1)), *({"Q1": value} for value in (0.0, 0.2)),
+    *({"hourglass": value} for value in (0.1, 0.3, 3.0)),
+    {"courant": 0.1, "stretch": 0.3}, {"courant": 0.2, "stretch": 0.6}, {"courant": 0.5, "stretch": 1.2},
+    {"contact_stiffness": 0.3}, {"contact_stiffness": 3.0}, *({"lattice": name} for name in LATTICES if name != "fcc"),
+]  # fmt: skip
+# What orders are fitted to: column -> name.
+MEASURES = {
+    "flattening_gd": "flattening, greatest", "flattening_end": "flattening, end", "crater_gd_um": "crater, greatest, µm",
+    "crater_end_um": "crater, end, µm", "diameter_end_um": "diameter, µm", "eps_p_mean": "eps_p mean", "eps_p_p99": "eps_p 99 %",
+    "eps_p_max": "eps_p max", "T_mean_K": "T mean, K", "T_p99_K": "T 99 %, K", "T_max_K": "T max, K", "rebound_m_s": "rebound, m/s",
+    "numerical_particle": "dissipated by SPH", "numerical_target": "bulk viscosity",
+}  # fmt: skip
+LIMITS = {"numerical_particle": 0.0, "numerical_target": 0.0}  # where they are known
 ORDERS = np.linspace(0.1, 6.0, 296)
 KEY = ("points", *DEFAULTS)
 
@@ -100,9 +71,8 @@ def packed_on(lattice: str) -> Iterator[None]:
 
 def case(points: int, velocity: float, change: Mapping[str, float | str]) -> dict[str, object]:
     """One run; a row of the table."""
-    spacing = (3.141592653589793 / 6 * 25.0**3 / points) ** (1 / 3)
     row: dict[str, object] = {"points": points, **DEFAULTS, **{k: v for k, v in change.items() if k in DEFAULTS}}
-    scene = Scene.from_text(SCENE.format(velocity=velocity, spacing=spacing), "convergence")
+    scene = Scene.from_text(single_impact("Ni", 25.0, velocity, spacing=spacing_of(points)), "convergence")
     numerics = {name: float(value) for name, value in change.items() if name != "lattice"}
     folder = Path("runs/convergence") / "_".join((f"{velocity:g}", *key_of(row))).replace(" ", "-")
     try:
@@ -135,38 +105,40 @@ def orders(rows: list[Row]) -> list[list[str]]:
     if len(N) < FEWEST:
         return []
     lines = []
-    for column, name, limit in MEASURES:
+    for column, name in MEASURES.items():
+        limit = LIMITS.get(column)
         y, h = np.array([float(row[column]) for row in plain]), (N / N[0]) ** (-1 / 3)
         fit = fit_order([(h, y)], ORDERS, limit)
         bounded = not any(fit.at_bound)
         last = "0 (given)" if limit is not None else f"{line(h, y, fit.order)[0]:.4g}" if bounded else "-"
         first = "-" if limit is not None else f"{line(h, y, 1.0)[0]:.4g}"
         order = f"{fit.order:.2g}" if bounded else "none"
-        lines.append(
-            [name, f"{y[0]:.4g}", f"{y[-1]:.4g}", order, " to ".join(fit.interval()), last, first, f"{fit.scatter:.2g}"]
-        )
+        ends, interval = (f"{y[0]:.4g}", f"{y[-1]:.4g}"), " to ".join(fit.interval())
+        lines.append([name, *ends, order, interval, last, first, f"{fit.scatter:.2g}"])
     return lines
 
 
 def main() -> None:
     """Fill the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--points", type=int, nargs="*", default=[1000, 2000, 4000, 8000, 16000, 32000, 64000])
-    parser.add_argument(
-        "--parameters", action="store_true", help="vary the parameters of the scheme too, at 4000 points"
+    a = options(
+        __doc__,
+        "parameters",
+        "docs",
+        points=[1000, 2000, 4000, 8000, 16000, 32000, 64000],
+        lattice="fcc",
+        velocity=500.0,
     )
-    parser.add_argument("--lattice", choices=LATTICES, default="fcc", help="of the points of the ladder")
-    parser.add_argument("--velocity", type=float, default=500.0)
-    parser.add_argument("--docs", action="store_true", help="run nothing: write the fitted orders into the page")
-    a = parser.parse_args()
     command = f"python workflows/convergence.py --velocity {a.velocity:g} --parameters"
     table = study_table(f"convergence_ni{a.velocity:g}", COLUMNS, KEY, command)
     cases = [(n, {"lattice": a.lattice}) for n in a.points] + [(4000, change) for change in CHANGES if a.parameters]
     for points, change in cases if not a.docs else ():
         if key_of({"points": points, **change}) not in {key_of(row) for row in table.rows}:
             print(table.add(case(points, a.velocity, change)), flush=True)
-    head = ["", "coarsest", "finest", "order p", "95 %", "limit", "limit if p = 1", "scatter"]
-    lines = [*markdown(head, orders(table.rows)), "", versions(table.rows)]
+    lines = [
+        *markdown("| coarsest | finest | order p | 95 % | limit | limit if p = 1 | scatter", orders(table.rows)),
+        "",
+        versions(table.rows),
+    ]
     if a.docs:
         write_parts(PAGES["solvers"], {"orders": lines})
     else:

@@ -2,13 +2,13 @@
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
+    python workflows/effects_study.py --costs    # time of a step, and the share that leaving out saves: docs/tables/effects_costs.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the page and coupler/plan/effects_study.csv
 
-Rows in the tables are not computed again. What effects cost is measured by workflows/effects_costs.py. Costs are processor time
-of one thread, of impacts that go on in turn, so that other work on the machine slows them down alike.
+Rows in the tables of changes are not computed again. Costs are processor time of one thread, of impacts that go on in turn, so that
+other work on the machine slows them down alike; of each ten steps the least of several rounds (--rounds N) counts.
 """
 
-import argparse
 import json
 import tempfile
 import time
@@ -16,12 +16,27 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, ROOT, markdown, marked, study_table, table_rows, versions, write_parts
+from pages import (
+    PAGES,
+    ROOT,
+    TABLES,
+    markdown,
+    marked,
+    number,
+    options,
+    single_impact,
+    spacing_of,
+    study_table,
+    table_rows,
+    versions,
+    write_parts,
+    write_table,
+)  # fmt: skip
 
 from coupler import Scene, run
 from coupler.errors import ColdsprayError
 from coupler.impact.domains import build_domains
-from coupler.impact.exchange import Impact
+from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
 from coupler.plan.effects import LEFT_OUT, THRESHOLDS, largest_threshold, worst_change
 from coupler.plan.planning import plan
@@ -38,53 +53,38 @@ MEASURES = {
 STUDY_COLUMNS = ("scene", "effect", "number", *MEASURES, "steps", "drift", "failed")
 PROOF_COLUMNS = ("scene", *MEASURES, "cpu_all_s", "cpu_auto_s", "ratio", "steps", "left_out")
 BASE = ["all"]
-NEVER = (
-    "adhesion",
-    "cooling",
-)  # not left out of a scene that does not ask for it: of no meaning to a single impact
+NEVER = ("adhesion", "cooling")  # not left out of a scene that does not ask for it: of no meaning to a single impact
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 EITHER = ("friction", "plastic_heating")  # a scene has them or not, whatever their size
 CAUSAL = ("absorbing_boundaries",)  # nothing can come back before the waves do
 
 
-def scene(
-    material: str,
-    diameter: float,
-    velocity: float,
-    base: str,
-    points: int = 500,
-    more: str = "",
-    after: str = "",
-    below: str = "",
-) -> str:
-    """A scene file: particle of so many um and m/s, of about so many points."""
-    spacing = (3.141592653589793 / 6 * diameter**3 / points) ** (1 / 3)
-    table = (
-        f'[[particle]]\nmaterial = "{material}"\ndiameter = "{diameter:g} um"\nvelocity = "{velocity:g} m/s"\n{more}\n'
-    )
+def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", more: str = "", after: str = "") -> str:
+    """A scene of about 500 points in a particle of so many um and m/s. more: of the particle; after: further particles."""
     size = f'diameter = "{8 * diameter:g} um"\nheight = "{4 * diameter:g} um"\n'
-    return f'{table}{after}[substrate]\nmaterial = "{base}"\n{size}{below}\n[resolution]\nspacing = "{spacing!r} um"\n'
+    text = single_impact(metal, diameter, velocity, base, spacing_of(500, diameter))
+    return text.replace("[substrate]\n", f"{more}\n{after}[substrate]\n").replace("[resolution]", f"{size}[resolution]")
 
 
-def _next(velocity: float, dwell: str = "") -> str:
-    return f'[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "{velocity:g} m/s"\n{dwell}\n'
+def following(dwell: str = "") -> str:
+    return f'[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "500 m/s"\n{dwell}\n'
 
 
 SCENES = {
-    "Ni on steel, 500 m/s": scene("Ni", 25, 500, "SS304"),
-    "slow: Ni 5 um, 200 m/s": scene("Ni", 5, 200, "SS304"),
-    "fast: Ni 60 um, 1250 m/s": scene("Ni", 60, 1250, "SS304"),
-    "preheated: Ni at 600 K, 400 m/s": scene("Ni", 25, 400, "SS304", more='temperature = "600 K"'),
+    "Ni on steel, 500 m/s": scene("Ni", 25, 500),
+    "slow: Ni 5 um, 200 m/s": scene("Ni", 5, 200),
+    "fast: Ni 60 um, 1250 m/s": scene("Ni", 60, 1250),
+    "preheated: Ni at 600 K, 400 m/s": scene("Ni", 25, 400, more='temperature = "600 K"'),
     "Ti on Ti, 600 m/s": scene("Ti", 25, 600, "Ti"),
-    "soft on hard: Al on steel, 500 m/s": scene("Al", 25, 500, "SS304"),
+    "soft on hard: Al on steel, 500 m/s": scene("Al", 25, 500),
     "hard on soft: Ni on Al, 400 m/s": scene("Ni", 25, 400, "Al"),
     "Cu on Cu, 500 m/s": scene("OFHC_Cu", 25, 500, "OFHC_Cu"),
-    "rebound: Ni, 150 m/s": scene("Ni", 25, 150, "SS304"),
-    "large: Ni 190 um, 300 m/s": scene("Ni", 190, 300, "SS304"),
-    "two Ni, 10 ns between": scene("Ni", 25, 500, "SS304", more='dwell = "10 ns"', after=_next(500)),
-    "two Ni, 100 ns between": scene("Ni", 25, 500, "SS304", more='dwell = "100 ns"', after=_next(500)),
-    "two Ni, 1 us between": scene("Ni", 25, 500, "SS304", more='dwell = "1 us"', after=_next(500)),
-    "two Ni, 20 us between": scene("Ni", 25, 500, "SS304", more='dwell = "20 us"', after=_next(500)),
+    "rebound: Ni, 150 m/s": scene("Ni", 25, 150),
+    "large: Ni 190 um, 300 m/s": scene("Ni", 190, 300),
+    **{
+        f"two Ni, {pause} between": scene("Ni", 25, 500, more=f'dwell = "{pause}"', after=following())
+        for pause in ("10 ns", "100 ns", "1 us", "20 us")
+    },
 }
 WARM = ("thermal_softening", "temperature_dependent_cp", "friction_heat", "mie_gruneisen", "thermal_expansion")
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
@@ -99,12 +99,12 @@ ONLY = {
     **{name: ("cooling",) for name in SCENES if name.startswith("two Ni")},
 }  # what is left out of each scene; of the others everything
 PROOFS = {name: text for name, text in SCENES.items() if not name.startswith("two Ni")} | {
-    "rod: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "rod"'),
-    "hollow: Ni, 450 m/s": scene("Ni", 25, 450, "SS304", more='shape = "hollow_sphere"'),
+    "rod: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "rod"'),
+    "hollow: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "hollow_sphere"'),
     "three Ni, 20 us between": scene(
-        "Ni", 25, 500, "SS304", more='dwell = "20 us"', after=_next(500, 'dwell = "20 us"') + _next(500)
+        "Ni", 25, 500, more='dwell = "20 us"', after=following('dwell = "20 us"') + following()
     ),
-}  # fmt: skip
+}
 
 
 def compute(text: str, effects: Effects) -> dict[str, float]:
@@ -157,37 +157,38 @@ def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, floa
     return {name: 100.0 * (values[name] / whole[name] - 1.0) for name in MEASURES}
 
 
+def costs(rounds: int) -> None:
+    """Time of a step with everything on, and the share of it that leaving out an effect saves."""
+    choices: dict[str, Effects] = {"everything on": "all", "auto": "auto", "none": "none"}
+    choices |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in NEVER}
+    least = least_of(rounds, SCENES["Ni on steel, 500 m/s"], choices, CROSSINGS)
+    step = {name: sum(times) / (WINDOW * len(times)) for name, times in least.items()}
+    whole = step["everything on"]
+    rows = [{"effects": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()]
+    write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
+
+
 def study(table: StudyTable) -> None:
     """Leave out one effect at a time."""
     for name, text in SCENES.items():
-        wanted = [effect for effect in _asked(name) if (name, effect) not in table]
+        effects = ONLY.get(name, [effect for effect in NAMES if effect not in NEVER])
+        wanted = [effect for effect in effects if (name, effect) not in table]
         if not wanted:
             continue
         numbers = _numbers(text)
         whole = compute(text, BASE)
         for effect in wanted:
+            row: dict[str, object] = {"scene": name, "effect": effect, "number": numbers[effect]}
             try:
                 values = compute(text, [*BASE, f"-{effect}"])
+                row |= {**changes(values, whole), "steps": values["steps"], "drift": values["drift"]}
             except ColdsprayError as problem:
-                print(
-                    table.add(
-                        {"scene": name, "effect": effect, "number": numbers[effect], "failed": str(problem)[:100]}
-                    )
-                )
-                continue
-            row = {"scene": name, "effect": effect, "number": numbers[effect], **changes(values, whole)}
-            print(table.add({**row, "steps": values["steps"], "drift": values["drift"]}), flush=True)
+                row |= {"failed": str(problem)[:100]}
+            print(table.add(row), flush=True)
 
 
 def _numbers(text: str) -> dict[str, float]:
     return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).effects.rows}
-
-
-def _asked(scene_name: str) -> list[str]:
-    """The effects to leave out of a scene."""
-    if scene_name in ONLY:
-        return list(ONLY[scene_name])
-    return [effect for effect in NAMES if effect not in NEVER]
 
 
 def proof(table: StudyTable, rounds: int) -> None:
@@ -197,38 +198,33 @@ def proof(table: StudyTable, rounds: int) -> None:
         if (name,) in table:
             continue
         scene = Scene.from_text(text, "effects_study")
-        left_out = " ".join(effect for effect in NAMES if effect not in plan(scene).effects.active)
         single = len(scene.particles) == 1
         runs = [{which: compute(text, which) for which in choices} for _ in range(1 if single else max(rounds, 2))]
         if single:
-            cpu = {which: sum(costs) for which, costs in least_of(rounds, text, choices, CROSSINGS).items()}
+            cpu = {which: sum(times) for which, times in least_of(rounds, text, choices, CROSSINGS).items()}
         else:  # pauses and splats are a part of it
             cpu = {which: min(times[which]["cpu_s"] for times in runs) for which in choices}
-        first = runs[0]
         row = {
-            "scene": name,
-            **changes(first["auto"], first["all"]),
-            "cpu_all_s": cpu["all"],
-            "cpu_auto_s": cpu["auto"],
-        }
-        print(
-            table.add({**row, "ratio": cpu["all"] / cpu["auto"], "steps": first["auto"]["steps"], "left_out": left_out})
-        )
+            "scene": name, **changes(runs[0]["auto"], runs[0]["all"]), "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"],
+            "ratio": cpu["all"] / cpu["auto"], "steps": runs[0]["auto"]["steps"],
+            "left_out": " ".join(effect for effect in NAMES if effect not in plan(scene).effects.active),
+        }  # fmt: skip
+        print(table.add(row), flush=True)
 
 
 def main() -> None:
     """Fill the tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--proof", action="store_true", help="everything on against auto")
-    parser.add_argument("--rounds", type=int, default=1, help="of the proof's time measurement")
-    parser.add_argument("--docs", action="store_true", help="run nothing: write the tables into the page")
-    a = parser.parse_args()
+    a = options(__doc__, "proof", "costs", "docs", rounds=1)
     command = "python workflows/effects_study.py"
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
     against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
-    if a.proof and not a.docs:
+    if a.docs:
+        pass
+    elif a.proof:
         proof(against, a.rounds)
-    elif not a.docs:
+    elif a.costs:
+        costs(a.rounds)
+    else:
         study(influence)
     write(influence, against)
 
@@ -237,17 +233,17 @@ def write(influence: StudyTable, against: StudyTable) -> None:
     """Write the tables into the page, and the one that `coldspray check` reads into the package."""
     now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
-    costs = table_rows("effects_costs")
-    saves = {row["effects"].removeprefix("without "): row["saves"] for row in costs}
+    table = table_rows("effects_costs")
+    saves = {row["effects"].removeprefix("without "): row["saves"] for row in table}
     rows = [{**row, "cost_share": saves.get(row["effect"], "")} for row in known]
     write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
+    lines = [
+        [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
+        for row in table
+    ]
     write_parts(PAGES["effects"], {
-        "thresholds": thresholds_part(known),
-        "study": [*study_part(known), "", versions(known)],
-        "costs": markdown(["effects", "ms per step", "saves"], (
-            [marked(row["effects"], row), f"{float(row['ms_per_step']):.2f}", f"{100 * float(row['saves']):.1f} %"] for row in costs
-        )),
-        "proof": proof_part(against.rows),
+        "thresholds": thresholds_part(known), "study": [*study_part(known), "", versions(known)],
+        "costs": markdown("effects | ms per step | saves", lines), "proof": proof_part(against.rows),
     })  # fmt: skip
 
 
@@ -265,14 +261,7 @@ def thresholds_part(rows: list[Row]) -> list[str]:
         allowed = largest_threshold(effect) or 0.0
         case = [most["scene"], most["number"], f"{worst_change(most):.2f}"]
         lines.append([effect, f"{THRESHOLDS[effect].threshold:g}", f"{allowed:.2g}", *case])
-    head = [
-        "effect",
-        "threshold",
-        "allowed by the line",
-        "the case that asks for most",
-        "its number",
-        "its largest change, %",
-    ]
+    head = "effect | threshold | allowed by the line | the case that asks for most | its number | its largest change, %"
     return markdown(head, lines)
 
 
@@ -291,16 +280,14 @@ def proof_part(rows: list[Row]) -> list[str]:
     """Everything on against auto: changes in percent and processor time."""
     lines = []
     for row in rows:
-        cells = [
-            *(f"{float(row[name]):+.2f}" for name in MEASURES),
-            *(f"{float(row[c]):.1f}" for c in ("cpu_all_s", "cpu_auto_s")),
-        ]
-        lines.append([marked(row["scene"], row), *cells, f"{float(row['ratio']):.2f}", row["left_out"]])
+        cells = [f"{number(row, name):+.2f}" for name in MEASURES]
+        cells += [f"{number(row, 'cpu_all_s'):.1f}", f"{number(row, 'cpu_auto_s'):.1f}", f"{number(row, 'ratio'):.2f}"]
+        lines.append([marked(row["scene"], row), *cells, row["left_out"]])
     table = markdown(["scene", *MEASURES, "CPU all, s", "CPU auto, s", "ratio", "left out"], lines)
     if not rows:
         return table
-    worst = max(abs(float(row[name])) for row in rows for name in MEASURES)
-    ratios = [float(row["ratio"]) for row in rows]
+    worst = max(abs(number(row, name)) for row in rows for name in MEASURES)
+    ratios = [number(row, "ratio") for row in rows]
     spread = f"median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}"
     return [*table, "", f"Largest change {worst:.2f} %; {spread}."]
 

@@ -5,25 +5,17 @@ each impact, written when it is over: elements, steps, processor time (one threa
 before becomes a body, joins, comes to rest; building), who set dt.
 """
 
-import argparse
 import random
-import resource
 import tempfile
 from pathlib import Path
 
-from pages import TABLES, write_table
+from pages import TABLES, options, write_table
 
 from coupler import Scene, run
 from coupler.impact.exchange import Impact
 from coupler.progress import Progress
+from coupler.studies.ladder_runs import spent
 
-HEAD = """
-name = "growth"
-[substrate]
-material = "SS304"
-[resolution]
-spacing = "1.8 um"
-"""
 COLUMNS = (
     "impact", "elements", "steps", "before s", "steps s", "ms per step", "end ns", "dt mean ps", "dt set by the bodies %",
     "stretch", "drift",
@@ -33,7 +25,7 @@ COLUMNS = (
 def scene(impacts: int, seed: int) -> Scene:
     """Particles at random places within a disc."""
     dice = random.Random(seed)
-    text = HEAD
+    text = '[substrate]\nmaterial = "SS304"\n[resolution]\nspacing = "1.8 um"\n'
     for _ in range(impacts):
         while True:
             x, y = dice.uniform(-12, 12), dice.uniform(-12, 12)
@@ -43,30 +35,24 @@ def scene(impacts: int, seed: int) -> Scene:
     return Scene.from_text(text, "growth")
 
 
-def used() -> float:
-    """Processor time of this process and of those it has waited for (the mesher), s."""
-    own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
-
-
 class Clock:
     """A probe: the table's row of each impact, written anew after every chunk of steps."""
 
     def __init__(self) -> None:
         self.rows = list[list[str]]()
         self._ledger: object = None
-        self._began = self._last = used()
+        self._began = self._last = spent()
 
     def __call__(self, impact: Impact) -> None:
-        now, before = used(), 0.0
+        now, before = spent(), 0.0
         if impact.ledger.before != self._ledger:  # a retry makes a new ledger with the same start
             self._ledger, self._began, before = impact.ledger.before, now, now - self._last
-            self.rows.append(["0"] * 3 + [f"{before:.1f}"])
+            self.rows.append(["0"] * 3 + [f"{before:.1f}"] + [""] * (len(COLUMNS) - 4))
         self._last = now
-        spent, steps = now - self._began, impact.particle.steps
+        seconds, steps = now - self._began, impact.particle.steps
         self.rows[-1] = [
-            str(len(self.rows)), str(len(impact.target.mesh.conn)), str(steps), self.rows[-1][3], f"{spent:.1f}",
-            f"{1e3 * spent / steps:.2f}", f"{impact.time * 1e9:.1f}", f"{impact.time / steps * 1e12:.1f}",
+            str(len(self.rows)), str(len(impact.target.mesh.conn)), str(steps), self.rows[-1][3], f"{seconds:.1f}",
+            f"{1e3 * seconds / steps:.2f}", f"{impact.time * 1e9:.1f}", f"{impact.time / steps * 1e12:.1f}",
             f"{100 * impact.limits['target'] / steps:.0f}", f"{impact.particle.stretch_min:.2f}",
             f"{impact.ledger.rows.get('drift', 0.0):.1e}",
         ]  # fmt: skip
@@ -74,21 +60,16 @@ class Clock:
             self.write()
 
     def write(self) -> None:
-        rows = [dict(zip(COLUMNS, row + [""] * (len(COLUMNS) - len(row)), strict=True)) for row in self.rows]
+        rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows]
         write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
 
 
 def main() -> None:
     """Run, tabulate, record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--impacts", type=int, default=10)
-    parser.add_argument("--seed", type=int, default=2)
-    parser.add_argument("--keep", type=Path, help="folder for the run's files (default: a temporary one)")
-    a = parser.parse_args()
+    a = options(__doc__, impacts=10, seed=2)
     clock = Clock()
     with tempfile.TemporaryDirectory() as place:
-        out = a.keep or Path(place) / "run"
-        run(scene(a.impacts, a.seed), out, force=True, progress=Progress(), threads=1, probe=clock)
+        run(scene(a.impacts, a.seed), Path(place) / "run", progress=Progress(), threads=1, probe=clock)
     clock.write()
     print("\n".join("  ".join(f"{cell:>10}" for cell in row) for row in [COLUMNS, *clock.rows]))
 

@@ -4,7 +4,6 @@ Each run is killed by SIGKILL at a random share of the wall time an undisturbed 
 write a checkpoint, which happens every 0.1 s here), then resumed, and its summary compared with the undisturbed one's.
 """
 
-import argparse
 import json
 import os
 import random
@@ -15,18 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from pages import TABLES, write_table
+from pages import TABLES, options, single_impact, write_table
 
-SCENE = """
-[particle]
-material = "Ni"
-diameter = "25 um"
-velocity = "500 m/s"
-[substrate]
-material = "SS304"
-[resolution]
-spacing = "2.6 um"
-"""
+COLUMNS = ("kill", "reached ns", "checkpoints", "half-written", "exit code of resume", "largest relative difference")
 OF_THE_MACHINE = {"wall_s", "wall_loop_s", "placement", "ranks", "idle_share", "memory_peak_bytes"}
 
 
@@ -50,15 +40,12 @@ def command(*arguments: str) -> list[str]:
 
 def main() -> None:
     """Kill, go on, compare, record."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    a = parser.parse_args()
+    a = options(__doc__, kills=20, seed=1)
     dice = random.Random(a.seed)
-    rows: list[list[str]] = []
+    rows: list[dict[str, object]] = []
     with tempfile.TemporaryDirectory() as place:
         scene = Path(place) / "scene.toml"
-        scene.write_text(SCENE)
+        scene.write_text(single_impact("Ni", 25.0, 500.0, spacing=2.6))
         start = time.perf_counter()
         subprocess.run(command("run", str(scene), "--out", f"{place}/whole"), check=True)
         wall = time.perf_counter() - start
@@ -75,23 +62,19 @@ def main() -> None:
             history = out / "history.csv"
             last = history.read_text().splitlines()[-1].split(",")[0] if history.exists() else "time"
             reached = float(last) * 1e9 if last and last != "time" else 0.0
-            checkpoints = len(list(out.glob("checkpoint-*.ckpt")))
-            parts = len(list(out.glob("*.part")))
+            files = [len(list(out.glob(name))) for name in ("checkpoint-*.ckpt", "*.part")]
             done = subprocess.run(command("resume", str(out)), capture_output=True, text=True)
             worst = float("nan")
             if done.returncode == 0:
                 got = numbers(json.loads((out / "summary.json").read_text()))
                 scale = {k: max(abs(v), 1e-12) for k, v in whole.items()}
                 worst = max(abs(got[k] - whole[k]) / scale[k] for k in whole)
-            rows.append(
-                [str(kill), f"{reached:.1f}", str(checkpoints), str(parts), str(done.returncode), f"{worst:.1e}"]
-            )
-            print(*rows[-1], done.stderr.strip(), flush=True)
-    ended = sum(row[4] == "0" and float(row[5]) < 1e-6 for row in rows)
+            values = kill, f"{reached:.1f}", *files, done.returncode, f"{worst:.1e}"
+            rows.append(dict(zip(COLUMNS, values, strict=True)))
+            print(*values, done.stderr.strip(), flush=True)
+    ended = sum(float(str(row[COLUMNS[-1]])) < 1e-6 for row in rows)
     print(f"{ended} of {len(rows)} ended with the undisturbed summary to 1e-6")
-    names = ["kill", "reached ns", "checkpoints", "half-written", "exit code of resume", "largest relative difference"]
-    rows_by_name = [dict(zip(names, row, strict=True)) for row in rows]
-    write_table(TABLES / "kills.csv", rows_by_name, "remake: python workflows/kill_and_resume.py")
+    write_table(TABLES / "kills.csv", rows, "remake: python workflows/kill_and_resume.py")
 
 
 if __name__ == "__main__":

@@ -7,14 +7,13 @@ The machine is timed again before every TIMED-th scene, as other work on it come
 start of the program and the loading of compiled kernels. Rows in the table are not computed again.
 """
 
-import argparse
 import math
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import stability
-from pages import TABLES, study_table, table_rows
+from pages import column, options, study_table, table_rows
 from scipy.optimize import least_squares
 
 from coupler import run
@@ -24,7 +23,6 @@ from coupler.plan import cost
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
-from coupler.studies.table import read_rows
 
 TIMED = 4
 COLUMNS = (
@@ -81,14 +79,12 @@ def judge(name: str, here: pace.Pace) -> Table:
         before = ladder_runs.spent()
         result = run(checked, Path(folder) / "run", threads=1)
         took = ladder_runs.spent() - before
-    said = here.seconds(planned)
-    return {
-        "round": 1 if name in FIRST else 2, "scene": name, "points": checked.derived.points,
-        "steps_said": planned.steps_estimate, "steps": result.steps,
-        "said_s": round(said, 2), "took_s": round(took, 2),
-        "off_percent": round(100 * (said / took - 1), 1),
-        "pace_steps": round(here.steps, 3), "pace_points": round(here.points, 3),
-    }  # fmt: skip
+    estimate = here.seconds(planned)
+    values = (
+        1 if name in FIRST else 2, name, checked.derived.points, planned.steps_estimate, result.steps, round(estimate, 2),
+        round(took, 2), round(100 * (estimate / took - 1), 1), round(here.steps, 3), round(here.points, 3),
+    )  # fmt: skip
+    return dict(zip(COLUMNS, values, strict=True))
 
 
 def terms(
@@ -100,7 +96,7 @@ def terms(
 
 def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Terms (n, 5), ln(time to rest v / height) (n,), ln(c dt / spacing) (n,) of the single impacts in docs/tables."""
-    found = []
+    data = []
     battery = stability.battery()
     for row in table_rows("stability"):
         if row["scene"] not in battery or row["rescues"] != "0" or row["verdict"] != "passes":
@@ -110,13 +106,12 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         odd = "friction" in row["scene"] or "elements" in row["scene"] or p.shape != "sphere"
         if odd or len(checked.particles) > 1 or checked.end.time:
             continue
-        first, base = material(p.material), material(checked.substrate.material)
+        first, base = (checked.derived.material(name) for name in (p.material, checked.substrate.material))
         end, points = float(row["end ns"]) * 1e-9, p.volume / checked.derived.spacing**3
-        row_terms = terms(
-            first, base, p.temperature, checked.substrate.temperature, p.velocity, p.diameter, points, p.angle
-        )
+        T = checked.substrate.temperature
+        row_terms = terms(first, base, p.temperature, T, p.velocity, p.diameter, points, p.angle)
         cfl = end / int(row["steps"]) * first.wave_speed / checked.derived.spacing
-        found.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
+        data.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
     singles = [
         (r["material"], float(r["diameter_um"]), float(r["speed_m_s"]), float(r["temperature_K"]), r["points"], r["steps"], r["dt_ps"])
         for name in ("validation", "validation_trends") for r in table_rows(name)
@@ -130,11 +125,10 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         first, time = material(name), int(steps) * float(dt) * 1e-12
         spacing = cost.spacing(sphere_volume(D * 1e-6), int(points))
         row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, float(points), 0.0)
-        found.append(
-            (row_terms, math.log(time * v / (D * 1e-6)), math.log(float(dt) * 1e-12 * first.wave_speed / spacing))
-        )
-    F, rest, cfl = zip(*found, strict=True)
-    return np.array(F), np.array(rest), np.array(cfl)
+        cfl = float(dt) * 1e-12 * first.wave_speed / spacing
+        data.append((row_terms, math.log(time * v / (D * 1e-6)), math.log(cfl)))
+    F, rest, courant = zip(*data, strict=True)
+    return np.array(F), np.array(rest), np.array(courant)
 
 
 def fit() -> None:
@@ -147,22 +141,14 @@ def fit() -> None:
         return -np.log(1.0 / cost.CFL_AT_REST + np.exp(np.clip(F @ k, -20.0, 20.0)))
 
     start = np.array([0.0, 0.5, 0.0, 0.0, 0.0])
-    best = least_squares(
-        lambda k: model(k) - cfl, start, loss="soft_l1", f_scale=0.1
-    ).x  # a few impacts defy any such law
+    # soft_l1: a few impacts defy any such law
+    best = least_squares(lambda k: model(k) - cfl, start, loss="soft_l1", f_scale=0.1).x
     off = np.abs(cfl - model(best))
     print(f"CFL_FIT = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
           f"{np.percentile(off, 90):.1%}")  # fmt: skip
-    rows = [
-        r
-        for path in sorted(TABLES.glob("accuracy_*.csv"))
-        if "triple" not in path.name
-        for r in read_rows(path)
-        if not r["failed"]
-    ]
-    N, E, n, loop, whole = (
-        np.array([float(r[c]) for r in rows]) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s")
-    )
+    tables = [table_rows(f"accuracy_{name}") for name in ("ni1000", "ni500", "ti500")]
+    rows = [row for table in tables for row in table if not row["failed"]]
+    N, E, n, loop, whole = (column(rows, c) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s"))
     A = np.stack([N, E, np.ones_like(N)], axis=1)
     weight = n / loop  # relative errors
     seconds = np.linalg.lstsq(A * weight[:, None], np.ones_like(N), rcond=None)[0]
@@ -173,9 +159,7 @@ def fit() -> None:
 
 def main() -> None:
     """Judge the ten scenes, or fit."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", action="store_true", help="fit the constants and run nothing")
-    if parser.parse_args().fit:
+    if options(__doc__, "fit").fit:
         fit()
         return
     table = study_table("pace", COLUMNS, ("scene",), "python workflows/pace.py")

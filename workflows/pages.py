@@ -1,9 +1,16 @@
 """Shared by the scripts of this folder: the places of tables and pages, and the parts of pages that are written from tables."""
 
+import argparse
+import math
+import os
+import platform
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coupler import __version__
 from coupler.studies.table import Row, StudyTable, other_version, read_rows, write_rows
@@ -45,9 +52,51 @@ def write_table(path: Path, rows: Sequence[Mapping[str, object]], about: str) ->
     write_rows(path, [*rows[0], "version"], [{**row, "version": __version__} for row in rows], about)
 
 
-def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Lines of a Markdown table."""
-    return [f"| {' | '.join(map(str, line))} |" for line in (head, ["---"] * len(head), *rows)]
+def options(about: str, *switches: str, **values: object) -> argparse.Namespace:
+    """The options of a script, which its docstring explains: switches, and others with a value of the type of their default."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in switches:
+        parser.add_argument(f"--{name}", action="store_true")
+    for name, default in values.items():
+        several = isinstance(default, (list, tuple))
+        kind = type(default[0] if isinstance(default, (list, tuple)) else default)
+        parser.add_argument(f"--{name}", type=kind, nargs="*" if several else None, default=default)
+    return parser.parse_args()
+
+
+def single_impact(
+    metal: str, diameter: float, velocity: float, base: str = "SS304", spacing: float = 0.0, more: str = ""
+) -> str:
+    """The scene of one impact: diameter and spacing um (that of the preset if 0), velocity m/s; more: further tables."""
+    points = f'[resolution]\nspacing = "{spacing!r} um"\n' if spacing else ""
+    particle = f'[[particle]]\nmaterial = "{metal}"\ndiameter = "{diameter:g} um"\nvelocity = "{velocity:g} m/s"\n'
+    return f'{particle}[substrate]\nmaterial = "{base}"\n{points}{more}'
+
+
+def spacing_of(points: int, diameter: float = 25.0) -> float:
+    """Spacing (um) of so many points in a sphere of a diameter (um)."""
+    return (math.pi / 6.0 * diameter**3 / points) ** (1.0 / 3.0)
+
+
+def machine() -> str:
+    """The machine that times were taken on, for the head of a table."""
+    return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"
+
+
+def number(row: Mapping[str, str], column: str) -> float:
+    """A value of a table, nan where there is none."""
+    return float(row.get(column) or "nan")
+
+
+def column(rows: Iterable[Mapping[str, str]], name: str) -> NDArray[np.float64]:
+    """A column of a table as numbers (k,), nan where there is none."""
+    return np.array([number(row, name) for row in rows])
+
+
+def markdown(head: str | Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    """Lines of a Markdown table. head: the headings, or one text with "|" between them."""
+    headings = [text.strip() for text in head.split("|")] if isinstance(head, str) else head
+    return [f"| {' | '.join(map(str, line))} |" for line in (headings, ["---"] * len(headings), *rows)]
 
 
 def marked(text: object, row: Mapping[str, str]) -> str:

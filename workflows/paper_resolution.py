@@ -5,12 +5,11 @@ both gave and what they cost. Finished runs that lie in runs/ are taken as they 
 and 13 GB.
 """
 
-import argparse
 import subprocess
 import sys
 from pathlib import Path
 
-from pages import ROOT, TABLES, write_table
+from pages import ROOT, TABLES, options, write_table
 
 from coupler import Result
 
@@ -31,28 +30,25 @@ def result_of(scene: str, folder: str) -> Result:
     """The result of a run, which is computed first where it does not exist."""
     out = ROOT / "runs" / folder
     if not (out / "summary.json").exists():
-        mpiexec = Path(sys.executable).parent / "mpiexec"
-        scene_path = ROOT / "workflows" / f"{scene}.toml"
-        program = [sys.executable, "-m", "coupler", "run", str(scene_path), "--out", str(out), "--force"]
-        subprocess.run([str(mpiexec), "-n", "2", *program, "--placement", "spread"], check=True)
+        launch = [Path(sys.executable).parent / "mpiexec", "-n", "2", sys.executable, "-m", "coupler", "run"]
+        path = ROOT / "workflows" / f"{scene}.toml"
+        subprocess.run(
+            [*map(str, launch), str(path), "--out", str(out), "--force", "--placement", "spread"], check=True
+        )
     return Result(out)
 
 
 def main() -> None:
     """Run what is missing; write the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.parse_args()
+    options(__doc__)
     results = {name: result_of(*where) for name, where in RUNS.items()}
     rows = []
     for name, factor in WHOLE.items():
         unit = "%" if factor == 100.0 else "m/s" if name.endswith("m_s") else "K" if name.endswith("_K") else ""
         values = {which: f"{factor * float(getattr(result, name)):.5g}" for which, result in results.items()}
         rows.append({"measure": name, "unit": UNITS.get(name, unit), **values})
-    write_table(
-        TABLES / "paper_resolution.csv",
-        rows,
-        "remake: python workflows/paper_resolution.py; 25 um Ni on SS304 at 500 m/s, two ranks",
-    )
+    about = "remake: python workflows/paper_resolution.py; 25 um Ni on SS304 at 500 m/s, two ranks"
+    write_table(TABLES / "paper_resolution.csv", rows, about)
 
 
 if __name__ == "__main__":

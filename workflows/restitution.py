@@ -4,13 +4,26 @@ Particles of 25 um at 300 K, preset draft, without adhesion: 18 runs, each a row
 again. Then docs/tables/critical_velocity.csv, the figure and the tables of the page on bonding; --docs makes only these.
 """
 
-import argparse
 import math
 import tempfile
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, TABLES, figure_path, markdown, marked, study_table, versions, write_parts, write_table
+from pages import (
+    PAGES,
+    TABLES,
+    column,
+    figure_path,
+    markdown,
+    marked,
+    number,
+    options,
+    single_impact,
+    study_table,
+    versions,
+    write_parts,
+    write_table,
+)  # fmt: skip
 
 from coupler import Scene, run
 from coupler.contact.hold import CONTACT_RANGE
@@ -34,16 +47,8 @@ COLUMNS = (
 )  # fmt: skip
 
 SCENE = """
-name = "restitution"
 preset = "draft"
-[particle]
-material = "{metal}"
-diameter = "25 um"
-velocity = "{velocity} m/s"
-temperature = "300 K"
-[substrate]
-material = "{metal}"
-diameter = "150 um"
+{impact}diameter = "150 um"
 height = "75 um"
 [adhesion]
 kind = "none"
@@ -71,7 +76,7 @@ def rebound(metal: str, velocity: float, stiffness: float) -> dict[str, object]:
     """One impact, and the energy per area of contact that would have kept the particle."""
     probe = Interface()
     with tempfile.TemporaryDirectory() as place:
-        scene = Scene.from_text(SCENE.format(metal=metal, velocity=velocity), "restitution")
+        scene = Scene.from_text(SCENE.format(impact=single_impact(metal, 25.0, velocity, metal)), "restitution")
         numerics = {} if stiffness == 1.0 else {"contact_stiffness": stiffness}
         s = run(scene, Path(place) / "run", threads=1, probe=probe, numerics=numerics, progress=Progress(quiet=True))
     area, strain, T = probe.values or (math.nan, math.nan, math.nan)
@@ -106,13 +111,9 @@ def crossing(v: np.ndarray, strain: np.ndarray, threshold: float) -> float:
 
 def curve(rows: list[Row], metal: str) -> tuple[np.ndarray, ...]:
     """Velocity, restitution and strain of the interface of a metal's runs with the usual contact, by velocity."""
-    own = sorted(
-        (r for r in rows if r["metal"] == metal and float(r["contact_stiffness"]) == 1.0),
-        key=lambda r: float(r["velocity_m_s"]),
-    )
-    return tuple(
-        np.array([float(r[name]) for r in own]) for name in ("velocity_m_s", "restitution", "interface_strain")
-    )
+    own = [row for row in rows if row["metal"] == metal and number(row, "contact_stiffness") == 1.0]
+    own.sort(key=lambda row: number(row, "velocity_m_s"))
+    return tuple(column(own, name) for name in ("velocity_m_s", "restitution", "interface_strain"))
 
 
 def criticals(rows: list[Row]) -> list[dict[str, object]]:
@@ -167,13 +168,18 @@ def rebound_part(rows: list[Row]) -> list[str]:
         cells = [f"{value:.3f} ({johnson(material(metal), at):.3f})" for at, value in zip(v, e, strict=True)]
         lines.append([metal, *cells])
     texts = []
-    for r in sorted(
-        (r for r in rows if float(r["contact_stiffness"]) != 1.0), key=lambda r: float(r["contact_stiffness"])
-    ):
-        _, e, _ = curve([q for q in rows if float(q["velocity_m_s"]) == float(r["velocity_m_s"])], r["metal"])
-        text = f"{r['metal']} at {float(r['velocity_m_s']):.0f} m/s with {float(r['contact_stiffness']):g} times the contact stiffness"
-        texts += ["", f"{marked(text, r)}: {float(r['restitution']):.3f}, {float(r['restitution']) / e[0] - 1:+.0%}."]
-    return [*markdown(["restitution (theory)", *(f"{v} m/s" for v in VELOCITIES)], lines), *texts, "", versions(rows)]
+    stiffness = {number(row, "contact_stiffness"): row for row in rows if number(row, "contact_stiffness") != 1.0}
+    for factor, row in sorted(stiffness.items()):
+        v, e = number(row, "velocity_m_s"), number(row, "restitution")
+        usual = float(curve([r for r in rows if number(r, "velocity_m_s") == v], row["metal"])[1][0])
+        text = marked(f"{row['metal']} at {v:.0f} m/s with {factor:g} times the contact stiffness", row)
+        texts += ["", f"{text}: {e:.3f}, {e / usual - 1:+.0%}."]
+    return [
+        *markdown(["restitution (theory)", *(f"{v} m/s" for v in VELOCITIES)], lines),
+        *texts,
+        "",
+        versions(rows),
+    ]
 
 
 def critical_part(critical: list[dict[str, object]]) -> list[str]:
@@ -184,30 +190,21 @@ def critical_part(critical: list[dict[str, object]]) -> list[str]:
         ours = f"none up to {VELOCITIES[-1]} m/s" if r["from_strain_m_s"] == "none" else ours
         lines.append([r["metal"], f"{r['schmidt_2006_m_s']} m/s", f"{r['assadi_2003_m_s']} m/s", ours, r["strain_at_schmidt"],
                       f"v^{r['exponent_of_restitution']}"])  # fmt: skip
-    head = [
-        "",
-        "Schmidt et al. (2006)",
-        "Assadi et al. (2003)",
-        "from one strain",
-        "strain at Schmidt's",
-        "restitution goes as",
-    ]
+    head = (
+        "| Schmidt et al. (2006) | Assadi et al. (2003) | from one strain | strain at Schmidt's | restitution goes as"
+    )
     return [*markdown(head, lines), "", f"The strain: {critical[0]['strain_threshold']}."]
 
 
 def main() -> None:
     """Run what is missing, tabulate, draw."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--docs", action="store_true", help="run nothing: write figure and page")
-    a = parser.parse_args()
+    a = options(__doc__, "docs")
     table = study_table("restitution", COLUMNS, COLUMNS[:3], "python workflows/restitution.py")
-    cases = [(metal, v, 1.0) for v in VELOCITIES for metal in METALS] + [
-        (metal, v, factor) for factor, metal, v in BAND
-    ]
-    known = {(r["metal"], float(r["velocity_m_s"]), float(r["contact_stiffness"])) for r in table.rows}
-    for metal, v, factor in cases if not a.docs else ():
-        if (metal, float(v), factor) not in known:
-            print(table.add(rebound(metal, v, factor)), flush=True)
+    cases = [(metal, v, 1.0) for v in VELOCITIES for metal in METALS] + [(m, v, factor) for factor, m, v in BAND]
+    known = {(r["metal"], number(r, "velocity_m_s"), number(r, "contact_stiffness")) for r in table.rows}
+    for case in cases if not a.docs else ():
+        if case not in known:
+            print(table.add(rebound(*case)), flush=True)
     critical = criticals(table.rows)
     about = "remake: python workflows/restitution.py\n25 um, 300 K; from_strain: one strain of the interface, fitted to OFHC_Cu"
     write_table(TABLES / "critical_velocity.csv", critical, about)

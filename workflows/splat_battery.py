@@ -6,19 +6,20 @@ Clouds in DIR and rows in the table docs/tables/splats.csv are not computed agai
 it with OMP_NUM_THREADS=1: seconds are those of one core, the start of the mesher's process and its imports included.
 """
 
-import argparse
-import resource
+import itertools
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import splat_clouds
-from pages import markdown, study_table, versions
+from pages import markdown, options, study_table, versions
 
 from coupler.errors import ColdsprayError, SplatError
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
+from coupler.studies.ladder_runs import spent
 from coupler.studies.table import Row
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
@@ -29,6 +30,7 @@ COLUMNS = [
     "wall_s", "failed_tries",
 ]  # fmt: skip
 KEY = ("cloud", "asked", "size_over_spacing")
+CLOUDS = Path(tempfile.gettempdir()) / "splat_battery"
 SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
 
 
@@ -44,25 +46,25 @@ def load(path: Path) -> Cloud:
     return Cloud(**arrays)
 
 
+def cloud_of(name: str, folder: Path, make: Callable[[], dict[str, Any]]) -> Cloud:
+    """A cloud from its file in a folder, which is made first where it is missing. Raises ColdsprayError."""
+    path = folder / f"{name}.npz"
+    if not path.exists():
+        print(f"{name}: making it", flush=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(path, **make())
+    return load(path)
+
+
 def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dict[str, Any]:
     """Convert one cloud; its line of the table."""
-    row: dict[str, Any] = {
-        "cloud": name,
-        "kind": kind,
-        "points": len(cloud.x),
-        "size_over_spacing": ratio,
-        "asked": method,
-    }
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    row: dict[str, Any] = dict(zip(COLUMNS, (name, kind, len(cloud.x), ratio, method), strict=False))
+    before = spent()
     try:
         splat = convert(cloud, ratio * cloud.spacing, method, time_limit=180.0)
     except SplatError as problem:
-        row["result"] = f"failed: {problem}"[:400]
-        splat = None
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    row["cpu_s"] = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    if splat is None:
-        return row
+        return row | {"result": f"failed: {problem}"[:400], "cpu_s": spent() - before}
+    row["cpu_s"] = spent() - before
     r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
     row |= {
         "used": r["method"], "result": "; ".join(r["missed"]) or "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
@@ -80,38 +82,26 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dic
 
 def main() -> None:
     """Make what is missing of the clouds and of the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
-    parser.add_argument("--methods", nargs="*", default=["auto", "paper"])
-    parser.add_argument("--only", default="", help="clouds whose name contains this")
-    parser.add_argument("--summary", action="store_true", help="run nothing: print both methods side by side")
-    a = parser.parse_args()
-    a.clouds.mkdir(parents=True, exist_ok=True)
+    a = options(__doc__, "summary", clouds=CLOUDS, methods=["auto", "paper"], only="")
     table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
     if a.summary:
         print("\n".join(summary(table.rows)))
         return
-    for kind, makers in (("real", splat_clouds.real()), ("made up", splat_clouds.made_up())):
-        for name, make in makers.items():
-            if a.only not in name:
-                continue
-            path = a.clouds / f"{name}.npz"
-            if not path.exists():
-                print(f"{name}: making it", flush=True)
-                try:
-                    made = make()
-                except ColdsprayError as problem:
-                    print(f"{name}: no cloud, {problem}", flush=True)
-                    continue
-                np.savez_compressed(path, **made)
-            cloud = load(path)
-            for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())):
-                for method in a.methods:
-                    if (name, method, f"{ratio:g}") in table:
-                        continue
-                    new = table.add(row_of(name, kind, cloud, ratio, method))
-                    shown = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
-                    print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
+    makers = {name: ("real", make) for name, make in splat_clouds.real().items()}
+    makers |= {name: ("made up", make) for name, make in splat_clouds.made_up().items()}
+    for name, (kind, make) in makers.items():
+        if a.only not in name:
+            continue
+        try:
+            cloud = cloud_of(name, a.clouds, make)
+        except ColdsprayError as problem:
+            print(f"{name}: no cloud, {problem}", flush=True)
+            continue
+        for ratio, method in itertools.product((SIZE_OVER_SPACING, *SIZES.get(name, ())), a.methods):
+            if (name, method, f"{ratio:g}") not in table:
+                new = table.add(row_of(name, kind, cloud, ratio, method))
+                shown = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
+                print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
 
 
 def summary(rows: list[Row]) -> list[str]:
@@ -144,7 +134,7 @@ def summary(rows: list[Row]) -> list[str]:
             far = worst(values, key=abs) if worst is max else min(values)
             cells.append(f"{form.format(float(np.median(values)))} ({form.format(far)})")
         lines.append([label, *cells])
-    return [*markdown(["", "default", "paper"], lines), "", versions(rows)]
+    return [*markdown("| default | paper", lines), "", versions(rows)]
 
 
 if __name__ == "__main__":

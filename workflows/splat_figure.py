@@ -5,57 +5,42 @@
 Clouds that are not in DIR yet are made (see splat_battery.py).
 """
 
-import argparse
-import tempfile
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 import splat_battery
 import splat_clouds
+from matplotlib import pyplot as plt
+from matplotlib.collections import PolyCollection
+from pages import options
 
 from coupler.errors import SplatError
+from coupler.geometry.sections import crossing, cut_tets
 from coupler.splat.convert import convert
+
+matplotlib.use("Agg")
 
 CLOUDS = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, made up"}
 
 
 def section(axes: Any, points: np.ndarray, tets: np.ndarray, values: np.ndarray, most: float) -> Any:
     """Draw the cut of tetrahedra with the plane y = 0, coloured by their values (m,)."""
-    from matplotlib.collections import PolyCollection
-
-    y = points[:, 1]
-    crossed = np.flatnonzero((y[tets].min(axis=1) < 0.0) & (y[tets].max(axis=1) > 0.0))
-    polygons = []
-    for tet in tets[crossed]:
-        ends = np.array([(a, b) for a in tet for b in tet if y[a] < 0.0 <= y[b]])
-        share = (y[ends[:, 0]] / (y[ends[:, 0]] - y[ends[:, 1]]))[:, None]
-        corners = ((1.0 - share) * points[ends[:, 0]] + share * points[ends[:, 1]])[:, [0, 2]] * 1e6
-        off = corners - corners.mean(axis=0)
-        polygons.append(corners[np.argsort(np.arctan2(off[:, 1], off[:, 0]))])
-    drawn = PolyCollection(polygons, array=values[crossed], cmap="viridis", edgecolors="k", linewidths=0.3)
+    edges, owner = cut_tets(points, tets, 0.0)
+    corners = crossing(points, edges, 0.0)[0] * 1e6
+    drawn = PolyCollection(list(corners), array=values[owner], cmap="viridis", edgecolors="k", linewidths=0.3)
     drawn.set_clim(0.0, most)
     return axes.add_collection(drawn)
 
 
 def main() -> None:
     """Make the picture."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--clouds", type=Path, default=Path(tempfile.gettempdir()) / "splat_battery")
-    parser.add_argument("--out", type=Path, default=Path("docs/evidence/splats.png"))
-    a = parser.parse_args()
-    a.clouds.mkdir(parents=True, exist_ok=True)
+    a = options(__doc__, clouds=splat_battery.CLOUDS, out=Path("docs/evidence/splats.png"))
     figure, axes = plt.subplots(3, len(CLOUDS), figsize=(12.0, 6.4), constrained_layout=True)
+    makers = splat_clouds.real() | splat_clouds.made_up()
     for column, (name, label) in zip(axes.T, CLOUDS.items(), strict=True):
-        path = a.clouds / f"{name}.npz"
-        if not path.exists():
-            np.savez_compressed(path, **(splat_clouds.real() | splat_clouds.made_up())[name]())
-        cloud = splat_battery.load(path)
+        cloud = splat_battery.cloud_of(name, a.clouds, makers[name])
         assert cloud.eps_p is not None
         most = float(np.percentile(cloud.eps_p, 99))
         near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing

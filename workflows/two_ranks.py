@@ -38,14 +38,8 @@ def main() -> None:
         if len(deepest) % 20 == 0:
             print(f"probe: {impact.time * 1e9:5.1f} ns, lowest point {lowest * 1e6:6.2f} um", flush=True)
 
-    result = run(
-        Scene.from_text(SCENE, "two_ranks"),
-        a.out,
-        force=True,
-        progress=Progress(quiet=True),
-        placement=a.placement,
-        probe=probe,
-    )
+    scene, quiet = Scene.from_text(SCENE, "two_ranks"), Progress(quiet=True)
+    result = run(scene, a.out, force=True, progress=quiet, placement=a.placement, probe=probe)
     if is_first_rank():  # rank 0, or the only process
         idle = ", ".join(f"{share:.0%}" for share in result.idle_share) or "none: one process"
         print(

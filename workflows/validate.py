@@ -9,9 +9,8 @@ computed again, and a run that was stopped goes on from its last checkpoint in r
 its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
 """
 
-import argparse
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -19,7 +18,7 @@ from time import process_time
 import numpy as np
 import validation_page as page
 from numpy.typing import NDArray
-from pages import TABLES, study_table, write_table
+from pages import TABLES, options, study_table, write_table
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -51,6 +50,23 @@ COLUMNS = [
     "plastic_radius_um", "strained_radius_um", "kinetic_over_internal", "numerical_share", "drift",
     "points", "elements", "steps", "dt_ps", "wall_s", "run_wall_s", "run_cpu_s", "failed",
 ]  # fmt: skip
+# Columns of the table: measures of an impact, of its end, of a shape at some moment, with the factor from SI.
+OF_IMPACT = {
+    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0), "rebound_m_s": ("rebound_velocity_m_s", 1.0),
+    "penetration_um": ("penetration_max_m", 1e6), "numerical_share": ("numerical_dissipation", 1.0), "drift": ("energy_drift", 1.0),
+    "points": ("points", 1), "elements": ("elements", 1), "steps": ("steps", 1), "dt_ps": ("dt_mean_s", 1e12),
+    "wall_s": ("wall_s", 1.0),
+}  # fmt: skip
+AT_END = {
+    "crater_um": ("crater_depth_m", 1e6), "target_eps_p_max": ("target_eps_p_max", 1.0), "target_T_max": ("target_T_max_K", 1.0),
+    "von_mises_MPa": ("von_mises_max_Pa", 1e-6), "target_von_mises_MPa": ("target_von_mises_max_Pa", 1e-6),
+    "plastic_radius_um": ("plastic_radius_m", 1e6), **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},
+    **{f"T_{which}": (f"T_{which}_K", 1.0) for which in ("mean", "p99", "max")},
+}  # fmt: skip
+OF_SHAPE = {
+    "flattening": ("flattening_ratio", 1.0), "flattening_total": ("flattening_ratio_total", 1.0), "height_um": ("height_m", 1e6),
+    "thickness_um": ("thickness_m", 1e6), "diameter_um": ("splat_diameter_m", 1e6),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -67,15 +83,15 @@ def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
     """The text of a scene of this folder with another preset, and other values of its (first) particle: velocity="413 m/s"."""
     text = (HERE / f"{workflow}.toml").read_text().replace('preset = "standard"', f'preset = "{preset}"')
     for key, value in particle.items():
-        head, found, rest = text.partition(f'\n{key} = "')
-        if not found:
+        head, key_there, rest = text.partition(f'\n{key} = "')
+        if not key_there:
             raise SystemExit(f"{workflow}.toml has no line {key} = ...")
-        text = head + found + value + rest[rest.index('"') :]
+        text = head + key_there + value + rest[rest.index('"') :]
     return text
 
 
 def cases() -> Iterator[Case]:
-    """Cases A to D at the preset that the page speaks of."""
+    """Cases A to D at the preset of the page."""
     yield from (Case(letter, scene_of(name), keep=True) for letter, name in CASES.items())
 
 
@@ -112,7 +128,8 @@ def in_proportion(text: str, diameter: int) -> str:
 
 def shapes() -> Iterator[Case]:
     """Three impacts of each of the six shapes."""
-    yield from (Case(f"shape-{name}", scene_of(f"morphology_{name}", "draft")) for name in SHAPES)
+    text = scene_of("morphology", "draft")
+    yield from (Case(f"shape-{name}", text.replace('"rod"', f'"{name}"')) for name in SHAPES)
 
 
 def compute(case: Case, probe: Callable[[Impact], None] | None = None) -> Result:
@@ -146,9 +163,9 @@ def splats_of(result: Result, least: float) -> list[float]:
     graph = coo_matrix((np.ones(len(rows)), (rows, cells[:, 1:].ravel())), shape=(n, n))
     owner = connected_components(graph, directed=False)[1][cells[:, 0]]
     volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
-    found = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
-    middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in found}
-    return [axial(f.points, boundary_faces(cells[owner == b])[0]) for b in sorted(found, key=lambda b: middle[b])]
+    splats = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
+    middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in splats}
+    return [axial(f.points, boundary_faces(cells[owner == b])[0]) for b in sorted(splats, key=lambda b: middle[b])]
 
 
 def strained_radius(result: Result, least: float = 0.2) -> float:
@@ -160,54 +177,40 @@ def strained_radius(result: Result, least: float = 0.2) -> float:
 
 def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
-    when, rows = 0.0, []
-    impacts = result.impacts
-    volumes = [np.pi / 6 * one["diameter_m"] ** 3 for one in impacts]
+    when, rows, impacts = 0.0, [], result.impacts
+    volumes = [np.pi / 6 * impact["diameter_m"] ** 3 for impact in impacts]
     standing = splats_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
-    stayed = [k for k, one in enumerate(impacts[:-1]) if one["at_end"] is not None]
-    # splats of more than one piece, or lost ones, cannot be told from each other by their order: no thickness then
+    stayed = [k for k, impact in enumerate(impacts[:-1]) if impact["at_end"] is not None]
+    # splats in several parts, or lost ones, cannot be told from each other by their order: no thickness then
     at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
-    times = result.times("surface")
-    for k, one in enumerate(impacts):
-        last, when = one["end"], when + one["end"]["time_s"]
+    times, radius = result.times("surface"), strained_radius(result) * 1e6
+    preset = Scene.from_text(case.text, case.name).preset
+    for k, impact in enumerate(impacts):
+        end, greatest, energies = impact["end"], impact["greatest"], impact["energies"]
+        when += end["time_s"]
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
-        own = axial(f.points, f.cells)
-        at_end[len(impacts) - 1] = own
-        e, g = one["energies"], one["greatest"] or {}
-        kinetic = e["kinetic_particle"] + e["kinetic_target"]
+        at_end[len(impacts) - 1] = own = axial(f.points, f.cells)
+        kinetic = energies["kinetic_particle"] + energies["kinetic_target"]
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "preset": Scene.from_text(case.text, case.name).preset,
-            "material": one["material"], "diameter_um": one["diameter_m"] * 1e6, "speed_m_s": one["speed_m_s"],
-            "temperature_K": case.start, "crater_um": last["crater_depth_m"] * 1e6, "rebound_m_s": one["rebound_velocity_m_s"],
-            "penetration_um": one["penetration_max_m"] * 1e6, "target_eps_p_max": last["target_eps_p_max"],
-            "target_T_max": last["target_T_max_K"], "von_mises_MPa": last["von_mises_max_Pa"] / 1e6,
-            "target_von_mises_MPa": last["target_von_mises_max_Pa"] / 1e6,
-            "plastic_radius_um": last["plastic_radius_m"] * 1e6, "strained_radius_um": strained_radius(result) * 1e6,
-            "kinetic_over_internal": kinetic / (1.0 - kinetic), "numerical_share": one["numerical_dissipation"],
-            "drift": one["energy_drift"], "points": one["points"], "elements": one["elements"], "steps": one["steps"],
-            "dt_ps": one["dt_mean_s"] * 1e12, "wall_s": one["wall_s"], "run_wall_s": result.wall_s, "failed": "",
+            "run": case.name, "impact": k + 1, "preset": preset, "temperature_K": case.start, "strained_radius_um": radius,
+            "kinetic_over_internal": kinetic / (1.0 - kinetic), "run_wall_s": result.wall_s, "failed": "",
         }  # fmt: skip
-        row |= {f"eps_p_{which}": last[f"eps_p_{which}"] for which in ("mean", "p99", "max")}
-        row |= {f"T_{which}": last[f"T_{which}_K"] for which in ("mean", "p99", "max")}
-        if g:
-            row |= shape_row("greatest", g) | {"crater_greatest_um": g["crater_depth_m"] * 1e6}
-            row["von_mises_greatest_MPa"] = g["von_mises_max_Pa"] / 1e6
-        row |= shape_row("own", last) | {"axial_um_own": own * 1e6}
-        if (standing := one.get("at_end", last)) is not None:
-            row |= shape_row("end", standing)
+        row |= {column: impact[key] * factor for column, (key, factor) in OF_IMPACT.items()} | {
+            "material": impact["material"]
+        }
+        row |= {column: end[key] * factor for column, (key, factor) in AT_END.items()}
+        moments = {"greatest": greatest, "own": end, "end": impact.get("at_end", end)}
+        for moment, m in moments.items():
+            if m is not None:
+                row |= {f"{column}_{moment}": m[key] * factor for column, (key, factor) in OF_SHAPE.items()}
+        if greatest is not None:
+            row["crater_greatest_um"] = greatest["crater_depth_m"] * 1e6
+            row["von_mises_greatest_MPa"] = greatest["von_mises_max_Pa"] * 1e-6
+        row["axial_um_own"] = own * 1e6
         if k in at_end:
             row["axial_um_end"] = at_end[k] * 1e6
         rows.append(row)
     return rows
-
-
-def shape_row(when: str, m: dict[str, float]) -> dict[str, float]:
-    """The columns of a shape at one time from its measures in SI."""
-    return {
-        f"flattening_{when}": m["flattening_ratio"], f"flattening_total_{when}": m["flattening_ratio_total"],
-        f"height_um_{when}": m["height_m"] * 1e6, f"thickness_um_{when}": m["thickness_m"] * 1e6,
-        f"diameter_um_{when}": m["splat_diameter_m"] * 1e6,
-    }  # fmt: skip
 
 
 class WaveProbe:
@@ -260,21 +263,17 @@ def depth_profiles(result: Result) -> None:
     """Fields of case A along the axis, at its end: docs/tables/validation_profiles.csv."""
     names, rows = ("eps_p", "T", "von_mises", "stress"), []
     for profile in profiles(result, len(result.times("particle")) - 1, names, stage(result), 60e-6):
-        for k, depth in enumerate(profile.depth):
-            if np.isfinite(profile.values["T"][k]):
-                row = {
-                    "body": profile.body,
-                    "depth_um": depth * 1e6,
-                    "eps_p": profile.values["eps_p"][k],
-                    "T_K": profile.values["T"][k],
-                }
-                row["von_mises_MPa"] = profile.values["von_mises"][k] / 1e6
-                stress = profile.values["stress"][k] / 1e6
-                rows.append(row | dict(zip(("xx_MPa", "yy_MPa", "zz_MPa"), stress[:3], strict=True)))
+        v = profile.values
+        for k in np.flatnonzero(np.isfinite(v["T"])):
+            xx, yy, zz = v["stress"][k, :3] / 1e6
+            rows.append({
+                "body": profile.body, "depth_um": profile.depth[k] * 1e6, "eps_p": v["eps_p"][k], "T_K": v["T"][k],
+                "von_mises_MPa": v["von_mises"][k] / 1e6, "xx_MPa": xx, "yy_MPa": yy, "zz_MPa": zz,
+            })  # fmt: skip
     write_table(TABLES / "validation_profiles.csv", rows, REMAKE)
 
 
-def fill(name: str, cases: Sequence[Case]) -> None:
+def fill(name: str, cases: Iterable[Case]) -> None:
     """Compute the runs that a table lacks."""
     table = study_table(name, COLUMNS, ("run", "impact"), "make validate")
     for case in cases:
@@ -300,18 +299,13 @@ def fill(name: str, cases: Sequence[Case]) -> None:
 
 def main() -> None:
     """Fill the tables, write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="*", choices=("cases", "spread", "draft", "wave", "trends", "shapes"))
-    parser.add_argument("--docs", action="store_true", help="run nothing, write the page from the tables")
-    a = parser.parse_args()
-    parts = () if a.docs else a.only or ("cases", "wave", "draft", "spread", "trends", "shapes")
-    for part in parts:
+    a = options(__doc__, "docs", only=["cases", "wave", "draft", "spread", "trends", "shapes"])
+    parts = {"cases": cases, "draft": drafts, "spread": spread, "trends": trends, "shapes": shapes}
+    for part in () if a.docs else a.only:
         if part == "wave":
             wave()
-        elif part in ("trends", "shapes"):
-            fill("validation_trends", list(trends() if part == "trends" else shapes()))
         else:
-            fill("validation", list({"cases": cases, "spread": spread, "draft": drafts}[part]()))
+            fill("validation_trends" if part in ("trends", "shapes") else "validation", parts[part]())
     page.write_page()
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import validation_figures as figures
-from pages import PAGES, markdown, marked, table_rows, versions, write_parts
+from pages import PAGES, column, markdown, marked, number, table_rows, versions, write_parts
 
 from coupler.studies.table import Row
 
+METHODS = ("hybrid", "ale", "experiment")  # of the paper
 PAPER = tomllib.loads((Path(__file__).parent / "paper_values.toml").read_text())
 #: The readings of a splat's thickness, and of the instant, that a flattening ratio can be of: column, words.
 READINGS = (
@@ -22,152 +23,139 @@ READINGS = (
 )
 
 
-def number(row: Row, column: str) -> float:
-    """A value of a table, nan where there is none; "axial_end": flattening by the thickness on the axis."""
-    if column == "axial_end":
-        return 1.0 - number(row, "axial_um_end") / number(row, "diameter_um")
-    return float(row.get(column) or "nan")
+def with_axial(rows: Sequence[Row]) -> list[Row]:
+    """The rows with a column more, axial_end: flattening by the thickness on the axis."""
+    ends = 1.0 - column(rows, "axial_um_end") / column(rows, "diameter_um")
+    return [row | {"axial_end": str(end)} for row, end in zip(rows, ends, strict=True)]
 
 
-def said(value: float, digits: int = 2) -> str:
+def digits(value: float, count: int = 2) -> str:
     """A number for a table, a dash for none."""
-    return f"{value:.{digits}f}" if np.isfinite(value) else "-"
+    return f"{value:.{count}f}" if np.isfinite(value) else "-"
+
+
+def cells(row: Row, names: Sequence[str], count: int = 2) -> list[str]:
+    """Columns of a row for a table."""
+    return [digits(number(row, name), count) for name in names]
 
 
 def seven(rows: Sequence[Row], suffix: str = "") -> list[tuple[str, Row, dict[str, float]]]:
-    """The seven particles of cases A to D, as far as they are computed: name, row, and the paper's flattening by who found it."""
-    found = []
+    """The seven particles of cases A to D, so far as they are computed: name, row, and the flattening by METHODS."""
+    particles = []
     for letter, case in PAPER["case"].items():
         for k, particle in enumerate(case["impacts"]):
-            mine = [row for row in rows if row["run"] == letter + suffix and row["impact"] == str(k + 1)]
-            if mine and not mine[0]["failed"]:
-                name = f"{letter}{k + 1 if len(case['impacts']) > 1 else ''}: {particle['diameter_um']:.0f} µm {particle['material']}"
-                found.append((name, mine[0], {who: values[k] for who, values in case["flattening"].items()}))
-    return found
+            own = [row for row in rows if row["run"] == letter + suffix and row["impact"] == str(k + 1)]
+            if own and not own[0]["failed"]:
+                number_ = k + 1 if len(case["impacts"]) > 1 else ""
+                name = f"{letter}{number_}: {particle['diameter_um']:.0f} µm {particle['material']}"
+                particles.append((name, own[0], {who: values[k] for who, values in case["flattening"].items()}))
+    return particles
 
 
 def errors(rows: Sequence[Row]) -> list[str]:
     """Mean absolute error of flattening against the experiment, of each reading of ours and of the paper's two."""
-    found = seven(rows)
-    truth = np.array([paper["experiment"] for _, _, paper in found])
-    lines = [
-        [f"the paper's {name}", *_error(np.array([paper[who] for _, _, paper in found]), truth)]
-        for who, name in (("hybrid", "hybrid"), ("ale", "ALE"))
-    ]
-    lines += [
-        [f"ours, {words}", *_error(np.array([number(row, column) for _, row, _ in found]), truth)]
-        for column, words in READINGS
-    ]
+    particles = seven(with_axial(rows))
+    truth = np.array([paper["experiment"] for _, _, paper in particles])
+    ours = [row for _, row, _ in particles]
+    values = {f"the paper's {name}": np.array([paper[who] for _, _, paper in particles])
+              for who, name in (("hybrid", "hybrid"), ("ale", "ALE"))}  # fmt: skip
+    values |= {f"ours, {words}": column(ours, name) for name, words in READINGS}
+    lines = []
+    for name, value in values.items():
+        off = value - truth
+        lines.append([name, digits(np.abs(off).mean(), 3), f"{off.mean():+.3f}", digits(np.abs(off).max(), 2)])
     lines[2] = [f"**{cell}**" for cell in lines[2]]
-    head = ["", f"mean absolute error, {len(found)} particles", "mean error", "largest"]
-    return [*markdown(head, lines), "", versions(rows)]
-
-
-def _error(values: np.ndarray, truth: np.ndarray) -> list[str]:
-    off = values - truth
-    return [said(float(np.abs(off).mean()), 3), f"{off.mean():+.3f}", said(float(np.abs(off).max()), 2)]
+    return [
+        *markdown(f"| mean absolute error, {len(particles)} particles | mean error | largest", lines),
+        "",
+        versions(rows),
+    ]
 
 
 def flattening(rows: Sequence[Row]) -> list[str]:
     """Flattening of each particle: ours in its readings, the paper's, the experiment's."""
+    rows = with_axial(rows)
     draft = {name: row for name, row, _ in seven(rows, "-draft")}
+    names = [name for name, _ in READINGS]
     lines = []
     for name, row, paper in seven(rows):
-        coarse = [number(draft[name], column) if name in draft else np.nan for column, _ in READINGS]
-        ours = [said(number(row, column)) for column, _ in READINGS]
-        ours[0] = f"**{ours[0]}** ({said(coarse[0])})"
-        ours[3] += f" ({said(coarse[3])})"
-        lines.append([marked(name, row), *ours, *(f"{paper[who]:.2f}" for who in ("hybrid", "ale", "experiment"))])
-    head = ["", "height: end (draft)", "own", "greatest", "whole: end (draft)", "own", "on the axis: end"]
-    return markdown([*head, "hybrid", "ALE", "experiment"], lines)
+        ours, coarse = cells(row, names), cells(draft.get(name, {}), names)
+        ours[0] = f"**{ours[0]}** ({coarse[0]})"
+        ours[3] += f" ({coarse[3]})"
+        lines.append([marked(name, row), *ours, *(f"{paper[who]:.2f}" for who in METHODS)])
+    head = "| height: end (draft) | own | greatest | whole: end (draft) | own | on the axis: end"
+    return markdown(f"{head} | hybrid | ALE | experiment", lines)
 
 
 def spread(rows: Sequence[Row]) -> list[str]:
     """Cases A and B over the measured spread of impact velocities."""
     lines = []
     for letter, key in (("A", "Ni_25um"), ("B", "Ti_30um")):
-        runs = {
-            float(row["speed_m_s"]): row for row in rows if row["run"][:2] == f"{letter}-" and row["run"][2:].isdigit()
-        }
-        runs |= {float(row["speed_m_s"]): row for row in rows if row["run"] == f"{letter}-draft"}
-        for speed, row in sorted(runs.items()):
-            measured, case = PAPER["experiment_spread"][key], PAPER["case"][letter]["flattening"]["experiment"][0]
+        measured, case = PAPER["experiment_spread"][key], PAPER["case"][letter]["flattening"]["experiment"][0]
+        runs = [
+            row
+            for row in rows
+            if row["run"] == f"{letter}-draft" or (row["run"].startswith(f"{letter}-") and row["run"][2:].isdigit())
+        ]
+        for row in sorted(runs, key=lambda row: float(row["speed_m_s"])):
+            speed = float(row["speed_m_s"])
             off = speed - measured["velocity"]
-            what = "mean" if off == 0 else f"{off:+.0f} m/s" + (" (nominal)" if speed == 500 else "")
-            values = (said(number(row, f"flattening_{w}"), 3) for w in ("end", "total_end"))
-            shape = (said(number(row, c)) for c in ("crater_um", "diameter_um_end"))
+            place = "mean" if off == 0 else f"{off:+.0f} m/s" + (" (nominal)" if speed == 500 else "")
+            shape = cells(row, ("flattening_end", "flattening_total_end"), 3) + cells(
+                row, ("crater_um", "diameter_um_end")
+            )
             lines.append(
                 [
                     f"{letter}: {key.replace('_', ' ').replace('um', ' µm')}",
                     f"{speed:.0f}",
-                    what,
-                    *values,
+                    place,
                     *shape,
                     f"{case:.2f}",
                 ]
             )
-    head = ["", "m/s", "of the measured", "flattening, height", "whole", "crater µm", "diameter µm", "experiment"]
-    return markdown(head, lines)
+    return markdown(
+        "| m/s | of the measured | flattening, height | whole | crater µm | diameter µm | experiment", lines
+    )
 
 
 def shape(rows: Sequence[Row]) -> list[str]:
     """Diameters, thicknesses and their ratio, and craters."""
     lines = []
     for name, row, _ in seven(rows):
-        case, k = PAPER["case"][name[0]], int(row["impact"]) - 1
-        ratios = case.get("diameter_over_thickness", {})
-        width, high, whole, axis = (
-            number(row, f"{c}_end") for c in ("diameter_um", "height_um", "thickness_um", "axial_um")
-        )
+        ratios, k = PAPER["case"][name[0]].get("diameter_over_thickness", {}), int(row["impact"]) - 1
+        names = ("diameter_um_end", "height_um_end", "thickness_um_end", "axial_um_end")
+        over = [digits(number(row, names[0]) / number(row, thickness)) for thickness in names[1:]]
+        others = [f"{ratios[who][k]:.2f}" if who in ratios else "-" for who in METHODS]
         lines.append(
-            [
-                name,
-                said(width, 1),
-                said(high, 1),
-                said(whole, 1),
-                said(axis, 1),
-                said(width / high),
-                said(width / whole),
-            ]
-            + [said(width / axis)]
-            + [f"{ratios[who][k]:.2f}" if who in ratios else "-" for who in ("hybrid", "ale", "experiment")]
-            + [said(number(row, "crater_um")), said(number(row, "rebound_m_s"), 0)]
+            [name, *cells(row, names, 1), *over, *others, *cells(row, ["crater_um"]), *cells(row, ["rebound_m_s"], 0)]
         )
-    head = ["", "diameter µm", "height µm", "whole µm", "on the axis µm", "d / height", "d / whole", "d / axis"]
-    return markdown([*head, "hybrid", "ALE", "experiment", "crater µm", "leaves at m/s"], lines)
+    head = "| diameter µm | height µm | whole µm | on the axis µm | d / height | d / whole | d / axis"
+    return markdown(f"{head} | hybrid | ALE | experiment | crater µm | leaves at m/s", lines)
 
 
 def contact(rows: Sequence[Row]) -> list[str]:
     """Case A against the paper's table 3."""
-    row, wave = seven(rows)[0][1], table_rows("validation_wave")
-    paper = PAPER["contact"]
-
-    def line(what: str, ours: str, key: str) -> list[str]:
-        return [what, ours, *(f"{paper[who][key]:g}" for who in ("hybrid", "ale"))]
-
-    lines = []
-    if wave:
-        pressure, force, time, area = (
-            figures.column(wave, c) for c in ("pressure_MPa", "force_mN", "time_ns", "contact_um2")
-        )
+    row, given = seven(rows)[0][1], table_rows("validation_wave")
+    texts = {
+        "largest von Mises stress, MPa": ("max_von_mises_MPa", "particle {von_mises_greatest_MPa:.0f} at greatest deformation,"
+                                          " {von_mises_MPa:.0f} at the end; target {target_von_mises_MPa:.0f}"),
+        "plastic radius, µm": ("plastic_radius_um", "{plastic_radius_um:.0f} (0.2 % strain), {strained_radius_um:.0f} (20 %)"),
+        "largest penetration, crater, µm": (
+            "max_penetration_um", "{crater_greatest_um:.2f} greatest, {crater_um:.2f} at the end"),
+    }  # fmt: skip
+    values = {name: float(value) for name, value in row.items() if name.endswith(("_MPa", "_um")) and value}
+    ours = {label: (key, text.format(**values)) for label, (key, text) in texts.items()}
+    if given:
+        pressure, force, time, area = (column(given, c) for c in ("pressure_MPa", "force_mN", "time_ns", "contact_um2"))
         peak, rest = int(force.argmax()), (time > 20) & (time < 30)
         text = f"{pressure[peak]:.0f} at the greatest force ({force[peak]:.0f} mN, {time[peak]:.1f} ns, {area[peak]:.0f} µm²); "
-        lines.append(
-            line(
-                "mean contact pressure, MPa",
-                text + f"{pressure[rest].mean():.0f} from 20 to 30 ns",
-                "contact_pressure_MPa",
-            )
-        )
-    peak_stress, end_stress = number(row, "von_mises_greatest_MPa"), number(row, "von_mises_MPa")
-    stress = f"particle {peak_stress:.0f} at greatest deformation, {end_stress:.0f} at the end; "
-    stress += f"target {number(row, 'target_von_mises_MPa'):.0f}"
-    lines.append(line("largest von Mises stress, MPa", stress, "max_von_mises_MPa"))
-    radius = f"{number(row, 'plastic_radius_um'):.0f} (0.2 % strain), {number(row, 'strained_radius_um'):.0f} (20 %)"
-    lines.append(line("plastic radius, µm", radius, "plastic_radius_um"))
-    depth = f"{number(row, 'crater_greatest_um'):.2f} greatest, {number(row, 'crater_um'):.2f} at the end"
-    lines.append(line("largest penetration, crater, µm", depth, "max_penetration_um"))
-    return markdown(["25 µm Ni, 500 m/s", "ours", "hybrid", "ALE"], lines)
+        text += f"{pressure[rest].mean():.0f} from 20 to 30 ns"
+        ours = {"mean contact pressure, MPa": ("contact_pressure_MPa", text)} | ours
+    lines = [
+        [label, text, *(f"{PAPER['contact'][who][key]:g}" for who in METHODS[:2])]
+        for label, (key, text) in ours.items()
+    ]
+    return markdown("25 µm Ni, 500 m/s | ours | hybrid | ALE", lines)
 
 
 def wave(rows: Sequence[Row]) -> list[str]:
@@ -175,74 +163,57 @@ def wave(rows: Sequence[Row]) -> list[str]:
     given = table_rows("validation_wave")
     if not given:
         return ["Not computed."]
-    paper, lines = PAPER["single_Ni_500"], []
-    time = figures.column(given, "time_ns")
-    for column, name in (("particle_MPa", "particle, at its lowest point"), ("target_MPa", "target, below it")):
-        y = figures.column(given, column)
-        late = time > 120
-        frequency, amplitude = figures.ringing(time, y, 60.0, 150.0)
-        lines.append([name, f"{y.max():.0f}", f"{y[late].mean():.0f}", f"{frequency:.0f}", f"{amplitude:.0f}"])
-    y = figures.column(given, "particle_mean_MPa")
-    frequency, amplitude = figures.ringing(time, y, 60.0, 150.0)
-    lines.append(
-        ["particle, mean", f"{y.max():.0f}", f"{y[time > 120].mean():.0f}", f"{frequency:.0f}", f"{amplitude:.0f}"]
-    )
+    paper, time, lines = PAPER["single_Ni_500"], column(given, "time_ns"), []
+    for name, label in (("particle_MPa", "particle, at its lowest point"), ("target_MPa", "target, below it"),
+                        ("particle_mean_MPa", "particle, mean")):  # fmt: skip
+        y = column(given, name)
+        values = (y.max(), y[time > 120].mean(), *figures.ringing(time, y, 60.0, 150.0))
+        lines.append([label, *(f"{value:.0f}" for value in values)])
     known = [
         paper["von_mises_peak_near_interface_MPa"],
         paper["von_mises_residual_MPa"],
         *paper["stress_wave"].values(),
     ]
     lines.append(["the paper", *(f"{value:.0f}" for value in known)])
-    return markdown(["von Mises stress, MPa", "peak", "120 to 150 ns, mean", "ringing MHz", "its amplitude"], lines)
+    return markdown("von Mises stress, MPa | peak | 120 to 150 ns, mean | ringing MHz | its amplitude", lines)
 
 
 def heat(rows: Sequence[Row]) -> list[str]:
     """Plastic strain and temperature of each particle after its own impact, and of the target that it hit."""
     cost, lines = PAPER["cost"], []
     for name, row, _ in seven(rows):
-        strain = (said(number(row, f"eps_p_{which}")) for which in ("mean", "p99", "max"))
-        T = (said(number(row, f"T_{which}"), 0) for which in ("mean", "p99", "max"))
-        target = (said(number(row, "target_eps_p_max")), said(number(row, "target_T_max"), 0))
+        ours = cells(row, ("eps_p_mean", "eps_p_p99", "eps_p_max")) + cells(row, ("T_mean", "T_p99", "T_max"), 0)
         k = {"A": 0, "D2": 1, "D3": 2}.get(name.split(":")[0])
-        paper = (
-            ["-"] * 4
-            if k is None
-            else [f"{cost[who][m][k]:g}" for m in ("eps_max", "T_max_K") for who in ("hybrid", "ale")]
-        )
-        lines.append([name, *strain, *T, *target, *paper])
-    head = ["", "eps_p mean", "99 %", "max", "T mean K", "99 %", "max", "target: eps_p max", "T max K"]
-    return markdown([*head, "hybrid: eps_p max", "ALE", "hybrid: T max K", "ALE"], lines)
+        paper = ["-" if k is None else f"{cost[who][m][k]:g}" for m in ("eps_max", "T_max_K") for who in METHODS[:2]]
+        lines.append([name, *ours, *cells(row, ["target_eps_p_max"]), *cells(row, ["target_T_max"], 0), *paper])
+    head = "| eps_p mean | 99 % | max | T mean K | 99 % | max | target: eps_p max | T max K"
+    return markdown(f"{head} | hybrid: eps_p max | ALE | hybrid: T max K | ALE", lines)
 
 
 def cost(rows: Sequence[Row]) -> list[str]:
     """Points and elements, time steps and wall time; the paper's hours."""
     given, lines = PAPER["cost"], []
     for letter, k in (("A", 0), ("B", None), ("C", None), ("D", 2)):
-        mine = [row for row in rows if row["run"] == letter and not row["failed"]]
-        if not mine:
+        own = [row for row in rows if row["run"] == letter and not row["failed"]]
+        if not own:
             continue
-        seconds, busy = number(mine[-1], "run_wall_s"), number(mine[-1], "run_cpu_s")
-        line = [letter, " + ".join(row["points"] for row in mine), mine[-1]["elements"]]
-        line += [", ".join(said(number(row, "dt_ps"), 1) for row in mine), f"{seconds:.0f}", f"{busy:.0f}"]
+        busy = number(own[-1], "run_cpu_s")
+        line = [letter, " + ".join(row["points"] for row in own), own[-1]["elements"]]
+        line += [
+            ", ".join(digits(number(row, "dt_ps"), 1) for row in own),
+            *cells(own[-1], ("run_wall_s", "run_cpu_s"), 0),
+        ]
         if k is None:
             line += ["-"] * 5
         else:
-            both = [(given[who]["hours"][k], given[who]["dt_ns"][k] * 1e3) for who in ("hybrid", "ale")]
-            line += [f"{given['elements'][k]:,}".replace(",", " "), *(f"{dt:g}" for _, dt in both)]
-            line += [f"{hours:g} h: {hours * 3600 / busy:.0f}" for hours, _ in both]
+            line += [
+                f"{given['elements'][k]:,}".replace(",", " "),
+                *(f"{given[who]['dt_ns'][k] * 1e3:g}" for who in METHODS[:2]),
+            ]
+            line += [f"{h:g} h: {h * 3600 / busy:.0f}" for h in (given[who]["hours"][k] for who in METHODS[:2])]
         lines.append(line)
-    head = [
-        "",
-        "points",
-        "elements",
-        "time step ps",
-        "wall s",
-        "processor s",
-        "paper: elements",
-        "hybrid: ps",
-        "ALE: ps",
-    ]
-    return markdown([*head, "hybrid: hours, times ours", "ALE: hours, times ours"], lines)
+    head = "| points | elements | time step ps | wall s | processor s | paper: elements | hybrid: ps | ALE: ps"
+    return markdown(f"{head} | hybrid: hours, times ours | ALE: hours, times ours", lines)
 
 
 def trends(rows: Sequence[Row]) -> list[str]:
@@ -253,31 +224,18 @@ def trends(rows: Sequence[Row]) -> list[str]:
 
 def shapes(rows: Sequence[Row]) -> list[str]:
     """Six shapes, three impacts each: strain of the particles."""
-    lines = []
-    given = table_rows("validation_trends")
+    lines, given = [], table_rows("validation_trends")
+    columns = {"eps_p_mean": 2, "eps_p_p99": 2, "eps_p_max": 2, "T_p99": 0, "crater_um": 1, "rebound_m_s": 0}
     for name, strain in PAPER["morphology"]["eps_max"].items():
-        mine = [row for row in given if row["run"] == f"shape-{name}"]
-        if not mine:
-            continue
-        if mine[0]["failed"]:
-            lines.append([name.replace("_", " "), mine[0]["failed"], *["-"] * 5, f"{strain:g}"])
-            continue
-        values = [", ".join(said(number(row, c)) for row in mine) for c in ("eps_p_mean", "eps_p_p99", "eps_p_max")]
-        T = ", ".join(said(number(row, "T_p99"), 0) for row in mine)
-        crater = ", ".join(said(number(row, "crater_um"), 1) for row in mine)
-        rebound = ", ".join(said(number(row, "rebound_m_s"), 0) for row in mine)
-        lines.append([name.replace("_", " "), *values, T, crater, rebound, f"{strain:g}"])
-    head = [
-        "",
-        "eps_p mean of impacts 1, 2, 3",
-        "99 %",
-        "max",
-        "T 99 % K",
-        "crater µm",
-        "leaves at m/s",
-        "paper: eps_p max",
-    ]
-    return markdown(head, lines)
+        own = [row for row in given if row["run"] == f"shape-{name}"]
+        if own and own[0]["failed"]:
+            lines.append([name.replace("_", " "), own[0]["failed"], *["-"] * 5, f"{strain:g}"])
+        elif own:
+            values = [", ".join(digits(number(row, c), n) for row in own) for c, n in columns.items()]
+            lines.append([name.replace("_", " "), *values, f"{strain:g}"])
+    return markdown(
+        "| eps_p mean of impacts 1, 2, 3 | 99 % | max | T 99 % K | crater µm | leaves at m/s | paper: eps_p max", lines
+    )
 
 
 PARTS: dict[str, Callable[[Sequence[Row]], list[str]]] = {
