@@ -1,5 +1,6 @@
 """Where an impact has distorted the target its mesh is made new: what is kept, and when nothing is done."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from coupler.deposition.equilibrium import settle
 from coupler.deposition.remeshing import Gate, crater_diameter, remeshed
 from coupler.errors import SplatError
 from coupler.fe.patch import patch_of, pinched
-from coupler.geometry.mesher import fill_apart
+from coupler.geometry.apart import apart
+from coupler.geometry.mesher import fill
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import Domains, build_target, restored_target
@@ -179,7 +181,7 @@ def test_a_mesher_that_fails_leaves_the_target(hit: dict[str, Any], monkeypatch:
     def no(*_: Any, **__: Any) -> None:
         raise SplatError("gmsh was ended by SIGSEGV")
 
-    monkeypatch.setattr("coupler.deposition.remeshing.fill_apart", no)
+    monkeypatch.setattr("coupler.deposition.remeshing.apart", no)
     old = restored_target(hit["what"], hit["whole"])
     same, report = remeshed(old, gate_of(hit["what"]), ORIGIN)
     assert same is old
@@ -238,4 +240,4 @@ def test_an_open_surface_is_refused() -> None:
     with pytest.raises(SplatError, match="not closed"):
         renewed_surface(x, t, 0, 3, 0.5)
     with pytest.raises(SplatError):
-        fill_apart([(x, t)], 0.5, time_limit=60.0)
+        apart(partial(fill, [(x, t)], 0.5), 60.0)

@@ -7,6 +7,7 @@ it stays as it is, to the last bit. Where that fails, or gains nothing, the mesh
 
 import time as clock
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,7 +21,8 @@ from ..fe.explicit import COURANT, LINEAR_VISCOSITY
 from ..fe.patch import Patch, Renewal, patch_of, renewed
 from ..fe.state import ElementState, NodeState
 from ..files.summary import Values
-from ..geometry.mesher import fill_apart
+from ..geometry import mesher
+from ..geometry.apart import apart
 from ..geometry.tetrahedra import TETS_PER_H3, volumes
 from ..impact import measure as measures
 from ..impact.bodies import NEAR, Bodies, bodies_of
@@ -37,6 +39,7 @@ SAFE = 2.0  # true stable steps over the bound of the worst element, about: see 
 OWN_STEP = 0.2  # spacings over wave speed: the step of a particle well deformed, half of what it begins with
 MOST_PATCHES = 8
 GAIN = 1.25  # of the smallest step, in a patch and in the whole mesh: less is not worth a transfer
+MESHING_LIMIT = 60.0  # s, of gmsh for a patch
 SEAM = 1e-6  # edges: how far a node of the cut may be found from its place
 
 
@@ -196,7 +199,7 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
     own = mesh.conn[patch.elements]
     edge = factor * float(TETS_PER_H3 * np.median(mesh.V0[patch.elements])) ** (1.0 / 3.0)
     skin, triangles, moved = renewed_surface(x[patch.nodes], patch.triangles, patch.cut, patch.free, edge)
-    points, tets = fill_apart([(skin, triangles)], edge, graded=True)
+    points, tets = apart(partial(mesher.fill, [(skin, triangles)], edge, graded=True), MESHING_LIMIT)
     points, tets = _seamed(points, tets, x[patch.nodes[: patch.cut]], SEAM * edge)
     old_steps, new_steps = quality.step_lengths(x, own), quality.step_lengths(points, tets)
     gamma = quality.gamma(points, tets)

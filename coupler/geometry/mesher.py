@@ -1,12 +1,6 @@
 """Tetrahedral meshes by gmsh: of solids that it builds itself, and inside closed surfaces. The only module that imports gmsh."""
 
-import json
-import signal
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable
-from pathlib import Path
 from types import ModuleType
 
 import gmsh
@@ -64,7 +58,7 @@ def fill(
     lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
     all that a bad surface allows in reasonable time. graded: edges as long as those of the surface nearby instead of `size`,
     which is then only the unit. Raises SplatError where gmsh cannot. Bad input can bring the process
-    down: call it in one that may die.
+    down: call it in one that may die (`geometry.apart`).
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -95,46 +89,3 @@ def fill(
     except Exception as problem:  # gmsh raises plain Exception
         raise SplatError(f"gmsh: {str(problem).splitlines()[0] if str(problem) else 'failed'}") from problem
     return points * size, oriented(points, tets)
-
-
-def fill_apart(
-    shells: list[tuple[np.ndarray, np.ndarray]],
-    size: float,
-    improve: float = 0.45,
-    graded: bool = False,
-    time_limit: float = 60.0,
-) -> tuple[np.ndarray, np.ndarray]:
-    """`fill` in a process of its own, which may die or take more than time_limit s: a SplatError then, as for all else."""
-    with tempfile.TemporaryDirectory(prefix="fill-") as name:
-        folder = Path(name)
-        np.savez(folder / "shells.npz", *(array for shell in shells for array in shell))
-        (folder / "task.json").write_text(
-            json.dumps({"size": size, "shells": len(shells), "improve": improve, "graded": graded})
-        )
-        start = "from coupler.geometry.mesher import _fill_in; import sys; _fill_in(sys.argv[1])"
-        try:
-            done = subprocess.run(
-                [sys.executable, "-c", start, name], cwd=Path(__file__).parents[2], stdin=subprocess.DEVNULL,
-                capture_output=True, timeout=time_limit, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired:
-            raise SplatError(f"gmsh was not done after {time_limit:g} s") from None
-        if done.returncode < 0:
-            raise SplatError(f"gmsh was ended by {signal.Signals(-done.returncode).name}")
-        if done.returncode > 0:
-            raise SplatError(done.stderr.decode(errors="replace").strip().splitlines()[-1])
-        with np.load(folder / "mesh.npz", allow_pickle=False) as file:
-            return file["points"], file["tets"]
-
-
-def _fill_in(name: str) -> None:
-    """What the process of `fill_apart` does."""
-    folder = Path(name)
-    task = json.loads((folder / "task.json").read_text())
-    with np.load(folder / "shells.npz", allow_pickle=False) as file:
-        shells = [(file[f"arr_{2 * i}"], file[f"arr_{2 * i + 1}"]) for i in range(task["shells"])]
-    try:
-        points, tets = fill(shells, task["size"], improve=task["improve"], graded=task["graded"])
-    except SplatError as problem:
-        sys.exit(str(problem))
-    np.savez(folder / "mesh.npz", points=points, tets=tets)

@@ -1,37 +1,31 @@
-"""A splat's cloud of points becomes tetrahedral bodies with its state.
-
-The work is done by `worker` in a separate process, because gmsh ends with a segmentation fault on some surfaces. If the
-process dies or exceeds the time limit, the strategy it was trying counts as failed and a new process continues with the next.
-"""
+"""A splat's cloud of points becomes tetrahedral bodies with its state."""
 
 import importlib.util
-import json
-import os
-import signal
-import subprocess
-import sys
-import tempfile
 import time as clock
-from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..errors import SplatError
 from ..geometry.tetrahedra import TETS_PER_H3
-from .cloud import Body, Cloud, Splat
-from .worker import Attempts, Task, write_task
+from .cloud import MIN_POINTS, Body, Cloud, Report, Splat
+from .fit import fit_of
+from .meshing import SIGMAS, CloudShape, build_mesh, strategies
+from .transfer import transfer
 
 METHODS = ("auto", "carried", "density", "stuffing", "paper")
-WORKER = "coupler.splat.worker"
 MAX_ELEMENTS = 5e6
-START_TIME = 300.0  # s, before the first attempt: imports, and the kernels where they must be compiled
+LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
+MIN_TETS = 40  # of a fragment: its elements are made small enough for about that number
 
 
 def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit: float = 120.0) -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
     method: "auto" takes the carried surface where there is one, else the density of the points, and isosurface stuffing where
-    neither can be filled; the others force one source. time_limit: s, for one attempt.
+    neither can be filled; the others force one source. time_limit: s, of gmsh in one attempt.
     Raises SplatError for a cloud that cannot be meshed, or when every strategy has failed.
     """
     if method not in METHODS:
@@ -51,68 +45,108 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
             f"elements of {element_size:.3g} m would be {expected:.2g} in this body: give a larger size, "
             f"at least {(TETS_PER_H3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
         )
-    start = clock.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="splat-") as name:
-        folder = Path(name)
-        write_task(folder, cloud, Task(element_size, method))
-        _run_workers(folder, time_limit)
-        splat = _read_splat(folder, cloud)
-    splat.report["wall_s"] = clock.perf_counter() - start
-    return splat
-
-
-def _run_workers(folder: Path, time_limit: float) -> None:
-    """Run workers until one ends by itself; each continues where the one before it died."""
-    for _ in range(100):
-        code, reason = _run_worker(folder, time_limit)
-        if code == 0:
-            return
-        if code > 0:
-            log = (folder / "log.txt").read_text(errors="replace")
-            raise RuntimeError(f"the conversion's worker process failed:\n{log}")
-        if not Attempts(folder).close_last(reason):
-            raise SplatError(f"{reason} before the first attempt: give more time, or a larger element size")
-    raise SplatError("a hundred worker processes died: try method 'stuffing'")
-
-
-def _run_worker(folder: Path, time_limit: float) -> tuple[int, str]:
-    """The exit code of a worker, and how it was ended if not by itself."""
-    root = str(Path(__file__).resolve().parents[2])
-    paths = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH")) if p)
-    attempts = Attempts(folder).path
-    with open(folder / "log.txt", "wb") as log:
-        worker = subprocess.Popen(
-            [sys.executable, "-m", WORKER, str(folder)],
-            stdin=subprocess.DEVNULL, stdout=log, stderr=log, env={**os.environ, "PYTHONPATH": paths},
-        )  # fmt: skip
-        before = known = attempts.stat().st_size if attempts.exists() else 0
-        since = clock.monotonic()
-        try:
-            while True:
-                try:
-                    code = worker.wait(0.05)
-                    return code, f"the mesher was ended by {signal.Signals(-code).name}" if code < 0 else ""
-                except subprocess.TimeoutExpired:
-                    size = attempts.stat().st_size if attempts.exists() else 0
-                    if size != known:  # the next attempt has begun
-                        known, since = size, clock.monotonic()
-                    limit = time_limit if known != before else max(time_limit, START_TIME)
-                    if clock.monotonic() - since > limit:
-                        return -1, f"not done after {limit:g} s"
-        finally:  # an interrupt does not leave the worker behind
-            if worker.poll() is None:
-                worker.kill()
-                worker.wait()
-
-
-def _read_splat(folder: Path, cloud: Cloud) -> Splat:
-    summary = json.loads((folder / "summary.json").read_text())
-    if summary["error"]:
-        raise SplatError(summary["error"])
-    bodies = []
-    for i, report in enumerate(summary["bodies"]):
-        with np.load(folder / f"body_{i}.npz", allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        bodies.append(Body(**arrays, mass_scale=report["mass_scale"], report=report))
+    start, cpu = clock.perf_counter(), clock.process_time()
+    try:
+        parts = separate_bodies(cloud, element_size, method)
+        sorting = clock.perf_counter() - start
+        bodies = [mesh_body(shape, index, element_size, method, time_limit) for index, shape in parts]
+    except (ArithmeticError, LookupError, MemoryError, ValueError) as problem:
+        raise SplatError(f"no body can be made of this cloud ({type(problem).__name__}: {problem})") from problem
     lost = np.setdiff1d(np.arange(len(cloud.x)), np.concatenate([body.cloud_index for body in bodies]))
-    return Splat(bodies, float(cloud.mass[lost].sum()), {**summary["report"], "lost_points": len(lost)})
+    report = _total([body.report for body in bodies], sorting)
+    report |= {"lost_points": len(lost), "cpu_s": clock.process_time() - cpu, "wall_s": clock.perf_counter() - start}
+    return Splat(bodies, float(cloud.mass[lost].sum()), report)
+
+
+def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
+    """The bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError where there is none."""
+    pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
+    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(cloud.x), len(cloud.x)))
+    count, part = connected_components(graph, directed=False)
+    groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
+    large = [group for group in groups if len(group) >= MIN_POINTS]
+    if not large:
+        raise SplatError(
+            f"no {MIN_POINTS} points of the cloud lie within {LINK} spacings of each other: check the spacing "
+            f"({cloud.spacing:.3g} m)"
+        )
+    bodies = [body for group in large for body in _separate(cloud, group, element_size, method)]
+    return sorted(bodies, key=lambda body: -len(body[0]))
+
+
+def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
+    """The bodies in a linked part of a cloud: several where its shape is in pieces, close to each other but not touching."""
+
+    def shape_of(part: np.ndarray) -> CloudShape:
+        return CloudShape(cloud.part(part), np.delete(cloud.x, part, axis=0))
+
+    body = shape_of(index)
+    sources = [s.source for s in strategies(method, cloud.surface is not None) if s.source != "paper"]
+    for source in dict.fromkeys(sources):
+        try:
+            shape = body.find(source, _size_of(body.cloud, element_size), SIGMAS[0])
+        except SplatError:
+            continue
+        if len(shape.pieces) > 1:
+            places = [shape.field.origin + cells * shape.field.h for cells in shape.pieces]
+            nearest = np.argmin([cKDTree(place).query(body.cloud.x)[0] for place in places], axis=0)
+            parts = [index[nearest == i] for i in range(len(places))]
+            if large := [part for part in parts if len(part) >= MIN_POINTS]:
+                return [(part, shape_of(part)) for part in large]
+        break
+    return [(index, body)]
+
+
+def _size_of(cloud: Cloud, element_size: float) -> float:
+    """Element size (m) for a body: the one asked for, or smaller where that gives fewer than MIN_TETS elements."""
+    return min(element_size, (TETS_PER_H3 * cloud.solid_volume / MIN_TETS) ** (1.0 / 3.0))
+
+
+def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method: str, time_limit: float) -> Body:
+    """Mesh one body, the points `index` of the cloud. Raises SplatError where every strategy fails."""
+    cloud, failed = shape.cloud, []
+    seconds: dict[str, float] = {}
+    for strategy in strategies(method, cloud.surface is not None):
+        try:
+            points, tets, report = build_mesh(strategy, shape, _size_of(cloud, element_size), seconds, time_limit)
+        except SplatError as problem:
+            failed.append(f"{strategy}: {problem}")
+            continue
+        except Exception as problem:  # another strategy may still succeed
+            failed.append(f"{strategy}: {type(problem).__name__}: {problem}")
+            continue
+        start = clock.perf_counter()
+        state, mass_scale, errors = transfer(cloud, points, tets)
+        report |= {"method": str(strategy), "points": len(index), "mass_scale": mass_scale, "transfer": errors}
+        report |= fit_of(points, tets, cloud)
+        if cloud.wave_speed is not None:
+            report["dt_s"] = report["step_length_min_m"] / cloud.wave_speed
+        seconds["transfer"] = clock.perf_counter() - start
+        report |= {"seconds": seconds, "failed": failed}
+        return Body(points, tets, mass_scale, index, report=report, **state)
+    raise SplatError(
+        f"no mesh of a body of {len(index)} points passed: {'; '.join(failed)}. Try another element size, or method 'stuffing'"
+    )
+
+
+def _total(reports: list[Report], sorting: float) -> Report:
+    """The report of a splat: sums and worst values over its bodies, and the largest body's own measures."""
+    seconds = {"sorting": sorting}
+    for report in reports:
+        for stage, spent in report["seconds"].items():
+            seconds[stage] = seconds.get(stage, 0.0) + spent
+    total: Report = {
+        **reports[0],
+        "bodies": len(reports),
+        "tets": sum(report["tets"] for report in reports),
+        "nodes": sum(report["nodes"] for report in reports),
+        "volume_m3": sum(report["volume_m3"] for report in reports),
+        "gamma_min": min(report["gamma_min"] for report in reports),
+        "dihedral_min_deg": min(report["dihedral_min_deg"] for report in reports),
+        "step_length_min_m": min(report["step_length_min_m"] for report in reports),
+        "failed": [reason for report in reports for reason in report["failed"]],
+        "seconds": seconds,
+    }
+    if "dt_s" in reports[0]:
+        total["dt_s"] = min(report["dt_s"] for report in reports)
+    return total

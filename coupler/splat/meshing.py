@@ -3,12 +3,14 @@
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from ..errors import SplatError
 from ..geometry import mesher
+from ..geometry.apart import apart
 from ..geometry.poisson import poisson_surface
 from ..geometry.tetrahedra import boundary_faces, correct_volume, volumes
 from ..geometry.triangles import enclosed_volume
@@ -151,9 +153,9 @@ def _cell_size(x: np.ndarray, h: float) -> float:
 
 
 def build_mesh(
-    strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float]
+    strategy: Strategy, body: CloudShape, size: float, seconds: dict[str, float], time_limit: float
 ) -> tuple[np.ndarray, np.ndarray, Report]:
-    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements.
+    """Points (n,3) m, tetrahedra (m,4) and a report of one strategy. size: m, of elements; time_limit: s, of gmsh.
 
     The wall time of each stage is added to `seconds`. Raises SplatError where a stage fails or the mesh misses a limit.
     """
@@ -169,7 +171,7 @@ def build_mesh(
         return result
 
     if strategy.source == "paper":
-        skin = timed("surface", lambda: poisson_surface(cloud.x, cloud.spacing))
+        skin = timed("surface", lambda: apart(partial(poisson_surface, cloud.x, cloud.spacing), time_limit))
         report["volume_error_before"] = enclosed_volume(*skin) / solid - 1.0
         shells, max_offset = [skin], cloud.spacing
     else:
@@ -188,7 +190,7 @@ def build_mesh(
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
     improve = 0.3 if strategy.source == "paper" else 0.45
-    points, tets = timed("volume", lambda: mesher.fill(shells, size, algorithm, improve))
+    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm, improve), time_limit))
     report |= check_mesh(points, tets, solid, size, strict=strategy.source != "paper")
     return points, tets, report
 
