@@ -1,0 +1,276 @@
+"""The particle as finite elements: an independent discretisation of the same impact, beside that by points.
+
+    python workflows/element_particle.py                    # docs/tables/element_particle.csv: rows in it are not computed again
+    python workflows/element_particle.py --cases Ni500      # these cases only; --sizes 3.4 2.4, --methods elements
+    python workflows/element_particle.py --docs             # computes nothing: the figure, and the tables of the page
+
+The particle is one more body of the target: tetrahedra of the same kind, the contact that splats have with the substrate. Material,
+effects, substrate mesh, friction, rule of the contact stiffness, end criterion and measures are those of the run by points. Rows of
+the same size share the mesh of the substrate: its edges are `size`, the points have a spacing of size / 1.7, and the tetrahedra of
+the particle have edges of `size` over --finer (default 1).
+"""
+
+import argparse
+import shutil
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from pages import study_table
+
+from coupler import Scene, run
+from coupler.contact.bodies import BodyContact
+from coupler.errors import SolverError
+from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
+from coupler.geometry import mesher
+from coupler.geometry.tetrahedra import volumes
+from coupler.impact.bodies import Bodies, bodies_of
+from coupler.impact.domains import build_target
+from coupler.impact.ending import EndCriterion
+from coupler.impact.exchange import WINDOW
+from coupler.impact.measure import crater_depth
+from coupler.physics.constitutive import law_record
+from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
+from coupler.plan.planning import Plan, plan
+from coupler.sph.carried_surface import shape_measures
+from coupler.sph.packing import surface
+
+SCENE = """
+effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction"]
+[particle]
+material = "{material}"
+diameter = "25 um"
+velocity = "{velocity:g} m/s"
+[substrate]
+material = "{substrate}"
+[contact]
+friction = {friction:g}
+[resolution]
+spacing = "{spacing!r} um"
+element_size = "{size!r} um"
+"""
+CASES: dict[str, dict[str, object]] = {
+    "Ni300": {"material": "Ni", "velocity": 300.0, "substrate": "SS304"},
+    "Ni500": {"material": "Ni", "velocity": 500.0, "substrate": "SS304"},
+    "Cu300": {"material": "OFHC_Cu", "velocity": 300.0, "substrate": "SS304"},
+    "Cu500": {"material": "OFHC_Cu", "velocity": 500.0, "substrate": "SS304"},
+}
+BODY = 1  # number of the particle among the bodies; the substrate is 0
+
+
+def scene_of(case: str, size: float, friction: float = 0.5) -> Scene:
+    """The scene of a case whose substrate has edges of `size` um."""
+    text = SCENE.format(**CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
+    return Scene.from_text(text, case)
+
+
+def particle_mesh(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) m and tetrahedra (m,4) of a ball about the origin with the volume of a sphere of `diameter` m; edge: m."""
+    points, tets = mesher.fill([surface(diameter, edge)], edge)
+    return points * (np.pi / 6.0 * diameter**3 / float(volumes(points, tets).sum())) ** (1.0 / 3.0), tets
+
+
+class ElementImpact:
+    """An impact whose particle is the second body of the target.
+
+    nodes: of the particle; elements: its mask (m,); surface: its nodes on the surface; plastic_work: J, of the particle, by the
+    trapezoidal rule over WINDOW steps. SI units.
+    """
+
+    def __init__(self, plan: Plan, edge: float, contact_stiffness: float = 1.0):
+        """edge: of the particle's tetrahedra, m. contact_stiffness: factor on the rule of `contact.bodies`."""
+        self.plan, p = plan, plan.impact
+        points, tets = particle_mesh(p.diameter, edge)
+        points[:, 2] += p.gap - points[:, 2].min()
+        n, m = len(points), len(tets)
+        law = law_record(p.material, plan.effects.switches, p.rate_filter)
+        mass = p.material.rho * np.pi / 6.0 * p.diameter**3
+        body = BodyState(
+            points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, p.temperature), np.ones(m), np.tile(p.velocity, (n, 1)),
+            np.zeros(n), mass, law,
+        )  # fmt: skip
+        substrate = build_target(plan)
+        parts = [domain_now(substrate.target, substrate.body), domain_of(body, "splat1")]
+        domain, _ = merge(parts, (0.0, 0.0, 0.0))
+        self.bodies: Bodies = bodies_of(
+            domain, substrate.target, substrate.fixed, substrate.absorbing, substrate.friction
+        )
+        self.target = t = self.bodies.target
+        moduli = [float(K) for K in t.laws["K"]]
+        self.bodies.contact = BodyContact(self.bodies.surfaces, t.x.copy(), moduli, plan.friction)
+        for side in self.bodies.contact._sides:
+            side.contact.stiffness *= contact_stiffness
+            side.contact.tangential *= contact_stiffness
+        self.elements = self.bodies.body == BODY
+        self.nodes = np.unique(t.mesh.conn[self.elements])
+        self.surface = self.bodies.surfaces.nodes_of(BODY)
+        self.below = np.unique(t.mesh.facets[t.mesh.sets["top"]])
+        self.volume = t.mesh.V0[self.elements]
+        t.reach = max(t.reach, float(np.linalg.norm(t.x[self.nodes], axis=1).max()) * 1.01)  # the particle moves
+        t._activate(0.0)
+        self.dt, self.steps, self.plastic_work = 0.0, 0, 0.0
+        self.kinetic_0 = t.kinetic()
+        self.energy_0 = self.energy()
+
+    def energy(self) -> float:
+        """Sum of all energies of the ledger, J."""
+        t = self.target
+        return float(t.kinetic() + t.elastic() + t.sums[0] + t.sums[1] + t.absorbed + self.bodies.energy)
+
+    @property
+    def sinking(self) -> float:
+        """Downward speed of the particle's centre of mass, m/s."""
+        t, own = self.target, self.nodes
+        return -float(t.mass[own] @ t.velocity()[own, 2] / t.mass[own].sum())
+
+    def advance(self) -> float:
+        """WINDOW steps with one time step and one contact search. Returns the contact force on the particle, upwards, N."""
+        t, bodies = self.target, self.bodies
+        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v))))
+        bodies.search(3.0 * fastest * WINDOW * (self.dt or bodies.stable_dt(0.0)))
+        self.dt = bodies.stable_dt(np.inf, WINDOW * self.dt)
+        force, own = 0.0, self.elements
+        eps_p, sigma_y = t.eps_p[own], t.sigma_y[own]
+        for _ in range(WINDOW):
+            t.advance(self.dt)
+            bodies.forces(self.dt)
+            force = float(t.f_ext[self.nodes, 2].sum())
+            t.finish()
+        self.steps += WINDOW
+        self.plastic_work += float(self.volume @ (0.5 * (sigma_y + t.sigma_y[own]) * (t.eps_p[own] - eps_p)))
+        return force
+
+    def measures(self) -> dict[str, float]:
+        """Measures of this instant, as `impact.measure` has them for points."""
+        t, own = self.target, self.elements
+        m = shape_measures(t.x[self.surface], self.plan.impact.diameter)
+        m["crater_depth_m"] = crater_depth(t.x[self.below])
+        m["eps_p_mean"] = float(np.average(t.eps_p[own], weights=self.volume))
+        m["eps_p_p99"] = float(np.percentile(t.eps_p[own], 99))
+        m["eps_p_max"] = float(t.eps_p[own].max())
+        m["T_mean_K"] = float(np.average(t.T[own], weights=self.volume))
+        return m
+
+
+def strike(impact: ElementImpact, probe: Callable[[ElementImpact], None] | None = None) -> dict[str, dict[str, float]]:
+    """Advance an impact to rest; measures at its `greatest` deformation and at its `end`. Raises SolverError."""
+    p = impact.plan.impact
+    speed = float(np.linalg.norm(p.velocity))
+    ending = EndCriterion(p.end_time, p.end_at, p.diameter / speed, speed)
+    greatest: dict[str, float] = {}
+    while not ending.reached(impact.target.time):
+        force = impact.advance()
+        ending.observe(impact.target.time, impact.sinking, force)
+        if ending.turned is not None and not greatest:
+            greatest = impact.measures()
+        if probe is not None:
+            probe(impact)
+    if not greatest:
+        raise SolverError("the particle has not turned at its time limit")
+    return {"greatest": greatest, "end": impact.measures()}
+
+
+KEY = ("case", "method", "size_um", "finer", "friction", "stiffness", "numerics")
+MEASURED = {
+    "flattening_gd": ("greatest", "flattening_ratio"), "flattening_end": ("end", "flattening_ratio"),
+    "whole_gd": ("greatest", "flattening_ratio_total"), "whole_end": ("end", "flattening_ratio_total"),
+    "crater_gd_um": ("greatest", "crater_depth_m"), "crater_end_um": ("end", "crater_depth_m"),
+    "diameter_gd_um": ("greatest", "splat_diameter_m"), "diameter_end_um": ("end", "splat_diameter_m"),
+    "eps_p_mean_gd": ("greatest", "eps_p_mean"), "eps_p_mean_end": ("end", "eps_p_mean"), "eps_p_p99": ("end", "eps_p_p99"),
+    "eps_p_max": ("end", "eps_p_max"), "T_mean_K": ("end", "T_mean_K"),
+}  # fmt: skip
+BALANCE = (
+    "plastic_particle",
+    "plastic_target",
+    "numerical",
+    "friction_heat",
+    "drift",
+)  # over the initial kinetic energy
+COLUMNS = (*KEY, "points", "elements", "steps", "dt_mean_ps", *MEASURED, "rebound_m_s", *BALANCE, "cpu_s")
+SIZES = (
+    3.4,
+    2.4,
+    1.7,
+    1.2,
+)  # um, edges of the substrate's elements; the points have a spacing of 2.0, 1.41, 1.0 and 0.71 um
+
+
+def by_elements(case: str, size: float, finer: float, friction: float, stiffness: float) -> dict[str, object]:
+    """One impact with the particle as elements; a row of the table. size: um; the rest as in KEY."""
+    decided = plan(scene_of(case, size, friction))
+    impact = ElementImpact(decided, size * 1e-6 / finer, stiffness)
+    values = strike(impact)
+    t, K = impact.target, impact.kinetic_0
+    contact = impact.bodies.contact
+    assert contact is not None
+    own, whole, viscous = impact.plastic_work, float(t.sums[0]), float(t.sums[1])
+    shares = (own, whole - own, viscous, contact.friction_heat, impact.energy() - impact.energy_0)
+    return {
+        "points": len(impact.nodes), "elements": len(t.mesh.conn), "steps": impact.steps,
+        "dt_mean_ps": t.time / impact.steps * 1e12, "rebound_m_s": -impact.sinking,
+        **dict(zip(BALANCE, (share / K for share in shares), strict=True)), **_shown(values),
+    }  # fmt: skip
+
+
+def by_points(case: str, size: float, friction: float, numerics: Mapping[str, float]) -> dict[str, object]:
+    """The same impact by points; a row of the table."""
+    folder = Path("runs/element_particle") / "_".join(
+        map(str, (case, size, friction, *(f"{k}{v}" for k, v in numerics.items())))
+    )
+    shutil.rmtree(folder, ignore_errors=True)
+    r = run(scene_of(case, size, friction), folder, numerics=dict(numerics))
+    s, e, greatest = r.values, r.energies, r.greatest
+    shutil.rmtree(folder)
+    return {
+        "points": s["points"], "elements": s["elements"], "steps": s["steps"], "dt_mean_ps": s["dt_mean_s"] * 1e12,
+        "rebound_m_s": s["rebound_velocity_m_s"], "plastic_particle": e["plastic_particle"],
+        "plastic_target": e["plastic_target"], "numerical": e["numerical_particle"] + e["numerical_target"],
+        "friction_heat": e["friction"], "drift": s["energy_drift"], **_shown({"greatest": greatest, "end": s}),
+    }  # fmt: skip
+
+
+def _shown(values: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
+    """The measures of a row, lengths in um; None for one that the run refuses."""
+    row: dict[str, float | None] = {}
+    for name, (at, key) in MEASURED.items():
+        value = values[at][key]
+        row[name] = None if value is None else value * (1e6 if name.endswith("_um") else 1.0)
+    return row
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fill the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", nargs="*", default=list(CASES), choices=CASES)
+    parser.add_argument("--methods", nargs="*", default=["elements", "points"])
+    parser.add_argument("--sizes", type=float, nargs="*", default=SIZES)
+    parser.add_argument("--finer", type=float, default=1.0)
+    parser.add_argument("--friction", type=float, default=0.5)
+    parser.add_argument("--stiffness", type=float, default=1.0, help="factor on the stiffness of the contact")
+    parser.add_argument("--numerics", default="", help="of the points: name=value,name=value")
+    a = parser.parse_args(arguments)
+    table = study_table("element_particle", COLUMNS, KEY, "python workflows/element_particle.py")
+    numerics = {name: float(value) for name, value in (item.split("=") for item in a.numerics.split(",") if item)}
+    for size in a.sizes:
+        for case in a.cases:
+            for method in a.methods:
+                elements = method == "elements"
+                key = (
+                    case, method, f"{size:g}", f"{a.finer if elements else 1:g}", f"{a.friction:g}", f"{a.stiffness:g}",
+                    "" if elements else a.numerics,
+                )  # fmt: skip
+                if key in table:
+                    continue
+                began = time.process_time()
+                if elements:
+                    row = by_elements(case, size, a.finer, a.friction, a.stiffness)
+                else:
+                    stiff = {} if a.stiffness == 1.0 else {"contact_stiffness": a.stiffness}
+                    row = by_points(case, size, a.friction, {**numerics, **stiff})
+                cpu = time.process_time() - began
+                print(table.add({**dict(zip(KEY, key, strict=True)), **row, "cpu_s": round(cpu, 1)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
