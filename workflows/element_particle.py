@@ -17,7 +17,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from pages import study_table
+from matplotlib.figure import Figure
+from pages import PAGES, figure_path, markdown, study_table, versions, write_parts
 
 from coupler import Scene, run
 from coupler.contact.bodies import BodyContact
@@ -33,8 +34,11 @@ from coupler.impact.measure import crater_depth
 from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
+from coupler.report.picture import blank, save
 from coupler.sph.carried_surface import shape_measures
 from coupler.sph.packing import surface
+from coupler.studies.order import FEWEST, fit_order, line
+from coupler.studies.table import Row
 
 SCENE = """
 effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction"]
@@ -56,6 +60,7 @@ CASES: dict[str, dict[str, object]] = {
     "Cu300": {"material": "OFHC_Cu", "velocity": 300.0, "substrate": "SS304"},
     "Cu500": {"material": "OFHC_Cu", "velocity": 500.0, "substrate": "SS304"},
 }
+LESS = "hourglass=0.1,Q1=0"  # the particle's scheme with a tenth of its hourglass control and no viscosity
 BODY = 1  # number of the particle among the bodies; the substrate is 0
 
 
@@ -187,7 +192,7 @@ BALANCE = (
     "friction_heat",
     "drift",
 )  # over the initial kinetic energy
-COLUMNS = (*KEY, "points", "elements", "steps", "dt_mean_ps", *MEASURED, "rebound_m_s", *BALANCE, "cpu_s")
+COLUMNS = (*KEY, "points", "elements", "steps", "dt_mean_ps", *MEASURED, "rebound_m_s", *BALANCE, "cpu_s", "failed")
 SIZES = (
     3.4,
     2.4,
@@ -239,6 +244,107 @@ def _shown(values: Mapping[str, Mapping[str, float | None]]) -> dict[str, float 
     return row
 
 
+SHOWN = {
+    "flattening_gd": "flattening", "crater_gd_um": "crater, µm", "diameter_gd_um": "diameter, µm", "eps_p_mean_gd": "mean strain"
+}  # fmt: skip
+SERIES: dict[tuple[str, str, str], str] = {  # method, finer, numerics
+    ("points", "1", ""): "points",
+    ("points", "1", LESS): f"points, {LESS.replace('=', ' ').replace(',', ', ')}",
+    ("elements", "1", ""): "elements",
+    ("elements", "1.7", ""): "elements, particle 1.7 times finer",
+}
+ORDERS = np.linspace(0.5, 2.0, 151)
+Curve = tuple[np.ndarray, np.ndarray]  # sizes (k,) um, descending, and values (k,)
+
+
+def curves(rows: Sequence[Row], friction: str, measure: str) -> dict[tuple[str, str], Curve]:
+    """The values of a measure over the size, by case and name of the series."""
+    chosen: dict[tuple[str, str], dict[float, float]] = {}
+    for row in rows:
+        name = SERIES.get((row["method"], row["finer"], row["numerics"]))
+        if name and row["friction"] == friction and row["stiffness"] == "1" and row[measure]:
+            chosen.setdefault((row["case"], name), {})[float(row["size_um"])] = float(row[measure])
+    order = [(case, name) for case in CASES for name in SERIES.values() if (case, name) in chosen]
+    return {key: _sorted(chosen[key]) for key in order}
+
+
+def _sorted(values: Mapping[float, float]) -> Curve:
+    sizes = sorted(values, reverse=True)
+    return np.array(sizes), np.array([values[size] for size in sizes])
+
+
+def limits(found: Mapping[tuple[str, str], Curve]) -> dict[tuple[str, str], float]:
+    """Limits at size 0, of curves with at least three sizes: order common to the cases of a series, 1 where none can be told."""
+    result = {}
+    for name in SERIES.values():
+        cases = {key: curve for key, curve in found.items() if key[1] == name and len(curve[0]) >= 3}
+        long = [curve for curve in cases.values() if len(curve[0]) >= FEWEST]
+        fit = fit_order(long, ORDERS) if long else None
+        order = fit.order if fit is not None and not any(fit.at_bound) else 1.0
+        result |= {key: line(*curve, order)[0] for key, curve in cases.items()}
+    return result
+
+
+def table_lines(rows: Sequence[Row], friction: str) -> list[str]:
+    """A table of the page: of each case and measure the value at the finest size and the limit, by series."""
+    names, lines = list(SERIES.values()), []
+    of = {measure: curves(rows, friction, measure) for measure in SHOWN}
+    at = {measure: limits(found) for measure, found in of.items()}
+    for case in CASES:
+        for measure, label in SHOWN.items():
+            cells = []
+            for name in names:
+                curve, limit = of[measure].get((case, name)), at[measure].get((case, name))
+                text = "" if curve is None else f"{curve[1][-1]:.4g} ({curve[0][-1]:g})"
+                cells.append(text if limit is None else f"{text} → {limit:.4g}")
+            if any(cells):
+                lines.append([case, label, *cells])
+    return markdown(["case", "measure", *names], lines)
+
+
+def diagram(rows: Sequence[Row], friction: str) -> Figure:
+    """Measures at the greatest deformation over the size of the elements, by case, with the limits at 0."""
+    colours = dict(zip(SERIES.values(), ("#c44e52", "#dd8452", "#4c72b0", "#55a3a0"), strict=True))
+    figure = blank(13.0, 2.6 * len(CASES), 90)
+    axes = figure.subplots(len(CASES), len(SHOWN), squeeze=False)
+    for column, (measure, label) in enumerate(SHOWN.items()):
+        found = curves(rows, friction, measure)
+        at = limits(found)
+        for row, case in enumerate(CASES):
+            ax = axes[row][column]
+            for name, colour in colours.items():
+                curve = found.get((case, name))
+                if curve is None:
+                    continue
+                ax.plot(*curve, "o-", color=colour, markersize=4, linewidth=1.2, label=name)
+                if (case, name) in at:
+                    ax.plot([0.0], [at[case, name]], "x", color=colour, markersize=6, clip_on=False)
+            ax.set_xlim(0.0, None)
+            ax.tick_params(labelsize=7)
+            ax.set_title(f"{case}: {label}", fontsize=8)
+            if row == len(CASES) - 1:
+                ax.set_xlabel("edge of the substrate's elements, µm", fontsize=7)
+    axes[0][0].legend(fontsize=6)
+    figure.subplots_adjust(left=0.05, right=0.985, top=0.965, bottom=0.055, hspace=0.32, wspace=0.24)
+    return figure
+
+
+def write_docs(rows: Sequence[Row]) -> None:
+    """The figures, and the tables of the page."""
+    lines = []
+    for friction, name in (("0.5", "element_particle.png"), ("0", "element_particle_frictionless.png")):
+        save(diagram(rows, friction), figure_path("accuracy", name))
+        lines += [f"Friction {friction}:", "", f"![Points and elements, friction {friction}]({name})", ""]
+        lines += [*table_lines(rows, friction), ""]
+    failures = [row for row in rows if row["failed"]]
+    lines += [
+        "Failed: " + "; ".join(
+            f"{r['case']}, {r['method']}, {r['size_um']} µm, {r['finer']} times finer, friction {r['friction']}" for r in failures
+        ) + "." if failures else "No row failed.", "", versions(rows),
+    ]  # fmt: skip
+    write_parts(PAGES["accuracy"], {"element particle": lines})
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fill the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -249,8 +355,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--friction", type=float, default=0.5)
     parser.add_argument("--stiffness", type=float, default=1.0, help="factor on the stiffness of the contact")
     parser.add_argument("--numerics", default="", help="of the points: name=value,name=value")
+    parser.add_argument("--docs", action="store_true", help="compute nothing: write figures and page")
     a = parser.parse_args(arguments)
     table = study_table("element_particle", COLUMNS, KEY, "python workflows/element_particle.py")
+    if a.docs:
+        write_docs(table.rows)
+        return
     numerics = {name: float(value) for name, value in (item.split("=") for item in a.numerics.split(",") if item)}
     for size in a.sizes:
         for case in a.cases:
@@ -262,14 +372,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 )  # fmt: skip
                 if key in table:
                     continue
-                began = time.process_time()
-                if elements:
-                    row = by_elements(case, size, a.finer, a.friction, a.stiffness)
-                else:
-                    stiff = {} if a.stiffness == 1.0 else {"contact_stiffness": a.stiffness}
-                    row = by_points(case, size, a.friction, {**numerics, **stiff})
-                cpu = time.process_time() - began
-                print(table.add({**dict(zip(KEY, key, strict=True)), **row, "cpu_s": round(cpu, 1)}), flush=True)
+                began, failed = time.process_time(), ""
+                row: dict[str, object] = {}
+                try:
+                    if elements:
+                        row = by_elements(case, size, a.finer, a.friction, a.stiffness)
+                    else:
+                        stiff = {} if a.stiffness == 1.0 else {"contact_stiffness": a.stiffness}
+                        row = by_points(case, size, a.friction, {**numerics, **stiff})
+                except SolverError as problem:
+                    failed = str(problem)[:100]
+                cpu = round(time.process_time() - began, 1)
+                print(
+                    table.add({**dict(zip(KEY, key, strict=True)), **row, "cpu_s": cpu, "failed": failed}), flush=True
+                )
 
 
 if __name__ == "__main__":
