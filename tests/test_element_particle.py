@@ -30,7 +30,7 @@ def study() -> ModuleType:
 def test_points_and_elements_agree(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nickel at 300 m/s on steel: two discretisations of one problem, with nothing in common but law, substrate and contact kernels."""
     monkeypatch.chdir(tmp_path)
-    elements = study.by_elements("Ni300", SIZE, 1.0, 0.5, 1.0)
+    elements = study.by_elements("Ni300", SIZE)
     points = study.by_points("Ni300", SIZE, 0.5, {})
     for name, tolerance in TOLERANCE.items():
         assert points[name] == pytest.approx(elements[name], rel=tolerance), name

@@ -10,7 +10,7 @@ from ..errors import CheckpointError, SolverError
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
-from .penalty import ContactState, PointContact
+from .penalty import CONTACT_STIFFNESS, ContactState, PointContact
 from .surfaces import Surfaces
 
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
@@ -55,9 +55,10 @@ class BodyContact:
         x: np.ndarray,
         bulk_modulus: Sequence[float],
         friction: float,
+        factor: float = CONTACT_STIFFNESS,
     ):
-        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError where the number
-        of bulk moduli is not that of the bodies."""
+        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; factor: of the stiffness. Raises
+        SolverError where the number of bulk moduli is not that of the bodies."""
         self.surfaces, self.friction, self.bulk_modulus = surfaces, friction, list(bulk_modulus)
         if len(self.bulk_modulus) != surfaces.bodies:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
@@ -66,19 +67,19 @@ class BodyContact:
         count = len(surfaces.facets)
         self._all, self._corners = np.arange(count), np.zeros((count, 3, 3))
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
-        self._sides = [self._side(body, x) for body in range(1, surfaces.bodies)]
+        self._sides = [self._side(body, x, factor) for body in range(1, surfaces.bodies)]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
-    def _side(self, body: int, x: np.ndarray) -> _Side:
+    def _side(self, body: int, x: np.ndarray, factor: float) -> _Side:
         s = self.surfaces
         partners = range(body)
         nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, body)
         area = float(np.linalg.norm(s.vectors(x, s.facets_of(body)), axis=1).sum()) / len(nodes)
         softer = min(self.bulk_modulus[b] for b in (body, *partners))
         contact = PointContact(
-            len(nodes), s.facets[ids], spacing, area, softer, self.friction, facet_ids=ids, jump=JUMP,
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=factor, facet_ids=ids, jump=JUMP,
         )  # fmt: skip
         return _Side(nodes, ids, contact, ids[:0])
 
