@@ -294,7 +294,8 @@ def _shown(values: Mapping[str, Mapping[str, float | None]]) -> dict[str, float 
 
 
 SHOWN = {
-    "flattening_gd": "flattening", "crater_gd_um": "crater, µm", "diameter_gd_um": "diameter, µm", "eps_p_mean_gd": "mean strain"
+    "flattening_gd": "flattening above surface, greatest", "whole_end": "flattening, end", "crater_end_um": "crater, end, µm",
+    "diameter_end_um": "diameter, end, µm", "eps_p_mean_gd": "mean strain, greatest", "eps_p_mean_end": "mean strain, end",
 }  # fmt: skip
 SERIES: dict[tuple[str, str, str, str], str] = {  # method, contact, finer, numerics
     ("points", "", "1", ""): "points",
@@ -354,7 +355,7 @@ def table_lines(rows: Sequence[Row], friction: str) -> list[str]:
 def diagram(rows: Sequence[Row], friction: str) -> Figure:
     """Measures at the greatest deformation over the size of the elements, by case, with the limits at 0."""
     colours = dict(zip(SERIES.values(), ("#c44e52", "#dd8452", "#4c72b0", "#55a3a0"), strict=True))
-    figure = blank(13.0, 2.6 * len(CASES), 90)
+    figure = blank(17.0, 2.6 * len(CASES), 80)
     axes = figure.subplots(len(CASES), len(SHOWN), squeeze=False)
     for column, (measure, label) in enumerate(SHOWN.items()):
         found = curves(rows, friction, measure)
@@ -374,7 +375,7 @@ def diagram(rows: Sequence[Row], friction: str) -> Figure:
             if row == len(CASES) - 1:
                 ax.set_xlabel("edge of the substrate's elements, µm", fontsize=7)
     axes[0][0].legend(fontsize=6)
-    figure.subplots_adjust(left=0.05, right=0.985, top=0.965, bottom=0.055, hspace=0.32, wspace=0.24)
+    figure.subplots_adjust(left=0.035, right=0.99, top=0.965, bottom=0.055, hspace=0.32, wspace=0.24)
     return figure
 
 
