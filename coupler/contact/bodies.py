@@ -10,7 +10,7 @@ from ..errors import CheckpointError, SolverError
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
-from .penalty import CONTACT_STIFFNESS, ContactState, PointContact
+from .penalty import ContactState, PointContact
 from .surfaces import Surfaces
 
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
@@ -55,7 +55,7 @@ class BodyContact:
         x: np.ndarray,
         bulk_modulus: Sequence[float],
         friction: float,
-        factor: float = CONTACT_STIFFNESS,
+        factor: float = 1.0,
     ):
         """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; factor: of the stiffness. Raises
         SolverError where the number of bulk moduli is not that of the bodies."""
