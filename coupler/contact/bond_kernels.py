@@ -4,6 +4,7 @@ from math import sqrt
 
 from numba import njit
 
+from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Bools, Floats, Ints
 from .kernels import closest_on_triangle
 
@@ -26,13 +27,11 @@ def facing(
         for r in range(start[i], start[i + 1]):
             t = facets[ids[boxes[r]]]
             A, B, C = x[t[0]], x[t[1]], x[t[2]]
-            n0, n1, n2 = _area_vector(A, B, C)
+            n0, n1, n2 = area_vector(A, B, C)
             if n0 * o[0] + n1 * o[1] + n2 * o[2] >= 0.0:
                 continue
             a, b, c = closest_on_triangle(p, A, B, C)
-            d0 = p[0] - (a * A[0] + b * B[0] + c * C[0])
-            d1 = p[1] - (a * A[1] + b * B[1] + c * C[1])
-            d2 = p[2] - (a * A[2] + b * B[2] + c * C[2])
+            d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
             dd = d0 * d0 + d1 * d1 + d2 * d2
             if dd > best * (1.0 + 1e-9):
                 continue
@@ -43,14 +42,6 @@ def facing(
                 face[i] = ids[boxes[r]]
                 weights[i, 0], weights[i, 1], weights[i, 2] = a, b, c
                 gap[i] = sqrt(dd) if dn >= 0.0 else -sqrt(dd)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _area_vector(A: Floats, B: Floats, C: Floats) -> tuple[float, float, float]:
-    """(B - A) x (C - A): twice the area along the outward normal."""
-    u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
-    v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
-    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
 
 
 @njit(cache=True, nogil=True)
@@ -110,12 +101,10 @@ def bond_forces(
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
         A, B, C, p = x[a], x[b], x[c], x[nodes[i]]
         wa, wb, wc = weights[i, 0], weights[i, 1], weights[i, 2]
-        n0, n1, n2 = _area_vector(A, B, C)
+        n0, n1, n2 = area_vector(A, B, C)
         size = sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         n0, n1, n2 = n0 / size, n1 / size, n2 / size
-        d0 = p[0] - (wa * A[0] + wb * B[0] + wc * C[0])
-        d1 = p[1] - (wa * A[1] + wb * B[1] + wc * C[1])
-        d2 = p[2] - (wa * A[2] + wb * B[2] + wc * C[2])
+        d0, d1, d2 = from_foot(p, A, B, C, wa, wb, wc)
         h = d0 * n0 + d1 * n1 + d2 * n2
         k = stiffness[i]
         D = damage[i]
@@ -161,19 +150,10 @@ def bond_forces(
         v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
         b0, b1, b2 = -turn * (v1 * s2 - v2 * s1), -turn * (v2 * s0 - v0 * s2), -turn * (v0 * s1 - v1 * s0)
         c0, c1, c2 = -turn * (s1 * u2 - s2 * u1), -turn * (s2 * u0 - s0 * u2), -turn * (s0 * u1 - s1 * u0)
-        j = nodes[i]
-        f[j, 0] += f0
-        f[j, 1] += f1
-        f[j, 2] += f2
-        f[a, 0] -= wa * f0 + b0 + c0
-        f[a, 1] -= wa * f1 + b1 + c1
-        f[a, 2] -= wa * f2 + b2 + c2
-        f[b, 0] += b0 - wb * f0
-        f[b, 1] += b1 - wb * f1
-        f[b, 2] += b2 - wb * f2
-        f[c, 0] += c0 - wc * f0
-        f[c, 1] += c1 - wc * f1
-        f[c, 2] += c2 - wc * f2
+        add(f, nodes[i], f0, f1, f2)
+        add(f, a, -(wa * f0 + b0 + c0), -(wa * f1 + b1 + c1), -(wa * f2 + b2 + c2))
+        add(f, b, b0 - wb * f0, b1 - wb * f1, b2 - wb * f2)
+        add(f, c, c0 - wc * f0, c1 - wc * f1, c2 - wc * f2)
     sums[0] = stored
     sums[1] = lost
 

@@ -5,6 +5,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Floats, Ints
 
 
@@ -75,11 +76,8 @@ def moved(corners: Floats, before: Floats) -> float:
     most = 0.0
     for r in range(len(corners)):
         for c in range(3):
-            u, v, w = (
-                corners[r, c, 0] - before[r, c, 0],
-                corners[r, c, 1] - before[r, c, 1],
-                corners[r, c, 2] - before[r, c, 2],
-            )
+            a, b = corners[r, c], before[r, c]
+            u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
             most = max(most, u * u + v * v + w * w)
     return sqrt(most)
 
@@ -143,15 +141,11 @@ def closest_facets(
                 continue
             A, B, C = corners[boxes[r], 0], corners[boxes[r], 1], corners[boxes[r], 2]
             a, b, c = closest_on_triangle(p, A, B, C)
-            d0 = p[0] - (a * A[0] + b * B[0] + c * C[0])
-            d1 = p[1] - (a * A[1] + b * B[1] + c * C[1])
-            d2 = p[2] - (a * A[2] + b * B[2] + c * C[2])
+            d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
             dd = d0 * d0 + d1 * d1 + d2 * d2
             if dd > best * (1.0 + 1e-9):
                 continue
-            n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
-            n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
-            n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
+            n0, n1, n2 = area_vector(A, B, C)
             dn = d0 * n0 + d1 * n1 + d2 * n2
             align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
             # on a shared edge or corner the face that looks most towards the point decides inside or outside
@@ -204,13 +198,10 @@ def contact_forces(
         A, B, C = x[t[0]], x[t[1]], x[t[2]]
         w0, w1, w2 = foot[i, 0], foot[i, 1], foot[i, 2]
         if abs(gap) > tiny:
-            n0 = (p[0] - (w0 * A[0] + w1 * B[0] + w2 * C[0])) / gap
-            n1 = (p[1] - (w0 * A[1] + w1 * B[1] + w2 * C[1])) / gap
-            n2 = (p[2] - (w0 * A[2] + w1 * B[2] + w2 * C[2])) / gap
+            d0, d1, d2 = from_foot(p, A, B, C, w0, w1, w2)
+            n0, n1, n2 = d0 / gap, d1 / gap, d2 / gap
         else:
-            n0 = (B[1] - A[1]) * (C[2] - A[2]) - (B[2] - A[2]) * (C[1] - A[1])
-            n1 = (B[2] - A[2]) * (C[0] - A[0]) - (B[0] - A[0]) * (C[2] - A[2])
-            n2 = (B[0] - A[0]) * (C[1] - A[1]) - (B[1] - A[1]) * (C[0] - A[0])
+            n0, n1, n2 = area_vector(A, B, C)
             scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
             n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
         depth[i] = pen
@@ -259,35 +250,14 @@ def contact_forces(
             sums[1] += 0.5 * size * size / tangential
             # couple that balances the moment of the friction pair about the foot point: -(l x g)
             m0, m1, m2 = _solve3(
-                yy + zz,
-                xx + zz,
-                xx + yy,
-                -yz,
-                -xz,
-                -xy,
-                -(l1 * g2 - l2 * g1),
-                -(l2 * g0 - l0 * g2),
-                -(l0 * g1 - l1 * g0),
-            )
-            f_node[t[0], 0] += m1 * ra2 - m2 * ra1
-            f_node[t[0], 1] += m2 * ra0 - m0 * ra2
-            f_node[t[0], 2] += m0 * ra1 - m1 * ra0
-            f_node[t[1], 0] += m1 * rb2 - m2 * rb1
-            f_node[t[1], 1] += m2 * rb0 - m0 * rb2
-            f_node[t[1], 2] += m0 * rb1 - m1 * rb0
-            f_node[t[2], 0] += m1 * rc2 - m2 * rc1
-            f_node[t[2], 1] += m2 * rc0 - m0 * rc2
-            f_node[t[2], 2] += m0 * rc1 - m1 * rc0
+                yy + zz, xx + zz, xx + yy, -yz, -xz, -xy,
+                -(l1 * g2 - l2 * g1), -(l2 * g0 - l0 * g2), -(l0 * g1 - l1 * g0),
+            )  # fmt: skip
+            add(f_node, t[0], m1 * ra2 - m2 * ra1, m2 * ra0 - m0 * ra2, m0 * ra1 - m1 * ra0)
+            add(f_node, t[1], m1 * rb2 - m2 * rb1, m2 * rb0 - m0 * rb2, m0 * rb1 - m1 * rb0)
+            add(f_node, t[2], m1 * rc2 - m2 * rc1, m2 * rc0 - m0 * rc2, m0 * rc1 - m1 * rc0)
         f0, f1, f2 = f0 + g0, f1 + g1, f2 + g2
-        f_point[i, 0] += f0
-        f_point[i, 1] += f1
-        f_point[i, 2] += f2
-        f_node[t[0], 0] -= w0 * f0
-        f_node[t[0], 1] -= w0 * f1
-        f_node[t[0], 2] -= w0 * f2
-        f_node[t[1], 0] -= w1 * f0
-        f_node[t[1], 1] -= w1 * f1
-        f_node[t[1], 2] -= w1 * f2
-        f_node[t[2], 0] -= w2 * f0
-        f_node[t[2], 1] -= w2 * f1
-        f_node[t[2], 2] -= w2 * f2
+        add(f_point, i, f0, f1, f2)
+        add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
+        add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
+        add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)

@@ -9,5 +9,6 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.integer]
 Bools: TypeAlias = NDArray[np.bool_]
 Laws: TypeAlias = NDArray[np.void]  # records of `physics.constitutive.LAW`
+Vector: TypeAlias = tuple[float, float, float]
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float]  # xx yy zz yz xz xy
 Matrix: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]  # row by row

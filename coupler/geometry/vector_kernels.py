@@ -1,0 +1,31 @@
+"""Vectors of three numbers in kernels (numba): what is written once there, inlined where it is used."""
+
+from numba import njit
+
+from ..state.arrays import Floats, Vector
+
+
+@njit(cache=True, nogil=True, inline="always")
+def area_vector(A: Floats, B: Floats, C: Floats) -> Vector:
+    """(B - A) x (C - A): twice the area of a triangle along its outward normal."""
+    u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
+    v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
+    return u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def from_foot(p: Floats, A: Floats, B: Floats, C: Floats, a: float, b: float, c: float) -> Vector:
+    """p - (a A + b B + c C): from a point of a triangle, given by its weights, to p."""
+    return (
+        p[0] - (a * A[0] + b * B[0] + c * C[0]),
+        p[1] - (a * A[1] + b * B[1] + c * C[1]),
+        p[2] - (a * A[2] + b * B[2] + c * C[2]),
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
+    """f[i] += (f0, f1, f2), f (n,3)."""
+    f[i, 0] += f0
+    f[i, 1] += f1
+    f[i, 2] += f2
