@@ -95,8 +95,7 @@ def bond_forces(
     <delta> n + s (n,3) m, traction (n,2) Pa, normal and shear, and spent (n,) J, the energy that each bond has dissipated,
     move on in place. sums: [energy stored, dissipated by this call], J.
     """
-    stored = 0.0
-    lost = 0.0
+    stored = lost = 0.0
     for i in range(len(nodes)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
         A, B, C, p = x[a], x[b], x[c], x[nodes[i]]

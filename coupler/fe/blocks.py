@@ -57,6 +57,16 @@ def _cofactor(
 
 
 @njit(cache=True, nogil=True, inline="always")
+def edge_cofactors(
+    o: Floats, a: Floats, b: Floats, c: Floats,
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
+    """Cofactors and determinant (six volumes) of the edges of a tetrahedron from its corner o to a, b and c, as rows."""
+    return _cofactor(
+        a[0] - o[0], a[1] - o[1], a[2] - o[2], b[0] - o[0], b[1] - o[1], b[2] - o[2], c[0] - o[0], c[1] - o[1], c[2] - o[2]
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _nine(rows: Floats, i: int) -> Matrix:
     """Column i of nine rows: a matrix, row by row."""
     return (
@@ -209,9 +219,7 @@ def nodal_forces(first: int, hi: int, B: Floats, w: Floats, fe: Floats) -> None:
         e = first + i
         Be = B[e]
         P00, P01, P02, P10, P11, P12, P20, P21, P22 = _nine(P, i)
-        q0 = 0.0
-        q1 = 0.0
-        q2 = 0.0
+        q0 = q1 = q2 = 0.0
         for k in range(3):
             bx, by, bz = Be[k, 0], Be[k, 1], Be[k, 2]
             h0 = P00 * bx + P01 * by + P02 * bz

@@ -13,7 +13,7 @@ from numba import njit
 
 from ..physics.constitutive import Law, bulk_stiffness, harden, mie_gruneisen, on
 from ..state.arrays import Floats, Ints, Laws
-from .blocks import BLOCK, ROWS, _cofactor, kinematics, nodal_forces, rows_of
+from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
 
 SHAPE_LIMIT = 0.5
 SHAPE_STIFFNESS = 0.05
@@ -91,9 +91,7 @@ def element_forces(
     the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`), and only there
     is arithmetic fast: what flows is the same to the last bit whichever effects its kernel leaves out.
     """
-    plastic = 0.0
-    warmth = 0.0
-    viscous = 0.0
+    plastic = warmth = viscous = 0.0
     w = np.empty((ROWS, BLOCK))
     b = rows_of(w)
     S, length, div = b.S, b.length, b.div
@@ -145,9 +143,7 @@ def element_forces(
 def gather_forces(lo: int, hi: int, start: Ints, table: Ints, fe: Floats, f: Floats) -> None:
     """Sum the element forces at each node: f (n,3) is overwritten for nodes [lo, hi)."""
     for a in range(lo, hi):
-        f0 = 0.0
-        f1 = 0.0
-        f2 = 0.0
+        f0 = f1 = f2 = 0.0
         for r in range(start[a], start[a + 1]):
             e, k = table[r] >> 2, table[r] & 3
             f0 += fe[e, k, 0]
@@ -183,12 +179,7 @@ def stable_dt(
     for e in range(lo, hi):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
         law = laws[law_of[e]]
-        x0, x1, x2, x3 = x[n0], x[n1], x[n2], x[n3]
-        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = _cofactor(
-            x1[0] - x0[0], x1[1] - x0[1], x1[2] - x0[2],
-            x2[0] - x0[0], x2[1] - x0[1], x2[2] - x0[2],
-            x3[0] - x0[0], x3[1] - x0[1], x3[2] - x0[2],
-        )  # fmt: skip
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         i2 = 1.0 / (det * det)
         s0, s1, s2 = c00 + c10 + c20, c01 + c11 + c21, c02 + c12 + c22
         xx = (c00 * c00 + c10 * c10 + c20 * c20 + s0 * s0) * i2

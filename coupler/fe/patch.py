@@ -8,11 +8,11 @@ the same cut, triangle by triangle.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
+from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import FACES, boundary_faces
+from ..geometry.triangles import edges
 from ..physics.constitutive import pressures, von_mises, yield_stresses
 from ..state.records import concatenate, take
 from .assemble import Domain
@@ -49,8 +49,7 @@ def _key(faces: np.ndarray, many: int) -> np.ndarray:
 def pinched(triangles: np.ndarray) -> np.ndarray:
     """Nodes of a surface (k,3) where it is not one disc: of edges that more than two triangles have, and of corners alone."""
     n, f = int(triangles.max()) + 1, len(triangles)
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    low, high = edges.min(axis=1), edges.max(axis=1)
+    low, high = np.sort(edges(triangles), axis=1).T
     key = low * n + high
     order = np.argsort(key, kind="stable")
     values, count = np.unique(key, return_counts=True)
@@ -63,9 +62,7 @@ def pinched(triangles: np.ndarray) -> np.ndarray:
     same = flat[first[a]] == flat[first[b]]
     one = np.stack([first[a], np.where(same, first[b], last[b])], axis=1)
     other = np.stack([last[a], np.where(same, last[b], first[b])], axis=1)
-    links = np.concatenate([one, other])
-    graph = coo_matrix((np.ones(len(links), np.int8), links.T), shape=(3 * f, 3 * f))
-    fans, which = connected_components(graph, directed=False)
+    fans, which = connected_parts(np.concatenate([one, other]), 3 * f)
     owner = np.zeros(fans, np.int64)  # a node that is in no triangle has no fan
     owner[which] = flat
     twice = np.flatnonzero(np.bincount(owner, minlength=n) > 1)
@@ -122,12 +119,10 @@ def _part(conn: np.ndarray, chosen: np.ndarray, seed: int) -> np.ndarray:
     element = np.tile(np.arange(len(ids)), 4)
     order = np.argsort(key, kind="stable")
     twin = np.flatnonzero(key[order][1:] == key[order][:-1])
-    pairs = element[order[twin]], element[order[twin + 1]]
-    graph = coo_matrix((np.ones(len(twin), np.int8), pairs), shape=(len(ids), len(ids)))
-    _, part = connected_components(graph, directed=False)
-    found = np.zeros(len(conn), bool)
-    found[ids[part == part[np.searchsorted(ids, seed)]]] = True
-    return found
+    _, part = connected_parts(np.stack([element[order[twin]], element[order[twin + 1]]], axis=1), len(ids))
+    connected = np.zeros(len(conn), bool)
+    connected[ids[part == part[np.searchsorted(ids, seed)]]] = True
+    return connected
 
 
 @dataclass(frozen=True)

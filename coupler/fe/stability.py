@@ -17,7 +17,8 @@ from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape
-from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, _cofactor, gather_forces, stable_dt
+from .blocks import edge_cofactors
+from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, gather_forces, stable_dt
 from .mesh import TetMesh
 
 FREQUENCY_SAFETY = 0.85
@@ -46,14 +47,8 @@ def _volume_change(lo: int, hi: int, x: Floats, w: Floats, conn: Ints, dv: Float
     """Change of each element's volume (m,) per unit of the nodal motion w (n,3)."""
     for e in range(lo, hi):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        total = 0.0
-        a, b, c = x[n1], x[n2], x[n3]
-        o = x[n0]
-        c00, c01, c02, c10, c11, c12, c20, c21, c22, _ = _cofactor(
-            a[0] - o[0], a[1] - o[1], a[2] - o[2], b[0] - o[0], b[1] - o[1], b[2] - o[2],
-            c[0] - o[0], c[1] - o[1], c[2] - o[2],
-        )  # fmt: skip
-        total += c00 * (w[n1, 0] - w[n0, 0]) + c01 * (w[n1, 1] - w[n0, 1]) + c02 * (w[n1, 2] - w[n0, 2])
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, _ = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
+        total = c00 * (w[n1, 0] - w[n0, 0]) + c01 * (w[n1, 1] - w[n0, 1]) + c02 * (w[n1, 2] - w[n0, 2])
         total += c10 * (w[n2, 0] - w[n0, 0]) + c11 * (w[n2, 1] - w[n0, 1]) + c12 * (w[n2, 2] - w[n0, 2])
         total += c20 * (w[n3, 0] - w[n0, 0]) + c21 * (w[n3, 1] - w[n0, 1]) + c22 * (w[n3, 2] - w[n0, 2])
         dv[e] = total / 6.0
@@ -81,11 +76,7 @@ def _forces(
     for e in range(lo, hi):
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
         law = laws[law_of[e]]
-        o, a, b, c = x[n0], x[n1], x[n2], x[n3]
-        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = _cofactor(
-            a[0] - o[0], a[1] - o[1], a[2] - o[2], b[0] - o[0], b[1] - o[1], b[2] - o[2],
-            c[0] - o[0], c[1] - o[1], c[2] - o[2],
-        )  # fmt: skip
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         i = 1.0 / det
         g = np.empty((3, 3))
         for d in range(3):
@@ -101,22 +92,13 @@ def _forces(
         elif J * SHAPE_LIMIT > 1.0:
             mean += SHAPE_STIFFNESS * law.K * max(1.0 - log(J * SHAPE_LIMIT), 0.0) / (J * J) * dv[e] / V0[e]
         G = law.G
-        sxx, syy, szz = (
-            2 * G * (g[0, 0] - third) + mean,
-            2 * G * (g[1, 1] - third) + mean,
-            2 * G * (g[2, 2] - third) + mean,
-        )
+        sxx = 2 * G * (g[0, 0] - third) + mean
+        syy = 2 * G * (g[1, 1] - third) + mean
+        szz = 2 * G * (g[2, 2] - third) + mean
         syz, sxz, sxy = G * (g[1, 2] + g[2, 1]), G * (g[0, 2] + g[2, 0]), G * (g[0, 1] + g[1, 0])
-        q0 = 0.0
-        q1 = 0.0
-        q2 = 0.0
-        for k in range(3):
-            if k == 0:
-                bx, by, bz = c00 / 6.0, c01 / 6.0, c02 / 6.0
-            elif k == 1:
-                bx, by, bz = c10 / 6.0, c11 / 6.0, c12 / 6.0
-            else:
-                bx, by, bz = c20 / 6.0, c21 / 6.0, c22 / 6.0
+        q0 = q1 = q2 = 0.0
+        for k, (cx, cy, cz) in enumerate(((c00, c01, c02), (c10, c11, c12), (c20, c21, c22))):
+            bx, by, bz = cx / 6.0, cy / 6.0, cz / 6.0
             h0, h1, h2 = sxx * bx + sxy * by + sxz * bz, sxy * bx + syy * by + syz * bz, sxz * bx + syz * by + szz * bz
             fe[e, k + 1, 0], fe[e, k + 1, 1], fe[e, k + 1, 2] = h0, h1, h2
             q0 -= h0

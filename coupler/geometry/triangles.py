@@ -10,6 +10,11 @@ def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     return 0.5 * np.cross(b - a, c - a)
 
 
+def edges(triangles: NDArray) -> NDArray:
+    """The directed edges (3m,2): first those from corner 0 to 1 of all triangles, then from 1 to 2, then from 2 to 0."""
+    return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
 def areas(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """Areas (m,)."""
     return np.linalg.norm(area_vectors(points, triangles), axis=1)

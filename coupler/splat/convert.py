@@ -4,11 +4,10 @@ import importlib.util
 import time as clock
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
+from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import MIN_POINTS, Body, Cloud, Report, Splat
 from .fit import fit_of
@@ -61,8 +60,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
 def separate_bodies(cloud: Cloud, element_size: float, method: str) -> list[tuple[np.ndarray, CloudShape]]:
     """The bodies of a cloud, largest first: indices of their points, and their shapes. Raises SplatError where there is none."""
     pairs = cKDTree(cloud.x).query_pairs(LINK * cloud.spacing, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(cloud.x), len(cloud.x)))
-    count, part = connected_components(graph, directed=False)
+    count, part = connected_parts(pairs, len(cloud.x))
     groups = sorted((np.flatnonzero(part == i) for i in range(count)), key=len, reverse=True)
     large = [group for group in groups if len(group) >= MIN_POINTS]
     if not large:

@@ -1,9 +1,8 @@
 """Measures of a tetrahedral mesh: shape quality, dihedral angles, stable time step, boundary, connected parts."""
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import FACES, volumes
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -52,8 +51,7 @@ def _parts(points: np.ndarray, tets: np.ndarray) -> tuple[int, np.ndarray]:
     """Number of parts that share no node, and the part of each tetrahedron."""
     nodes, conn = compact(points, tets)
     pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(nodes), len(nodes)))
-    count, part = connected_components(graph, directed=False)
+    count, part = connected_parts(pairs, len(nodes))
     return int(count), part[conn[:, 0]]
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
+from ..geometry.triangles import edges as directed_edges
 from ..geometry.triangles import vertex_normals
 from ..state.arrays import Floats, Ints
 
@@ -64,7 +65,7 @@ def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
 
 def _edges(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each edge (e,2) of a closed surface once, and its length (e,) m."""
-    both = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+    both = directed_edges(t)
     once = both[both[:, 0] < both[:, 1]]
     return once, np.linalg.norm(x[once[:, 0]] - x[once[:, 1]], axis=1)
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
-from ..geometry.triangles import enclosed_volume, surface_area, vertex_normals
+from ..geometry.triangles import edges, enclosed_volume, surface_area, vertex_normals
 from . import remesh
 from .surface import open_or_double
 
@@ -55,7 +55,7 @@ def closest(x: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def graded_scale(vertices: np.ndarray, cut: np.ndarray, size: float) -> Callable[[np.ndarray], np.ndarray]:
     """Edge length over `size` m as a function of places (e,3) m: that of the triangles `cut` (c,3) there, 1 far from them."""
-    sides = np.concatenate([cut[:, [0, 1]], cut[:, [1, 2]], cut[:, [2, 0]]])
+    sides = edges(cut)
     length = np.linalg.norm(vertices[sides[:, 0]] - vertices[sides[:, 1]], axis=1)
     nodes = np.unique(cut)
     mean = (np.bincount(sides.ravel(), np.repeat(length, 2)) / np.maximum(np.bincount(sides.ravel()), 1))[nodes]

@@ -1,11 +1,10 @@
 """From a field to the surfaces of a body: marching cubes, an even remesh on the level set, a correction of the volume."""
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from skimage.measure import marching_cubes
 
-from ..geometry.triangles import enclosed_volume, surface_area, vertex_normals
+from ..geometry.graph import connected_parts
+from ..geometry.triangles import edges, enclosed_volume, surface_area, vertex_normals
 from . import remesh
 from .field import Field
 from .quality import compact
@@ -23,8 +22,7 @@ def shells(surface: Surface, smallest: float) -> list[Surface]:
     """The closed parts of a surface that enclose `smallest` m3 or more, largest first; a cavity has a negative volume."""
     vertices, triangles = surface
     pairs = np.concatenate([triangles[:, :2], triangles[:, 1:]])
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(len(vertices), len(vertices)))
-    count, label = connected_components(graph, directed=False)
+    count, label = connected_parts(pairs, len(vertices))
     parts = []
     for component in range(count):
         own = triangles[label[triangles[:, 0]] == component]
@@ -43,9 +41,8 @@ def handles(surface: Surface) -> int:
 
 def open_or_double(triangles: np.ndarray) -> str:
     """Why triangles (m,3) are not a closed oriented surface; empty if they are one."""
-    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    many = int(triangles.max()) + 1
-    key, back = edges[:, 0] * many + edges[:, 1], edges[:, 1] * many + edges[:, 0]
+    (first, last), many = edges(triangles).T, int(triangles.max()) + 1
+    key, back = first * many + last, last * many + first
     if len(np.unique(key)) < len(key):
         return "an edge has more than two triangles"
     missing = int(np.sum(~np.isin(key, back)))
