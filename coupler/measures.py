@@ -12,6 +12,7 @@ T = TypeVar("T")
 # element is 35 times as long and a 35th as thick as at first: neither resolves the band that shears.
 EPS_P_LIMIT = 20.0
 SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows the points no better
+PLASTIC_SHARE_LIMIT = 0.05  # dissipation of the particle's scheme over its plastic work beyond which a run warns
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
@@ -123,6 +124,7 @@ TABLE = (
     Measure("energy_drift", group=BALANCE, unit="%", factor=100.0),
     Measure("momentum_error", group=BALANCE),
     Measure("numerical_dissipation", group=BALANCE, unit="%", factor=100.0),
+    Measure("dissipation_of_plastic", "numerical dissipation / plastic work, particle", BALANCE, unit="%", factor=100.0),
     Measure("target_eps_p_max", "greatest plastic strain", TARGET, low=0.0, high=EPS_P_LIMIT, beyond=_STRAIN, converges=False),
     Measure("target_T_max_K", "highest temperature", TARGET, low=0.0, converges=False),
     Measure("target_von_mises_max_Pa", "highest von Mises stress", TARGET, low=0.0, converges=False),

@@ -254,12 +254,15 @@ def test_kernels_without_an_effect_agree_with_the_general_ones(choice: dict[str,
 
 
 def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
-    soft, hard = (law.law_record(material("Ni"), {name: False}) for name in ("rate_hardening", "thermal_softening"))
+    heats = {"dissipation_heat": True}
+    soft, hard = (
+        law.law_record(material("Ni"), heats | {name: False}) for name in ("rate_hardening", "thermal_softening")
+    )
     record = law.specialised(np.concatenate([soft, hard])).dtype
     assert all(record[name] == np.float64 for name in record.names or ())
     assert law.specialised(soft).dtype["C"] == np.int64
     assert law.specialised(soft, law.PRESSURE).dtype == law.LAW
-    assert law.specialised(law.law_record(material("Ni"))).dtype == law.LAW
+    assert law.specialised(law.law_record(material("Ni"), heats)).dtype == law.LAW
 
 
 def test_a_kernel_without_an_effect_does_not_read_its_number() -> None:
@@ -346,7 +349,7 @@ def test_thresholds_keep_to_what_was_measured() -> None:
         for row in effects._measured():
             if row["effect"] == name and float(row["number"]) <= threshold:
                 assert effects.worst_change(row) <= effects.LEFT_OUT, row
-    assert len(held) == 11
+    assert len(held) == 12
 
 
 def test_what_to_expect_is_that_of_the_nearest_case() -> None:

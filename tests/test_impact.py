@@ -30,6 +30,12 @@ def test_ledger_closes(result: Result) -> None:
     assert e["plastic_particle"] > 0.2
     assert e["plastic_target"] > 0.2
     assert 0 < s["numerical_dissipation"] < 0.2
+    parts = [e[f"{name}_particle"] for name in ("viscosity", "hourglass", "unexplained")]
+    assert sum(parts) == pytest.approx(e["numerical_particle"], abs=1e-12)
+    assert min(parts[:2]) > 0.01
+    assert abs(parts[2]) < 0.003
+    assert s["dissipation_of_plastic"] == pytest.approx(e["numerical_particle"] / e["plastic_particle"])
+    assert any("of the plastic work, more than 5%" in text for text in s["warnings"])
     whole = sum(
         e[k] for k in ("kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
                        "numerical_target", "contact", "friction", "boundary")
@@ -55,8 +61,10 @@ def test_the_summary_says_what_was_measured(result: Result) -> None:
     assert 3.5e-6 < result.crater_depth_m < 7.5e-6
     assert 29e-6 < result.splat_diameter_m < 38e-6
     assert 300 < result.T_mean_K < result.T_p99_K <= result.T_max_K < 1726
-    # adiabatic: mean heating is the plastic work's share over the heat capacity, friction's added
-    heat = 0.9 * result.energies["plastic_particle"] * result.kinetic_energy_0_J
+    # adiabatic: mean heating is that of plastic work and of the scheme's losses over the heat capacity, friction's added
+    e = result.energies
+    losses = e["viscosity_particle"] + e["hourglass_particle"]
+    heat = (0.9 * e["plastic_particle"] + losses) * result.kinetic_energy_0_J
     mass = 8906 * np.pi / 6 * 25e-6**3
     assert 300 + heat / (mass * 470) == pytest.approx(result.T_mean_K, rel=0.02)
 
@@ -107,7 +115,7 @@ def test_a_slow_hard_particle_rebounds(tmp_path: Path) -> None:
 
 
 def test_effects_that_are_off_are_off(tmp_path: Path) -> None:
-    text = 'effects = ["auto", "-friction", "-plastic_heating"]\n' + NI + '[end]\ntime = "8 ns"\n'
+    text = 'effects = ["auto", "-friction", "-plastic_heating", "-dissipation_heat"]\n' + NI + '[end]\ntime = "8 ns"\n'
     s = run(Scene.from_text(text, "few"), tmp_path / "few")
     assert s.energies["friction"] == 0.0
     assert s.T_max_K == pytest.approx(300.0)

@@ -86,7 +86,9 @@ SCENES = {
         for pause in ("10 ns", "100 ns", "1 us", "20 us")
     },
 }
-WARM = ("thermal_softening", "temperature_dependent_cp", "friction_heat", "mie_gruneisen", "thermal_expansion")
+WARM = (
+    "thermal_softening", "temperature_dependent_cp", "friction_heat", "dissipation_heat", "mie_gruneisen", "thermal_expansion",
+)  # fmt: skip
 FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
 ONLY = {
     "preheated: Ni at 600 K, 400 m/s": WARM,
@@ -94,7 +96,7 @@ ONLY = {
     "soft on hard: Al on steel, 500 m/s": (*WARM, "particle_conduction", "interface_conduction"),
     "hard on soft: Ni on Al, 400 m/s": (*WARM, "conduction", "interface_conduction"),
     "Cu on Cu, 500 m/s": (*WARM, *FLOW),
-    "rebound: Ni, 150 m/s": ("thermal_softening", "mie_gruneisen", "thermal_expansion"),
+    "rebound: Ni, 150 m/s": ("thermal_softening", "dissipation_heat", "mie_gruneisen", "thermal_expansion"),
     "large: Ni 190 um, 300 m/s": FLOW,
     **{name: ("cooling",) for name in SCENES if name.startswith("two Ni")},
 }  # what is left out of each scene; of the others everything
@@ -113,9 +115,10 @@ def compute(text: str, effects: Effects) -> dict[str, float]:
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         result = run(checked, Path(folder) / "run", threads=1)
-    values = {name: float(getattr(result, key)) for name, key in MEASURES.items()}
-    cpu = time.process_time() - start
-    return values | {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
+        cpu = time.process_time() - start
+        values = {name: float(getattr(result, key)) for name, key in MEASURES.items()}
+        values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
+    return values
 
 
 def in_turn(text: str, choices: Mapping[str, Effects], crossings: float) -> dict[str, list[float]]:

@@ -8,7 +8,7 @@ from ..files.summary import FORMAT, Summary, Values
 from ..impact.rebound import deposition_efficiency
 from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
-from ..measures import DISSIPATION_LIMIT
+from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import Plan
 from ..ranks.ranks import Ranks
 
@@ -57,6 +57,7 @@ def summary(
             "memory_peak_bytes": records[-1].memory_peak,
             "warnings": [
                 *merged(_dissipated(impacts)),
+                *merged(_dissipated_of_plastic(impacts)),
                 *merged([*plan.warnings, *(text for record in records for text in record.warnings)]),
             ],
             "retries": [asdict(retry) for record in records for retry in record.retries],
@@ -73,4 +74,14 @@ def _dissipated(impacts: Sequence[Values]) -> list[str]:
         f" {DISSIPATION_LIMIT:.0%}: they shape the splat beside the metal's own strength, try a finer preset"
         for number, impact in enumerate(impacts, 1)
         if impact["numerical_dissipation"] > DISSIPATION_LIMIT
+    ]
+
+
+def _dissipated_of_plastic(impacts: Sequence[Values]) -> list[str]:
+    """A warning of each impact whose particle loses to the scheme a share of what it puts into plastic work."""
+    return [
+        f"impact {number}: in the particle viscosity and hourglass control took {impact['dissipation_of_plastic']:.0%} of the plastic"
+        f" work, more than {PLASTIC_SHARE_LIMIT:.0%}: plastic strains are too low by about that share, try a finer preset"
+        for number, impact in enumerate(impacts, 1)
+        if impact["dissipation_of_plastic"] > PLASTIC_SHARE_LIMIT
     ]

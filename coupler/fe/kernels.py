@@ -11,7 +11,7 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..physics.constitutive import Law, bulk_stiffness, harden, mie_gruneisen, on
+from ..physics.constitutive import Law, bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
 from ..state.arrays import Floats, Ints, Laws
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
 
@@ -130,8 +130,15 @@ def element_forces(
             if div[i] < 0.0:
                 c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
                 qv = law.rho * length[i] * (b2 * b2 * length[i] * div[i] * div[i] - b1 * c * div[i])
-                viscous -= qv * div[i] * dt * b.volume[i]
+                loss = -qv * div[i] * dt * b.volume[i]
+                viscous += loss
                 b.pressure[i] += qv
+                if on(law.dissipation):  # the yield stress follows with the next plastic flow
+                    T[e] += law.dissipation * loss / (b.V0[i] * law.rho * heat_capacity(law, T[e]))
+                    if on(law.expansion):
+                        warm = law.expansion * law.dissipation * loss
+                        heat[e] += warm
+                        warmth += warm
             b.pressure[i] -= shape_stress(law, b.J[i])
         nodal_forces(first, hi, B, w, fe)
     sums[0] += plastic

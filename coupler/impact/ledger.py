@@ -37,11 +37,12 @@ class LedgerState:
 class Ledger:
     """Energies of both domains in J, of one impact: the energy of the target before the impact is subtracted.
 
-    The sum of all terms is constant; `drift` is its change over the particle's initial kinetic energy. internal_particle is the
-    work done against the particle's internal forces; the part of it that is neither elastic nor plastic is the numerical
-    dissipation of the SPH scheme (viscosity, hourglass control, kernel error): numerical_particle. numerical_target is the work of
-    the bulk viscosity. The target's elastic and plastic energies are functions of its state, so that the drift measures its stress
-    update and the contact as well.
+    The sum of all terms is constant; `drift` is its change over the particle's initial kinetic energy. Of the work done against the
+    particle's internal forces, the part that is neither elastic nor plastic is the numerical dissipation of the SPH scheme:
+    numerical_particle, the sum of viscosity_particle and hourglass_particle, measured from their own forces, and of
+    unexplained_particle, the rest (with an engine that does not measure them: all of it). numerical_target is the work of the bulk
+    viscosity, the target's only dissipation. The target's elastic and plastic energies are functions of its state, so that the drift
+    measures its stress update and the contact as well.
     """
 
     def __init__(self, domains: Domains):
@@ -72,6 +73,11 @@ class Ledger:
     def numerical_dissipation(self) -> float:
         """Share of the initial kinetic energy that the schemes of both domains have dissipated."""
         return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
+
+    @property
+    def dissipation_of_plastic(self) -> float:
+        """Numerical dissipation of the particle over its plastic work."""
+        return self.rows["numerical_particle"] / max(self.rows["plastic_particle"], 1e-9 * self.kinetic_0)
 
     @property
     def is_sound(self) -> bool:
@@ -119,6 +125,8 @@ def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
     r["elastic_particle"], r["elastic_target"] = particle.elastic(), target.elastic()
     r["plastic_particle"], r["plastic_target"] = particle.plastic_work, float(target.sums[0])
     r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
+    r["viscosity_particle"], r["hourglass_particle"] = particle.losses
+    r["unexplained_particle"] = r["numerical_particle"] - r["viscosity_particle"] - r["hourglass_particle"]
     r["numerical_target"] = float(target.sums[1])
     r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat
     r["boundary"], r["bodies"] = target.absorbed, domains.bodies.energy

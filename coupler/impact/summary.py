@@ -63,6 +63,7 @@ def summarise(
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
         "numerical_dissipation": ledger.numerical_dissipation,
+        "dissipation_of_plastic": ledger.dissipation_of_plastic,
         "points": particle.n,
         "elements": len(impact.target.mesh.conn),
         "nodes": len(impact.target.x),

@@ -54,13 +54,15 @@ class Law(Protocol):
     k_slope: float
     rate_filter: float
     expansion: float
+    dissipation: float
 
 
-#: One record per material: the numbers of the law in SI units. `softening` and `expansion` are 1.0 or 0.0.
+#: One record per material: the numbers of the law in SI units. `softening`, `expansion` and
+#: `dissipation` (what the scheme dissipates becomes heat) are 1.0 or 0.0.
 LAW = np.dtype([(name, np.float64) for name in Law.__annotations__])
 #: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
-FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion")
+FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation")
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
@@ -69,7 +71,8 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
     rate_filter: s, the time constant
     over which the plastic strain rate is averaged before Johnson-Cook sees it (0: not averaged). A linear equation
     of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
-    energy that makes pressure; what compression itself stores there stays.
+    energy that makes pressure; what compression itself stores there stays. Heat of what the scheme dissipates only where `on`
+    names it ("dissipation_heat"): it is the scheme's, not the metal's.
     """
     effects = dict(on or {})
 
@@ -92,6 +95,7 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
         r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
     r["rate_filter"] = rate_filter
     r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
+    r["dissipation"] = 1.0 if effects.get("dissipation_heat") else 0.0
     return law
 
 

@@ -136,6 +136,11 @@ class DistributedParticle:
     def plastic_work(self) -> float:
         return self.totals["plastic"]
 
+    @property
+    def losses(self) -> tuple[float, float]:
+        """Energy (J) that viscosity and hourglass control have dissipated; both zero with an engine that does not measure them."""
+        return self.totals["viscosity"], self.totals["hourglass"]
+
     def stable_dt(self) -> float:
         return self.totals["dt"]
 

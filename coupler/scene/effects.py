@@ -17,6 +17,7 @@ class Switches:
     temperature_dependent_k: bool
     friction: bool
     friction_heat: bool
+    dissipation_heat: bool
     mie_gruneisen: bool
     thermal_expansion: bool
     adhesion: bool

@@ -49,7 +49,7 @@ class CompiledParticle(Particle):
         array = self.lmp.numpy.extract_atom
         everyone = self.n + int(self.lmp.extract_setting("nghost"))
         self._tag = array("id", nelem=everyone)[:everyone].astype(np.int64)
-        self._all_x, self._all_v = (array(name, nelem=everyone, dim=3) for name in ("x", "vest"))
+        self._all_x, self._all_v, self._all_half = (array(name, nelem=everyone, dim=3) for name in ("x", "vest", "v"))
         self._X = self._all_x.copy()
         self._all_F, self._all_Q = np.zeros((everyone, 9)), np.zeros((everyone, 9))
         self._all_F[:] = np.eye(3).ravel()
@@ -63,6 +63,8 @@ class CompiledParticle(Particle):
         self._list_neighbours()
         self._list_exchange()
         self._force = np.zeros((len(self._pairs), 3))
+        self._strength, self._loss = np.zeros((2, len(self._pairs), 2))
+        self._heat = np.zeros((self.n, 2))
 
     def _list_neighbours(self) -> None:
         """Neighbours of each point and pairs, ascending by the points' numbers in the whole particle; gradients on both."""
@@ -152,8 +154,16 @@ class CompiledParticle(Particle):
         k.pair_forces(
             lo, hi, self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
             self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
-            self._force,
+            self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force,
         )  # fmt: skip
+
+    def _end_window(self) -> None:
+        """Book the losses of the window, and turn them into heat of the points where the law says so."""
+        k.share_losses(0, self.n, self._first, self._signed, self._loss, self._heat)
+        self.sums[2:] += self._heat.sum(axis=0)
+        if self.law[0]["dissipation"]:
+            self.warm(self._heat.sum(axis=1))
+        self._strength[:], self._loss[:] = 0.0, 0.0
 
     def _skip_step(self) -> None:
         """Exchange what pass 2 needs of points of other ranks."""

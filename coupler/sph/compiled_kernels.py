@@ -217,8 +217,8 @@ def stress_points(
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def pair_forces(
     lo: int, hi: int, pairs: Ints, r0: Floats, w: Floats, W: Floats, X: Floats, x: Floats, v: Floats, F: Floats, Q: Floats,
-    effective: Floats, h: float, c: float, E: float, V: float, rho: float, Q1: float, Q2: float, hourglass: float, force:
-    Floats,
+    effective: Floats, h: float, c: float, E: float, V: float, rho: float, Q1: float, Q2: float, hourglass: float, dt: float,
+    is_last: bool, v_half: Floats, strength: Floats, loss: Floats, force: Floats,
 ) -> None:  # fmt: skip
     """Pass 2: the force (N) on the first point of each pair; on the second it is the opposite.
 
@@ -227,6 +227,10 @@ def pair_forces(
 
     f = -(Q_i + Q_j) g + viscosity + hourglass, the last two along x_j - x_i. The hourglass error is
     gamma = (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i).
+
+    loss (m,2) J grows by the work that viscosity and hourglass control take from the motion: dt (f_n + f_n+1) / 2 . v_n+1/2, as the
+    leapfrog exchanges energy. v_half (N,3): v_n+1/2; strength (m,2) N/m: both forces over x_j - x_i, of n on entry (zero in the first
+    step of a window), of n+1 on return. is_last: of a window, whose last forces act on with v for the half step that follows.
     """
     m2 = (rho * V) ** 2 / rho
     for k in range(lo, hi):
@@ -248,16 +252,39 @@ def pair_forces(
         e2 = 0.5 * ((F[i, 6] + F[j, 6]) * X0 + (F[i, 7] + F[j, 7]) * X1 + (F[i, 8] + F[j, 8]) * X2) - x2
         along = e0 * x0 + e1 * x1 + e2 * x2  # gamma . dx
         gradient = m2 * w[k] * r0[k]
-        a = gradient * (Q2 * mu - Q1 * c) * mu  # times the unit vector: the viscous force
+        viscous = gradient * (Q2 * mu - Q1 * c) * mu  # times the unit vector: the viscous force
+        control = 0.0
         if max(effective[i], effective[j]) > PLASTIC:
             if closing * along < 0.0:
                 error = max(sqrt(e0 * e0 + e1 * e1 + e2 * e2) / r0[k], LEAST_ERROR)
-                a -= gradient * error * hourglass * c * mu
+                control = -gradient * error * hourglass * c * mu
         else:
             along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) * soft
-            a -= V * V * W[k] * E * hourglass * along / (r0[k] * r0[k] + 0.01 * h * h)
-        a /= r + 0.01 * h
+            control = -V * V * W[k] * E * hourglass * along / (r0[k] * r0[k] + 0.01 * h * h)
+        viscous, control = viscous / (r + 0.01 * h), control / (r + 0.01 * h)
+        a = viscous + control
+
+        u0, u1, u2 = v_half[j, 0] - v_half[i, 0], v_half[j, 1] - v_half[i, 1], v_half[j, 2] - v_half[i, 2]
+        now = x0 * u0 + x1 * u1 + x2 * u2
+        before = now - dt * (u0 * u0 + u1 * u1 + u2 * u2)  # x_j - x_i of n is that of n+1 less dt v
+        if is_last:
+            now += x0 * v0 + x1 * v1 + x2 * v2
+        loss[k, 0] += 0.5 * dt * (strength[k, 0] * before + viscous * now)
+        loss[k, 1] += 0.5 * dt * (strength[k, 1] * before + control * now)
+        strength[k, 0], strength[k, 1] = viscous, control
         force[k, 0], force[k, 1], force[k, 2] = f0 + a * x0, f1 + a * x1, f2 + a * x2
+
+
+@njit(cache=True, nogil=True)
+def share_losses(lo: int, hi: int, start: Ints, signed: Ints, loss: Floats, heat: Floats) -> None:
+    """Half the loss of each pair to each of its points: heat (n,2) J by viscosity and by hourglass control is written."""
+    for i in range(lo, hi):
+        viscous = control = 0.0
+        for k in range(start[i], start[i + 1]):
+            row = signed[k] if signed[k] >= 0 else ~signed[k]
+            viscous += loss[row, 0]
+            control += loss[row, 1]
+        heat[i, 0], heat[i, 1] = 0.5 * viscous, 0.5 * control
 
 
 @njit(cache=True, nogil=True)

@@ -85,14 +85,18 @@ class PointState:
 
 @dataclass(frozen=True)
 class LocalState:
-    """The points of one rank; sums (2,): their plastic work and heat put into the energy, J; internal_work J; time s, steps, dt s."""
+    """The points of one rank; internal_work J; time s, steps, dt s.
+
+    sums (4,) J: their plastic work, the heat put into their energy, and the losses by viscosity and by hourglass control, zero with an
+    engine that does not measure these.
+    """
 
     points: PointState
     internal_work: float
     time: float
     steps: int
     dt: float
-    sums: Annotated[np.ndarray, Shape(2)]
+    sums: Annotated[np.ndarray, Shape(4)]
 
 
 _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns
@@ -163,7 +167,7 @@ class Particle(ABC):
         for name in self._own_fields():
             if not hasattr(self, name):
                 setattr(self, name, rows_of(self.POINTS)[name].new(self.n))
-        self.sums = np.zeros(2)  # plastic work and heat put into the energy, J
+        self.sums = np.zeros(4)  # see LocalState
         self.internal_work = 0.0
 
     def _start(
@@ -232,7 +236,7 @@ class Particle(ABC):
         Raises what on_step raised, or SolverError when LAMMPS stops or a point is switched off. Where other ranks count on
         this one, on_step is called to the end of the `steps` all the same: `failure` then says what happened.
         """
-        self._on_step, self.dt, self.failure = on_step, dt, None
+        self._on_step, self.dt, self.failure, self._steps_left = on_step, dt, None, steps
         try:
             with _silence():
                 self.lmp.command(f"timestep {dt:.17g}")
@@ -248,6 +252,7 @@ class Particle(ABC):
             raise SolverError(
                 self._where(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
             )
+        self._end_window()
 
     def _callback(
         self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray
@@ -258,6 +263,7 @@ class Particle(ABC):
             if self.failure is None:
                 self.time += self.dt
                 self.steps += 1
+                self._steps_left -= 1
                 self._update_stress()
             else:
                 self._skip_step()
@@ -287,6 +293,10 @@ class Particle(ABC):
     @abstractmethod
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
+
+    def _end_window(self) -> None:
+        """What an engine books after the last step of a `run`: nothing where it does not know its losses."""
+        return
 
     def _skip_step(self) -> None:
         """What other ranks need of a step after a failure here: nothing beyond what LAMMPS sends itself."""
@@ -355,6 +365,7 @@ class Particle(ABC):
         return {
             "dt": self.stable_dt(), "stretch_min": self.stretch_min, "kinetic": self.kinetic(), "elastic": self.elastic(),
             "internal_work": self.internal_work, "plastic": float(self.sums[0]), "mass": float(self.mass.sum()),
+            "viscosity": float(self.sums[2]), "hourglass": float(self.sums[3]),
             "momentum_x": float(momentum[0]), "momentum_y": float(momentum[1]), "momentum_z": float(momentum[2]),
             "fastest": float(np.sqrt(np.max(np.einsum("ij,ij->i", self.v, self.v), initial=0.0))),
         }  # fmt: skip
