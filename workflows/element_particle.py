@@ -39,13 +39,16 @@ from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
 from coupler.report.picture import blank, save
+from coupler.scene.effects import NAMES
 from coupler.sph.carried_surface import shape_measures
 from coupler.sph.packing import surface
 from coupler.studies.order import FEWEST, fit_order, line
 from coupler.studies.table import Row
 
+# Heat that flows, and heat of what the schemes dissipate: without them both methods solve the same equations.
+OFF = ("conduction", "particle_conduction", "interface_conduction", "dissipation_heat")
 SCENE = """
-effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction"]
+effects = ["auto", {off}]
 [particle]
 material = "{material}"
 diameter = "25 um"
@@ -75,7 +78,8 @@ BODY = 1  # number of the particle among the bodies; the substrate is 0
 
 def scene_of(case: str, size: float, friction: float = 0.5) -> Scene:
     """The scene of a case whose substrate has edges of `size` um."""
-    text = SCENE.format(**CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
+    off = ", ".join(f'"-{name}"' for name in OFF if name in NAMES)
+    text = SCENE.format(off=off, **CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
     return Scene.from_text(text, case)
 
 
@@ -301,7 +305,8 @@ SERIES: dict[tuple[str, str, str, str], str] = {  # method, contact, finer, nume
     ("points", "", "1", ""): "points",
     ("points", "", "1", LESS): f"points, {LESS.replace('=', ' ').replace(',', ', ')}",
     ("elements", "both", "1", ""): "elements",
-    ("elements", "particle", "1", ""): "elements, contact from one side",
+    ("elements", "particle", "1", ""): "elements, nodes of the particle only",
+    ("elements", "substrate", "1", ""): "elements, nodes of the substrate only",
 }
 ORDERS = np.linspace(0.5, 2.0, 151)
 Curve = tuple[np.ndarray, np.ndarray]  # sizes (k,) um, descending, and values (k,)
@@ -354,7 +359,7 @@ def table_lines(rows: Sequence[Row], friction: str) -> list[str]:
 
 def diagram(rows: Sequence[Row], friction: str) -> Figure:
     """Measures at the greatest deformation over the size of the elements, by case, with the limits at 0."""
-    colours = dict(zip(SERIES.values(), ("#c44e52", "#dd8452", "#4c72b0", "#55a3a0"), strict=True))
+    colours = dict(zip(SERIES.values(), ("#c44e52", "#dd8452", "#4c72b0", "#8fb4d9", "#55a3a0"), strict=True))
     figure = blank(17.0, 2.6 * len(CASES), 80)
     axes = figure.subplots(len(CASES), len(SHOWN), squeeze=False)
     for column, (measure, label) in enumerate(SHOWN.items()):
@@ -374,8 +379,8 @@ def diagram(rows: Sequence[Row], friction: str) -> Figure:
             ax.set_title(f"{case}: {label}", fontsize=8)
             if row == len(CASES) - 1:
                 ax.set_xlabel("edge of the substrate's elements, µm", fontsize=7)
-    axes[0][0].legend(fontsize=6)
-    figure.subplots_adjust(left=0.035, right=0.99, top=0.965, bottom=0.055, hspace=0.32, wspace=0.24)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="upper center", ncols=len(SERIES), fontsize=9)
+    figure.subplots_adjust(left=0.035, right=0.99, top=0.94, bottom=0.055, hspace=0.32, wspace=0.24)
     return figure
 
 
