@@ -5,19 +5,15 @@ The library is `materials.toml`; a scene may add materials or change numbers of 
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from importlib.resources import files
-from typing import Any
 
-from .. import units
 from ..errors import ColdsprayError, SceneError
+from . import library
 
 Pairs = tuple[tuple[float, float], tuple[float, float]]
 
-SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", re.ASCII)
 _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,400}", re.ASCII)
 
 # field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
@@ -118,9 +114,6 @@ class Material:
         return math.sqrt(self.k_at(T) * self.rho * self.cp_at(T))
 
 
-_FIELDS = {f.name for f in fields(Material)} - {"name"}
-
-
 def names() -> list[str]:
     """The materials of the library."""
     return list(_library())
@@ -128,15 +121,14 @@ def names() -> list[str]:
 
 def material(name: str) -> Material:
     """A material of the library. Raises ColdsprayError, which offers the nearest name, for any other."""
-    library = _library()
-    if name not in library:
-        raise ColdsprayError(unknown(name, library))
-    return library[name]
+    if name not in _library():
+        raise ColdsprayError(unknown(name, _library()))
+    return _library()[name]
 
 
 def unknown(name: str, known: Mapping[str, object]) -> str:
     """The message for a material that is not there. known: materials by name."""
-    return f"unknown material{units.nearest(name, known)}; known: {', '.join(known)}"
+    return library.unknown("material", name, known)
 
 
 def from_table(name: str, table: Mapping[str, object], base: Material | None = None) -> Material:
@@ -145,33 +137,15 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     table: fields of Material as in materials.toml; what it lacks is from `base`, else the defaults.
     Raises SceneError with all problems, each beginning with the field at fault.
     """
-    problems: list[str] = []
-    values: dict[str, Any] = dict(_DEFAULTS)
-    if base is not None:
-        values |= {field: getattr(base, field) for field in _FIELDS}
-    if not SAFE_NAME.fullmatch(name):
-        problems.append("the name of a material is made of letters, digits, '_', '.' and '-' (at most 40)")
-    for key, value in table.items():
-        if key not in _FIELDS:
-            problems.append(f"{key[:40]!r}: unknown key{units.nearest(key, _FIELDS)}")
-            continue
-        try:
-            values[key] = _read(key, value)
-        except ValueError as error:
-            problems.append(f"{key} {error}")
-    faulty = _FIELDS & set(table) - set(values)
-    missing = [f.name for f in fields(Material) if f.name in _FIELDS - set(values) - faulty]
-    if missing:
-        problems.append(f'missing: {", ".join(missing)} (or name a material to start from: base = "Ni")')
-    if problems:
-        raise SceneError(problems, name)
-    metal = Material(name=name, **values)
+    values = _DEFAULTS if base is None else {f.name: getattr(base, f.name) for f in fields(base) if f.name != "name"}
+    hint = ' (or name a material to start from: base = "Ni")'
+    metal = library.read_record(Material, name, table, _read, values, hint)
+    problems = []
     if metal.T_m <= metal.T_ref:
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
-    if problems:
-        raise SceneError(problems, name)
+    library.refuse(problems, name)
     return metal
 
 
@@ -183,7 +157,7 @@ def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Ma
     """
     catalogue, problems = dict(_library()), []
     for name, table in tables.items():
-        where = f"materials.{name[:40]!r}" if not SAFE_NAME.fullmatch(name) else f"materials.{name}"
+        where = f"materials.{name[:40]!r}" if not library.SAFE_NAME.fullmatch(name) else f"materials.{name}"
         base_name = table.get("base", name if name in _library() else None)
         if base_name is not None and (not isinstance(base_name, str) or base_name not in _library()):
             problems.append(f"{where}.base: {unknown(str(base_name)[:40], _library())}")
@@ -202,31 +176,15 @@ def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Ma
 
 @cache
 def _library() -> dict[str, Material]:
-    text = files(__package__).joinpath("materials.toml").read_text(encoding="utf-8")
-    return {name: from_table(name, table) for name, table in tomllib.loads(text).items()}
+    return library.load(__package__, "materials.toml", from_table)
 
 
 def _read(key: str, value: object) -> float | Pairs | str:
     if key in ("source", "note"):
-        if not isinstance(value, str) or not _SAFE_TEXT.fullmatch(value):
-            raise ValueError("must be plain text of at most 400 characters")
-        return value
+        return library.read_text(value, _SAFE_TEXT)
     if key in _PAIR_LIMITS:
         return _pairs(value, *_PAIR_LIMITS[key])
-    return _number(value, *_LIMITS[key])
-
-
-def _number(value: object, unit: str, low: float, high: float) -> float:
-    if unit:
-        number = units.parse(value, units.dimension_of(unit))
-        limits = f"{units.rounded(low, unit)} to {units.rounded(high, unit)}"
-    elif isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("must be a plain number")
-    else:
-        number, limits = value, f"{low:g} to {high:g}"
-    if not low <= number <= high:
-        raise ValueError(f"is outside {limits}")
-    return float(number)
+    return library.read_number(value, *_LIMITS[key])
 
 
 def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
@@ -234,8 +192,8 @@ def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
     if not isinstance(value, list) or [len(p) if isinstance(p, list) else 0 for p in value] != [2, 2]:
         raise ValueError(f"must be two pairs, {example}")
     (T0, v0), (T1, v1) = value
-    first = (_number(T0, "K", 1.0, 5000.0), _number(v0, unit, low, high))
-    second = (_number(T1, "K", 1.0, 5000.0), _number(v1, unit, low, high))
+    first = (library.read_number(T0, "K", 1.0, 5000.0), library.read_number(v0, unit, low, high))
+    second = (library.read_number(T1, "K", 1.0, 5000.0), library.read_number(v1, unit, low, high))
     if first[0] >= second[0]:
         raise ValueError("must have the lower temperature first")
     return first, second

@@ -3,20 +3,14 @@
 The library is `nozzles.toml`; a scene or a file of one's own may add others in the same form.
 """
 
-import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from typing import Any
 
 from .. import units
 from ..errors import SceneError
+from ..physics import library as records
 
-_SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", re.ASCII)
-_LONGEST_TEXT = 600
-_TEXTS = ("source", "assumed")
 _LIMITS = {  # m
     "inlet": (0.2e-3, 0.2),
     "throat": (0.1e-3, 0.05),
@@ -79,7 +73,7 @@ def library() -> dict[str, Nozzle]:
 
 def unknown(name: str, known: Mapping[str, object]) -> str:
     """The message for a nozzle that is not there. known: nozzles by name."""
-    return f"unknown nozzle{units.nearest(name, known)}; known: {', '.join(known)}"
+    return records.unknown("nozzle", name, known)
 
 
 def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[str]]:
@@ -97,49 +91,21 @@ def from_table(name: str, table: object) -> Nozzle:
     """Make a nozzle from lengths with units. Raises SceneError with every problem, each beginning with the field at fault."""
     if not isinstance(table, Mapping):
         raise SceneError(["expected a table of lengths"], name)
-    problems: list[str] = []
-    values: dict[str, Any] = dict(_DEFAULTS)
-    if not _SAFE_NAME.fullmatch(name):
-        problems.append("the name of a nozzle is made of letters, digits, '_', '.' and '-' (at most 40)")
-    wanted = [f.name for f in fields(Nozzle) if f.name != "name"]
-    for key, value in table.items():
-        if key not in wanted:
-            problems.append(f"{key[:40]}: unknown key{units.nearest(key, wanted)}; known: {', '.join(wanted)}")
-            continue
-        try:
-            values[key] = _text(value) if key in _TEXTS else _length(value, *_LIMITS[key])
-        except ValueError as error:
-            problems.append(f"{key} {error}")
-    missing = [key for key in wanted if key not in values and key not in table]
-    if missing:
-        problems.append(f"missing: {', '.join(missing)}")
-    if problems:
-        raise SceneError(problems, name)
-    made = Nozzle(name=name, **values)
+    nozzle = records.read_record(Nozzle, name, table, _read, _DEFAULTS)
+    problems = []
     for key in ("inlet", "exit"):
-        if getattr(made, key) <= made.throat:
-            problems.append(f"{key} = {units.show(getattr(made, key), 'mm')}: must be wider than the throat")
-    if made.injection is not None and not -made.converging - made.chamber <= made.injection < made.end:
-        problems.append(f"injection = {units.show(made.injection, 'mm')}: lies outside the nozzle")
-    if problems:
-        raise SceneError(problems, name)
-    return made
+        if getattr(nozzle, key) <= nozzle.throat:
+            problems.append(f"{key} = {units.show(getattr(nozzle, key), 'mm')}: must be wider than the throat")
+    if nozzle.injection is not None and not -nozzle.converging - nozzle.chamber <= nozzle.injection < nozzle.end:
+        problems.append(f"injection = {units.show(nozzle.injection, 'mm')}: lies outside the nozzle")
+    records.refuse(problems, name)
+    return nozzle
+
+
+def _read(key: str, value: object) -> float | str:
+    return records.read_number(value, "mm", *_LIMITS[key]) if key in _LIMITS else records.read_text(value)
 
 
 @cache
 def _library() -> dict[str, Nozzle]:
-    text = files(__package__).joinpath("nozzles.toml").read_text(encoding="utf-8")
-    return {name: from_table(name, table) for name, table in tomllib.loads(text).items()}
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT or not value.isprintable():
-        raise ValueError(f"must be plain text of at most {_LONGEST_TEXT} characters")
-    return value
-
-
-def _length(value: object, low: float, high: float) -> float:
-    number = units.parse(value, "length")
-    if not low <= number <= high:
-        raise ValueError(f"is outside {units.rounded(low, 'mm')} to {units.rounded(high, 'mm')}")
-    return number
+    return records.load(__package__, "nozzles.toml", from_table)

@@ -1,0 +1,85 @@
+"""Libraries of records (materials, nozzles): tables of numbers and texts with units, of the package or of a scene."""
+
+import re
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from importlib.resources import files
+from typing import TypeVar
+
+from .. import units
+from ..errors import SceneError
+
+R = TypeVar("R")
+
+PLAIN_TEXT = re.compile(r"[^\n]{0,600}")
+SAFE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}", re.ASCII)
+
+
+def load(package: str, file: str, read: Callable[[str, Mapping[str, object]], R]) -> dict[str, R]:
+    """The records of a TOML file of a package by name. read: makes one of its name and table."""
+    text = files(package).joinpath(file).read_text(encoding="utf-8")
+    return {name: read(name, table) for name, table in tomllib.loads(text).items()}
+
+
+def read_record(
+    kind: type[R],
+    name: str,
+    table: Mapping[str, object],
+    read: Callable[[str, object], object],
+    values: Mapping[str, object],
+    hint: str = "",
+) -> R:
+    """A record, a dataclass with a name, from a table of its other fields.
+
+    read(field, value): reads a value, raises ValueError with what is wrong; values: for fields that the table lacks; hint: what to
+    do where both lack some. Raises SceneError with every problem, each beginning with the field at fault.
+    """
+    known = [field.name for field in fields(kind) if field.name != "name"]  # type: ignore[arg-type]
+    problems, values = [], dict(values)
+    if not SAFE_NAME.fullmatch(name):
+        problems.append("its name must be made of letters, digits, '_', '.' and '-' (at most 40)")
+    for key, value in table.items():
+        if key not in known:
+            problems.append(f"{key[:40]!r}: unknown key{units.nearest(key, known)}; known: {', '.join(known)}")
+            continue
+        try:
+            values[key] = read(key, value)
+        except ValueError as error:
+            problems.append(f"{key} {error}")
+    if missing := [key for key in known if key not in values and key not in table]:
+        problems.append(f"missing: {', '.join(missing)}{hint}")
+    refuse(problems, name)
+    return kind(**{"name": name, **values})
+
+
+def refuse(problems: list[str], name: str) -> None:
+    """Raise SceneError if there are problems of the record of this name."""
+    if problems:
+        raise SceneError(problems, name)
+
+
+def unknown(kind: str, name: str, known: Mapping[str, object]) -> str:
+    """The message for a record that is not there. known: those of this kind by name."""
+    return f"unknown {kind}{units.nearest(name, known)}; known: {', '.join(known)}"
+
+
+def read_number(value: object, unit: str, low: float, high: float) -> float:
+    """A number with a unit, or a plain one with unit "". Raises ValueError where it is none, or outside low to high (SI)."""
+    if unit:
+        number = units.parse(value, units.dimension_of(unit))
+        limits = f"{units.rounded(low, unit)} to {units.rounded(high, unit)}"
+    elif isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a plain number")
+    else:
+        number, limits = value, f"{low:g} to {high:g}"
+    if not low <= number <= high:
+        raise ValueError(f"is outside {limits}")
+    return float(number)
+
+
+def read_text(value: object, pattern: re.Pattern[str] = PLAIN_TEXT) -> str:
+    """A text of the pattern. Raises ValueError for any other."""
+    if not isinstance(value, str) or not (value.isprintable() and pattern.fullmatch(value)):
+        raise ValueError("must be plain text of at most some hundred characters, without control characters")
+    return value
