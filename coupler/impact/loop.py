@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..plan.planning import Plan
 from .ending import EndCriterion
 from .exchange import WINDOW, Impact
 from .recorder import Recorder
@@ -21,14 +20,15 @@ def advance_to_end(
 
     Raises SolverError when a domain fails or the energy ledger does not close, StoreError when a file cannot be written.
     """
-    end_time = ending.end_time if ending.at == "time" else None
+    end_time, adhesion = ending.end_time if ending.at == "time" else None, recorder.plan.adhesion
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, *impact.held, above)
         if ending.turned is not None:
-            bond(impact, recorder.plan, recorder.i)
+            if adhesion.in_impact:
+                impact.bond(adhesion, recorder.impact_plan.velocity_ratio)
             if recorder.greatest is None:
                 recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))
@@ -48,9 +48,3 @@ def advance_window(impact: Impact, end_time: float | None = None) -> float:
     impact.advance(steps, dt)  # LAMMPS runs the steps; each of them calls impact.exchange_forces
     impact.conduct_heat(steps * dt)
     return dt
-
-
-def bond(impact: Impact, plan: Plan, i: int) -> None:
-    """From the greatest deformation on: bond the particle where it presses and the plan's criterion is met."""
-    if plan.adhesion.in_impact:
-        impact.bond(plan.adhesion, plan.impacts[i].velocity_ratio)
