@@ -117,7 +117,7 @@ class FakeDeposition:
     """Stands in for coupler.deposition.run: does what it is told instead of computing."""
 
     def __init__(self, act):
-        self.run = lambda scene, out, force, progress, checkpoint_every: act(out, progress)
+        self.run = lambda scene, out, progress, **_: act(out, progress)
 
 
 @pytest.fixture

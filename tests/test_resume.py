@@ -126,8 +126,8 @@ def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
     about = {"version": "1", "scene": "s"}
     for i in range(4):
         checkpoint.write(tmp_path, kept(i), about)
-    assert [number for number, _ in checkpoint.found(tmp_path)] == [3, 4]
-    last = checkpoint.found(tmp_path)[-1][1]
+    assert [number for number, _ in checkpoint.stored(tmp_path)] == [3, 4]
+    last = checkpoint.stored(tmp_path)[-1][1]
     content = bytearray(last.read_bytes())
     lines: list[str] = []
     for damage in ("truncated", "flipped", "header", "empty"):
@@ -142,7 +142,7 @@ def test_two_are_kept_and_the_last_whole_one_is_used(tmp_path: Path) -> None:
         assert found.parts[0].n == 2, damage
     assert len(lines) == 4
     assert all("damaged" in line and "one before" in line for line in lines)
-    checkpoint.found(tmp_path)[0][1].write_bytes(b"nonsense")
+    checkpoint.stored(tmp_path)[0][1].write_bytes(b"nonsense")
     with pytest.raises(CheckpointError, match=r"no checkpoint .* is whole"):
         checkpoint.latest(tmp_path, Kept, about, lines.append)
 
@@ -178,10 +178,10 @@ def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_run_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Path, text: str, at: float) -> None:
     out = tmp_path / "out"
     break_off(Scene.from_text(text, "shared"), out, at)
-    assert len(checkpoint.found(out)) > 0
+    assert len(checkpoint.stored(out)) > 0
     result = resume(out)
     assert result.finished
-    assert checkpoint.found(out) == []
+    assert checkpoint.stored(out) == []
     assert_same(shared_run(text), result)
 
 
@@ -199,7 +199,7 @@ def test_a_damaged_checkpoint_and_a_damaged_file(
 ) -> None:
     out = tmp_path / "out"
     break_off(short, out, 6e-9)
-    last = checkpoint.found(out)[-1][1]
+    last = checkpoint.stored(out)[-1][1]
     last.write_bytes(last.read_bytes()[:-1])
     (out / "surface.vtkhdf").write_bytes(b"not HDF5 at all")
     result = resume(out)
@@ -263,7 +263,7 @@ def test_a_signal_writes_a_checkpoint_first(
     _, err = started.communicate(timeout=60)
     assert started.returncode == code
     assert "go on with coldspray resume" in err
-    assert len(checkpoint.found(out)) == 1
+    assert len(checkpoint.stored(out)) == 1
     assert_same(shared_run(WHOLE), resume(out))
 
 

@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
             print(text, file=sys.stderr, flush=True)
 
     table = ladder.ladder_table(
-        out / "accuracy.csv", "made by: coldspray accuracy (rows in this table are not computed again)"
+        out / "accuracy.csv", "remake: coldspray accuracy (rows in this table are not computed again)"
     )
     try:
         ladder_runs.compute_missing(scene, out, points, table, say, arguments.quiet)

@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_file
     from ..physics import materials
     from ..plan import gas as scene_gas
@@ -152,32 +152,28 @@ def _at_exit(flow: "Flow", flight: "Flight") -> float:
 
 
 def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[float], flights: "list[Flight]") -> None:
-    from ..files.outputs import MARK, replacing
+    from ..files.outputs import MARK
+    from ..studies.table import write_rows
 
     values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
     options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
     switches = ["--bow-shock"] if arguments.bow_shock else []
+    head = f"{MARK} gas; remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}"
+    columns = ("diameter_um", "exit_velocity_m_s", "velocity_m_s", "temperature_K", "flight_time_ms")
     rows = [
-        f"# {MARK} gas; remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}",
-        "diameter_um,exit_velocity_m_s,velocity_m_s,temperature_K,flight_time_ms",
+        (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
+        for D, flight in zip(diameters, flights, strict=True)
     ]
-    for D, flight in zip(diameters, flights, strict=True):
-        row = (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)
-        rows.append(",".join(f"{value:.6g}" for value in row))
-    with replacing(arguments.csv) as part:
-        part.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    write_rows(arguments.csv, columns, [dict(zip(columns, map(float, row), strict=True)) for row in rows], head)
 
 
 def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> None:
     """Velocity and temperature of gas and particles over the axis, as a PNG."""
     from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    from ..files.outputs import MARK, replacing
+    from ..report.picture import blank, save
 
-    figure = Figure(figsize=(8.0, 7.0), dpi=150, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(8.0, 7.0, dpi=150, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     gas = flights[0]
     above.plot(gas.x * 1e3, gas.u, "k--", linewidth=1.2, label=flow.gas.name)
@@ -198,5 +194,4 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
     above.legend(title=material, fontsize=8, loc="upper left")
     head = f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
     figure.suptitle(head, fontsize=11)
-    with replacing(path) as part:
-        figure.savefig(part, format="png", metadata={"Software": MARK})
+    save(figure, path)

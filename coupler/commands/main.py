@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TypedDict, TypeVar, Unpack
+from typing import TYPE_CHECKING, NoReturn
 
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..progress import Progress
 
-T = TypeVar("T")
 # shared library that a wheel expects from the system -> Debian package
 _PACKAGES = {
     "libGLU.so.1": "libglu1-mesa",
@@ -45,15 +44,6 @@ _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
-class _Options(TypedDict, total=False):
-    """Arguments of `run` and `resume` that the command line sets."""
-
-    progress: "Progress"
-    checkpoint_every: float
-    placement: str
-    threads: int
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
     try:
@@ -73,7 +63,9 @@ def main(argv: list[str] | None = None) -> int:
     except MemoryError as error:
         return _fail(f"out of memory{f': {error}' if str(error) else ''}; {_MORE_MEMORY}", 2)
     except (OSError, ImportError) as error:
-        message = missing_library(error) or _file_problem(error)
+        message = missing_library(error)
+        if message is None and isinstance(error, OSError) and error.filename and error.strerror:
+            message = f"{error.filename}: {error.strerror}"
         if message is None:
             raise
         return _fail(message, 2)
@@ -137,35 +129,23 @@ def _parser() -> argparse.ArgumentParser:
     resume.set_defaults(command=_resume)
     for computing in (run, resume):
         computing.add_argument("--quiet", action="store_true", help="print errors only")
-        computing.add_argument(
-            "--threads",
-            type=int,
-            metavar="N",
-            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)",
-        )
+        computing.add_argument("--threads", type=int, metavar="N",
+                               help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
         computing.add_argument(
             "--placement",
             metavar="HOW",
             help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
             " particle on all ranks)",
         )
-        computing.add_argument(
-            "--checkpoint",
-            type=seconds,
-            default=60.0,
-            metavar="SECONDS",
-            help="wall time between two checkpoints (default: 60)",
-        )
-    gas_command.add(commands)
-    mesh_command.add(commands)
-    coating_command.add(commands)
-    accuracy_command.add(commands)
-    map_command.add(commands)
+        computing.add_argument("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
+                               help="wall time between two checkpoints (default: 60)")  # fmt: skip
+    for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command):
+        command.add(commands)
     return parser
 
 
 class _Parser(argparse.ArgumentParser):
-    """Of several ranks, one says what is wrong with the command line."""
+    """Of several ranks, only the first prints an error in the command line."""
 
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():
@@ -205,21 +185,15 @@ def _run(arguments: argparse.Namespace) -> int:
         if not arguments.quiet and is_first_rank():
             print(remark)
 
-    def work(**options: Unpack[_Options]) -> "Result":
-        from ..deposition.run import run
+    from ..deposition.run import run
 
-        return run(scene, out=out, force=arguments.force, **options)
-
-    return _compute(arguments, out, work)
+    return _compute(arguments, out, partial(run, scene, out=out, force=arguments.force))
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    def work(**options: Unpack[_Options]) -> "Result":
-        from ..deposition.run import resume
+    from ..deposition.run import resume
 
-        return resume(arguments.folder, until=arguments.until, **options)
-
-    return _compute(arguments, arguments.folder, work)
+    return _compute(arguments, arguments.folder, partial(resume, arguments.folder, until=arguments.until))
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
@@ -227,13 +201,14 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
-    options: _Options = {"progress": progress, "checkpoint_every": arguments.checkpoint}
-    if arguments.placement:
-        options["placement"] = arguments.placement
-    if arguments.threads is not None:
-        options["threads"] = max(arguments.threads, 1)
+    threads = max(arguments.threads, 1) if arguments.threads is not None else None
     try:
-        result = work(**options)
+        result = work(
+            progress=progress,
+            threads=threads,
+            placement=arguments.placement or None,
+            checkpoint_every=arguments.checkpoint,
+        )
     except KeyboardInterrupt as interrupt:
         number = getattr(interrupt, "signal", signal.SIGINT)
         return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
@@ -289,30 +264,27 @@ def _compare(arguments: argparse.Namespace) -> int:
 
     check_count(len(arguments.runs))
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
-    problems: list[ColdsprayError] = []
-    results: list[Result] = []
-
-    def attempt(work: Callable[[], T], folder: Path) -> T | None:
-        try:
-            with reading(folder):
-                return work()
-        except ColdsprayError as error:
-            problems.append(error)
-            return None
-
-    for folder in arguments.runs:
-        if (result := attempt(partial(Result, folder), folder)) is not None:
-            results.append(result)
-    table = attempt(lambda: comparison_table(results), Path("the runs"))
-    if table is None or attempt(lambda: compare(results, arguments.out), Path("the runs")) is None:
-        sound = [r for r in results if attempt(partial(comparison_picture, [r, r]), r.directory) is not None
-                 and attempt(partial(comparison_table, [r, r]), r.directory) is not None]  # fmt: skip
-        if len(sound) < 2 or len(sound) == len(results):
-            raise problems[0]
-        compare(sound, arguments.out)
+    try:
+        with reading("the runs"):
+            results = [Result(folder) for folder in arguments.runs]
+            table = comparison_table(results)
+            compare(results, arguments.out)
+    except ColdsprayError:  # leave out the runs that cannot be compared with themselves
+        sound, problems = [], []
+        for folder in arguments.runs:
+            try:
+                with reading(folder):
+                    result = Result(folder)
+                    comparison_table([result, result])
+                    comparison_picture([result, result])
+                sound.append(result)
+            except ColdsprayError as error:
+                problems.append(str(error))
+        if len(sound) < 2 or not problems:
+            raise
         table = comparison_table(sound)
-    for problem in dict.fromkeys(map(str, problems)):
-        print(f"left out: {problem}", file=sys.stderr)
+        compare(sound, arguments.out)
+        print(*(f"left out: {problem}" for problem in dict.fromkeys(problems)), sep="\n", file=sys.stderr)
     Console().print(table)
     print(f"comparison in {arguments.out}")
     return 0
@@ -325,14 +297,8 @@ def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
     return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
 
 
-def _file_problem(error: Exception) -> str | None:
-    if isinstance(error, OSError) and error.filename and error.strerror:
-        return f"{error.filename}: {error.strerror}"
-    return None
-
-
 def _fail(message: str, code: int) -> int:
-    if not is_first_rank():  # every rank ends with the same error; one says so
+    if not is_first_rank():  # every rank ends with the same error; the first prints it
         return code
     try:
         print(f"coldspray: {message}", file=sys.stderr)

@@ -10,7 +10,6 @@ from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from ..studies.maps import Interpolation, Row
@@ -40,8 +39,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from ..errors import StoreError
+    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.inputs import reading
     from ..files.outputs import MARK, check_folder, claim_file
     from ..studies import maps
@@ -50,10 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         rows = maps.table(arguments.folder)
     out = arguments.out or arguments.folder
     check_folder(out)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(f"cannot write to the folder {out}: {error.strerror}") from None
+    out.mkdir(parents=True, exist_ok=True)
     for name in ("map.csv", *(drawn.name for drawn in out.glob("map_*.png"))):
         claim_file(out / name, (".csv", ".png"), force=arguments.force)
     count = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "unfinished")}
@@ -118,37 +113,29 @@ def _figure(
     path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation | None"
 ) -> None:
     """Mean and half width of the 95 % band side by side, a row for each value of the third axis; one panel for a formula."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from ..report.picture import blank, save
 
-    from ..files.outputs import MARK, replacing
-
-    m = MEASURES[quantity]
-    title, unit, factor = m.label, m.unit, m.factor
+    factor = MEASURES[quantity].factor
     x_axis, y_axis, *third = axes
     done = [row for row in rows if row["status"] == "done" and row[quantity] is not None]
     slices = sorted({row[third[0]] for row in done}) if third else [None]
     columns = 1 if fit is None else 2
-    figure = Figure(figsize=(5.4 * columns, 4.3 * len(slices)), dpi=130, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = blank(5.4 * columns, 4.3 * len(slices), dpi=130, layout="constrained")
     panels = figure.subplots(len(slices), columns, squeeze=False, sharex=True, sharey=True)
     fields = [_fields(done, axes, quantity, value, fit) for value in slices]
     for number in range(columns):
         levels = _levels([factor * field[2 + number] for field in fields], quantity, number == 1)
         for at, value, (x, y, *values) in zip(panels[:, number], slices, fields, strict=True):
             here = [row for row in rows if not third or row[third[0]] == value]
-            _panel(figure, at, (x, y, factor * values[number]), levels, number == 1, quantity, unit)
+            _panel(at, (x, y, factor * values[number]), levels, number == 1, quantity)
             _points(at, here, x_axis, y_axis)
             at.set_xlabel(axis_label(x_axis))
             at.set_ylabel(axis_label(y_axis) if number == 0 else "")
-            at.set_title(
-                ("95 % band, half width" if number else "") if not third else f"{axis_label(third[0])} {value:g}",
-                fontsize=9,
-            )
+            heading = f"{axis_label(third[0])} {value:g}" if third else "95 % band, half width" if number else ""
+            at.set_title(heading, fontsize=9)
     substrates = ", ".join(dict.fromkeys(row["substrate"] for row in done))
-    figure.suptitle(f"{rows[0]['material']} on {substrates}: {title}", fontsize=11)
-    with replacing(path) as part:
-        figure.savefig(part, format="png", metadata={"Software": MARK})
+    figure.suptitle(f"{rows[0]['material']} on {substrates}: {MEASURES[quantity].label}", fontsize=11)
+    save(figure, path)
 
 
 def _fields(
@@ -168,12 +155,8 @@ def _fields(
     if fit is None:
         # critical velocity of each temperature of the points: the formula has nothing else of theirs in it
         critical = {row["temperature_K"]: row["velocity_m_s"] / row[quantity] for row in done}
-        T = (
-            y
-            if axes[1] == "temperature_K"
-            else np.full_like(x, value if value is not None else done[0]["temperature_K"])
-        )
-        known = sorted(critical)
+        constant = value if value is not None else done[0]["temperature_K"]
+        T, known = y if axes[1] == "temperature_K" else np.full_like(x, constant), sorted(critical)
         return x, y, x / np.interp(T, known, [critical[t] for t in known])
     at = (x, y) if value is None else (x, y, np.full_like(x, value))
     mean, std = fit(*at)
@@ -196,23 +179,15 @@ def _levels(fields: "Sequence[NDArray]", quantity: str, band: bool) -> "NDArray"
     return np.asarray(MaxNLocator(6 if band else 10).tick_values(low, high))
 
 
-def _panel(
-    figure: "Figure",
-    at: "Axes",
-    field: "tuple[NDArray, NDArray, NDArray]",
-    levels: "NDArray",
-    band: bool,
-    quantity: str,
-    unit: str,
-) -> None:
+def _panel(at: "Axes", field: "tuple[NDArray, NDArray, NDArray]", levels: "NDArray", band: bool, quantity: str) -> None:
     x, y, values = field
     colours = at.contourf(x, y, values, levels, cmap="Greys" if band else COLOURS[quantity], extend="neither")
     lines = at.contour(x, y, values, levels, colors="k" if band else "w", linewidths=0.5)
     at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}")
     if quantity == "velocity_ratio":
         at.contour(x, y, values, [1.0], colors="k", linewidths=2.0)
-    bar = figure.colorbar(colours, ax=at)
-    bar.ax.set_ylabel(unit, rotation=0, labelpad=10)
+    bar = at.figure.colorbar(colours, ax=at)
+    bar.ax.set_ylabel(MEASURES[quantity].unit, rotation=0, labelpad=10)
 
 
 def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:

@@ -32,12 +32,7 @@ def add(commands: Commands) -> None:
     option(
         "cloud", type=path, metavar="CLOUD", help="folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
     )
-    option(
-        "--out",
-        type=path,
-        metavar="FILE",
-        help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)",
-    )
+    option("--out", type=path, metavar="FILE", help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)")
     add_force(parser)
     option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
     for name, form, default, text in (
@@ -50,7 +45,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the command line asks for. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.inputs import reading, require_memory
     from ..files.outputs import claim_file, kind_of
     from ..splat.convert import convert

@@ -47,9 +47,9 @@ def join(
     origin = point_of_impact(bodies, following.offset, None if left else domains)
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
     if report["remeshing"]["remeshed"]:
-        old, made = report["remeshing"]["before"], report["remeshing"]["after"]
+        old, renewed = report["remeshing"]["before"], report["remeshing"]["after"]
         log(
-            f"impact {i + 1} has distorted the target: remeshed, its step is {made['step_s'] * 1e12:.0f} ps instead of"
+            f"impact {i + 1} has distorted the target: remeshed, its step is {renewed['step_s'] * 1e12:.0f} ps instead of"
             f" {old['step_s'] * 1e12:.0f}"
         )
     if left:
@@ -150,8 +150,8 @@ def _paused(
 def _links(bodies: Bodies, size: float) -> Links:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
     surfaces, x = bodies.surfaces, bodies.target.x
-    found = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
-    return together([Links(f.nodes, surfaces.facets[f.facet], f.weights, f.area) for f in found])
+    contacts = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
+    return together([Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts])
 
 
 def cloud_of(domains: Domains) -> Cloud:

@@ -40,7 +40,7 @@ OWN_STEP = 0.2  # spacings over wave speed: the step of a particle well deformed
 MOST_PATCHES = 8
 GAIN = 1.25  # of the smallest step, in a patch and in the whole mesh: less is not worth a transfer
 MESHING_LIMIT = 60.0  # s, of gmsh for a patch
-SEAM = 1e-6  # edges: how far a node of the cut may be found from its place
+SEAM = 1e-6  # edges: largest distance of a node of the cut from its place
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ def _loose(bodies: Bodies) -> np.ndarray:
         kept[bodies.bond.nodes] = kept[bodies.bond.triangles] = True
     surfaces, x = bodies.surfaces, bodies.target.x
     for body in range(1, bodies.count):
-        found = interface(surfaces, x, body, NEAR * surfaces.spacing(x, body))
-        kept[found.nodes] = kept[surfaces.facets[found.facet]] = True
+        contact = interface(surfaces, x, body, NEAR * surfaces.spacing(x, body))
+        kept[contact.nodes] = kept[surfaces.facets[contact.facet]] = True
     return ~kept[mesh.conn].any(axis=1)
 
 
@@ -208,9 +208,9 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
     if gamma.min() < MIN_GAMMA:
         raise SplatError(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
     new = _transfer(domain, patch, points, tets, edge)
-    made, node, facet, heat = renewed(domain, patch, new)
-    limit = _limits(made)[-len(tets) :].min()
-    return made, node, facet, {
+    remade, node, facet, heat = renewed(domain, patch, new)
+    limit = _limits(remade)[-len(tets) :].min()
+    return remade, node, facet, {
         "step_s": SAFE * float(limit), "smoothed_J": float(heat[0]), "warmth_J": float(heat[1]), "edge_m": edge,
         "moved_m": moved, "elements_before": len(own), "elements": len(tets),
         "step_length_before_m": float(old_steps.min()), "step_length_m": float(new_steps.min()),
@@ -312,7 +312,7 @@ def crater_diameter(corners: np.ndarray, below: float) -> float:
     depth = np.sort(-corners[:, :, 2] - below, axis=1)
     a, b, c = depth.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        one = c * c / ((c - a) * (c - b))  # only the deepest corner lies below
+        deepest = c * c / ((c - a) * (c - b))  # only the deepest corner lies below
         two = 1.0 - a * a / ((a - b) * (a - c))
-    share = np.where(a >= 0.0, 1.0, np.where(b >= 0.0, two, np.where(c > 0.0, one, 0.0)))
+    share = np.where(a >= 0.0, 1.0, np.where(b >= 0.0, two, np.where(c > 0.0, deepest, 0.0)))
     return float(np.sqrt(4.0 / np.pi * max(float(share @ area), 0.0)))

@@ -41,7 +41,7 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
 
     about: what it belongs to, for `latest`. Raises StoreError when it cannot be written (a full disk); earlier ones are then untouched.
     """
-    numbers = [number for number, _ in found(directory)]
+    numbers = [number for number, _ in stored(directory)]
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
     temporary = path.with_suffix(".part")
     arrays: dict[str, np.ndarray] = {}
@@ -66,21 +66,20 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
         raise StoreError(
             f"cannot write {path}: {error.strerror or error}; make room, then go on with coldspray resume {directory}"
         ) from error
-    for _, old in found(directory)[:-KEPT]:
+    for _, old in stored(directory)[:-KEPT]:
         old.unlink(missing_ok=True)
     return path
 
 
-def found(directory: Path) -> list[tuple[int, Path]]:
+def stored(directory: Path) -> list[tuple[int, Path]]:
     """The checkpoints of a run, oldest first: (number, path)."""
-    files = [path for path in directory.glob("checkpoint-*.ckpt") if path.is_file()]
-    matches = [(match, path) for path in files if (match := _NAME.fullmatch(path.name))]
-    return sorted((int(match[1]), path) for match, path in matches)
+    matches = [(_NAME.fullmatch(path.name), path) for path in directory.glob("checkpoint-*.ckpt") if path.is_file()]
+    return sorted((int(match[1]), path) for match, path in matches if match)
 
 
 def clear(directory: Path) -> None:
     """Remove all checkpoints of a run."""
-    for path in [path for _, path in found(directory)] + list(directory.glob("checkpoint-*.part")):
+    for path in [path for _, path in stored(directory)] + list(directory.glob("checkpoint-*.part")):
         path.unlink(missing_ok=True)
 
 
@@ -93,7 +92,7 @@ def latest(
     or another scene (a key of `about` differs), or when all are damaged.
     """
     damaged = []
-    for _, path in reversed(found(directory)):
+    for _, path in reversed(stored(directory)):
         try:
             return read(path, kind, about)
         except OtherVersion:
@@ -199,12 +198,10 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
         return hint(**values)
     if origin is list or origin is tuple:
         items = _part(tree, "list", name)
-        made = [_decode(options[0], item, arrays, f"{name}/{i}") for i, item in enumerate(items)]
-        return made if origin is list else tuple(made)
+        return origin(_decode(options[0], item, arrays, f"{name}/{i}") for i, item in enumerate(items))
     if origin is dict:
-        return {
-            key: _decode(options[1], item, arrays, f"{name}/{key}") for key, item in _part(tree, "dict", name).items()
-        }
+        items = _part(tree, "dict", name).items()
+        return {key: _decode(options[1], item, arrays, f"{name}/{key}") for key, item in items}
     if hint is np.ndarray or origin is np.ndarray:
         return arrays[_part(tree, "array", name)]
     value = tree["value"] if isinstance(tree, dict) and "value" in tree else tree

@@ -123,9 +123,9 @@ def _is_number(word: str) -> bool:
 
 
 def _meshio(path: Path) -> tuple[NDArray, Fields]:
-    said = io.StringIO()
+    output = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
             mesh = meshio.read(path)
     except SystemExit:  # meshio leaves by sys.exit where several readers have failed
         raise ValueError("not in a format meshio reads") from None

@@ -70,9 +70,9 @@ def claim_folder(
 
 def keep_inputs(folder: Path, names: Sequence[str], inputs: Iterable[Path]) -> None:
     """Raise StoreError if a file of one of these names in a folder is an input."""
-    given = list(inputs)
+    sources = list(inputs)
     for path in [path for name in names for path in folder.glob(name)]:
-        _refuse_inputs(path, given)
+        _refuse_inputs(path, sources)
 
 
 def check_folder(folder: Path) -> None:
@@ -128,8 +128,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
     """Raise StoreError if a path is an input, by whatever link, or a file of a run that is read."""
-    for given in inputs:
-        for source in [given / name for name in RUN_FILES] if given.is_dir() else [given]:
+    for item in inputs:
+        for source in [item / name for name in RUN_FILES] if item.is_dir() else [item]:
             with contextlib.suppress(OSError):
                 if path.samefile(source):
                     raise StoreError(f"cannot write {path}: it is the same file as {source}, which is read here")

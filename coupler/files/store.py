@@ -76,7 +76,7 @@ class Store:
                 raise StoreError(
                     f"{directory} holds a finished run; add --force to replace it, or choose another folder with --out"
                 )
-            if checkpoint.found(directory) and not force:
+            if checkpoint.stored(directory) and not force:
                 raise StoreError(
                     f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add --force to replace it,"
                     " or choose another folder with --out"
@@ -275,8 +275,8 @@ class _named(contextlib.AbstractContextManager[None]):
 
 def _reason(error: Exception) -> str:
     # HDF5 puts the number into its text only.
-    found = re.search(r"errno = (\d+)", str(error))
-    number = int(found[1]) if found else getattr(error, "errno", None)
+    match = re.search(r"errno = (\d+)", str(error))
+    number = int(match[1]) if match else getattr(error, "errno", None)
     if number == errno.ENOSPC:
         return "no space left on the disk"
     if number == errno.EBADF or number is None:

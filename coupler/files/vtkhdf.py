@@ -36,7 +36,7 @@ class _State:
     steps: int = 0
     rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
     cells: NDArray[np.int64] | None = None
-    given: object = None  # the caller's own array, where it cannot change
+    source: object = None  # the caller's own array, where it cannot change
     points: int = -1
     part: int = -1
     cell_offset: int = 0
@@ -85,7 +85,7 @@ class VtkHdfWriter:
         if not self._file:
             raise OSError(errno.EBADF, "closed, or given up after an earlier error")
         try:
-            self._write(time, points, cells, point_data or {}, cell_data or {})
+            self._append_step(time, np.ascontiguousarray(points, np.float64), cells, point_data or {}, cell_data or {})
         except (OSError, RuntimeError):  # HDF5 reports some failed writes as the second
             self._give_up()
             raise
@@ -111,21 +111,18 @@ class VtkHdfWriter:
             os.close(sink)
             self._file.close()
 
-    def _write(
+    def _append_step(
         self,
         time: float,
-        points: ArrayLike,
+        xyz: NDArray,
         cells: ArrayLike,
         point_data: Mapping[str, ArrayLike],
         cell_data: Mapping[str, ArrayLike],
     ) -> None:
-        xyz = np.ascontiguousarray(points, dtype=np.float64)
         if xyz.ndim != 2 or xyz.shape[1] != 3:
             raise ValueError(f"points must be (n, 3), got {xyz.shape}")
-        fields = {
-            "PointData": _fields(point_data, len(xyz), "point"),
-            "CellData": _fields(cell_data, len(np.asarray(cells)), "cell"),
-        }
+        fields = {"PointData": _fields(point_data, len(xyz), "point"),
+                  "CellData": _fields(cell_data, len(np.asarray(cells)), "cell")}  # fmt: skip
         size = xyz.nbytes + np.asarray(cells).nbytes
         size += sum(values.nbytes for data in fields.values() for values in data.values())
         # Better not to begin a step that has no room: one that breaks off may take an index with it.
@@ -163,7 +160,7 @@ class VtkHdfWriter:
 
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> None:
         """Store the cells as a new part, unless they and the number of points are those of the last step."""
-        if cells is state.given and points == state.points:
+        if cells is state.source and points == state.points:
             return
         table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
         if table.ndim != 2 or table.shape[1] not in CELL_TYPES:
@@ -171,7 +168,7 @@ class VtkHdfWriter:
         if table.size and (table.min() < 0 or table.max() >= points):
             raise ValueError(f"cells refer to points outside 0..{points - 1}")
         # An array that can be written to may change in place, so only a frozen one is known by its identity.
-        state.given = cells if isinstance(cells, np.ndarray) and not cells.flags.writeable else None
+        state.source = cells if isinstance(cells, np.ndarray) and not cells.flags.writeable else None
         if points == state.points and state.cells is not None and np.array_equal(table, state.cells):
             return
         state.cells, state.points = table, points
@@ -194,14 +191,9 @@ class VtkHdfWriter:
         if name not in self._data:
             long = len(values) > 1
             self._data[name] = self._root.create_dataset(
-                name,
-                shape=(0, *tail),
-                maxshape=(None, *tail),
-                chunks=(len(values) if long else 256, *tail),
-                dtype=values.dtype,
-                compression=1 if long else None,
-                shuffle=long,
-            )
+                name, (0, *tail), values.dtype, maxshape=(None, *tail), chunks=(len(values) if long else 256, *tail),
+                compression=1 if long else None, shuffle=long,
+            )  # fmt: skip
         data = self._data[name]
         data.resize(start + len(values), axis=0)
         if len(values):

@@ -6,8 +6,8 @@ const family = getComputedStyle(document.body).fontFamily;
 const config = { responsive: true, displayModeBar: false };
 const charts = [];
 
-function axis(given, style) {
-  const { title, ...rest } = given;
+function axis(layout, style) {
+  const { title, ...rest } = layout;
   return { gridcolor: "#e8ebef", linecolor: "#9aa4af", tickcolor: "#9aa4af", ticks: "outside", ticklen: 4, showline: true,
     zeroline: false, automargin: true, title: { text: title, font: { size: 13 }, standoff: 8 }, ...style, ...rest };
 }
@@ -86,7 +86,7 @@ class Solid {
   }
 
   traces(step) {
-    const field = this.solid.fields.find((one) => one.name === this.chooser.value);
+    const field = this.solid.fields.find((field) => field.name === this.chooser.value);
     const cut = !this.whole.checked;
     const meshes = this.kinds.map((kind, number) => ({
       type: "mesh3d", name: kind, ...this.mesh(kind, step, field), colorscale: field.colours, cmin: field.low, cmax: field.high,

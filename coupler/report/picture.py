@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -240,9 +240,9 @@ def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
     axis.text(x + length / 2, z + 0.03 * (top - bottom), f"{length:g} µm", ha="center", fontsize=fontsize, zorder=7)
 
 
-def blank(width: float, height: float, dpi: float) -> Figure:
+def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:
     """A white figure of this size in inches that needs no screen."""
-    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white")
+    figure = Figure(figsize=(width, height), dpi=dpi, facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
 

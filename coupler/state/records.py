@@ -55,7 +55,7 @@ def _shapes(kind: type[object]) -> dict[str, Shape]:
     specs = {
         name: [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape)] for name, hint in hints.items()
     }
-    return {name: found[0] for name, found in specs.items() if found}
+    return {name: shapes[0] for name, shapes in specs.items() if shapes}
 
 
 def shapes_of(record: object) -> dict[str, Shape]:
@@ -80,13 +80,13 @@ def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
     return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
 
 
-def collect(kind: type[R], owner: object, **given: object) -> R:
+def collect(kind: type[R], owner: object, **known: object) -> R:
     """A record of the attributes of an object, by name; arrays and dicts are copied, parts with a state give theirs.
 
-    given: fields that are not attributes of the object.
+    known: fields that are not attributes of the object.
     """
-    values = {f.name: _value(getattr(owner, f.name)) for f in fields(kind) if f.name not in given}  # type: ignore[arg-type]
-    return kind(**values, **given)
+    values = {f.name: _value(getattr(owner, f.name)) for f in fields(kind) if f.name not in known}  # type: ignore[arg-type]
+    return kind(**values, **known)
 
 
 def _value(value: object) -> object:

@@ -15,7 +15,7 @@ from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
 from ..report.page import Page, write_text
-from ..report.picture import blank, save
+from ..report.picture import axes_at, blank, save
 from . import accuracy_fit as fit
 from .ladder import KNOBS
 from .order import FEWEST
@@ -36,11 +36,11 @@ def preset_of(row: Mapping[str, str]) -> str:
 def order_of(rows: Rows, measure: str, T_0: float) -> str:
     """The fitted order in words, or why there is none. T_0: K, of the last particle before its impact."""
     try:
-        _, found = fit.order([fit.resolutions(rows, measure, T_0)])
+        _, fitted = fit.order([fit.resolutions(rows, measure, T_0)])
     except ValueError:
         return f"fewer than {FEWEST} resolutions, no order"
-    low, high = found.interval()
-    return f"order {found.order:.2g} ({low} to {high})" if found.is_determined else "order not determined"
+    low, high = fitted.interval()
+    return f"order {fitted.order:.2g} ({low} to {high})" if fitted.is_determined else "order not determined"
 
 
 def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Path]:
@@ -63,63 +63,62 @@ def diagram(rows: Rows, heading: str, T_0: float) -> Figure:
     figure = blank(*size, dpi=110)
     for k, measure in enumerate(BANDED):
         column, row = k % across, k // across
-        place = (column * wide + 0.62, size[1] - top - (row + 1) * tall + 0.55, wide - 0.8, tall - 0.9)
-        panel = figure.add_axes((place[0] / size[0], place[1] / size[1], place[2] / size[0], place[3] / size[1]))
+        left, bottom = column * wide + 0.62, size[1] - top - (row + 1) * tall + 0.55
+        panel = axes_at(figure, left, bottom, wide - 0.8, tall - 0.9)
         _panel(panel, rows, measure, T_0)
         if k == 0:
             lines = panel.get_legend_handles_labels()
     figure.text(0.02, 1 - 0.22 / size[1], heading, fontsize=13, weight="bold", va="center", parse_math=False)
-    said = (
+    caption = (
         "difference from the reference, %, over processor time of one core, s; crosses at the top: settings that failed"
     )
-    figure.text(0.02, 1 - 0.48 / size[1], said, fontsize=9.5, va="center")
-    figure.legend(
-        *lines, loc="center left", bbox_to_anchor=(0.015, 1 - 0.76 / size[1]), ncol=8, frameon=False, fontsize=9
-    )
+    figure.text(0.02, 1 - 0.48 / size[1], caption, fontsize=9.5, va="center")
+    place = (0.015, 1 - 0.76 / size[1])
+    figure.legend(*lines, loc="center left", bbox_to_anchor=place, ncol=8, frameon=False, fontsize=9)
     return figure
 
 
 def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
-    found = fit.errors(rows, measure, T_0)
+    errors = fit.errors(rows, measure, T_0)
     panel.set_title(f"{record(measure).short}: {order_of(rows, measure, T_0)}", fontsize=9, loc="left")
-    if not found:  # no reference, or a measure that is zero in it
+    if not errors:  # no reference, or a measure that is zero in it
         panel.text(0.5, 0.5, "nothing to compare with", ha="center", fontsize=9, transform=panel.transAxes)
     for k, axis in enumerate(AXES):
-        x, y, _ = _points(found, axis)
+        x, y, _ = _points(errors, axis)
         style = {"lw": 1.4, "ls": "-"} if axis == "points" else {"lw": 0.0}
         panel.plot(x, y, marker=MARKS[k], ms=5, color=charts.LINES[k], label=axis, **style)
-    for row, error in found:
+    for row, error in errors:
         if name := preset_of(row):
             at = (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST))
             panel.annotate(name, at, xytext=(5, 5), textcoords="offset points", fontsize=8.5, color=charts.LINES[0])
     best = fit.reference(rows)
     if best is not None:
         panel.axvline(float(best["cpu_s"]), color="#888888", lw=0.9, ls="--")
-        said = " ".join(filter(None, ("reference", f"({preset_of(best)})" if preset_of(best) else "")))
-        panel.text(float(best["cpu_s"]), 0.03, said + " ", rotation=90, fontsize=8, color="#666666", ha="right", va="bottom",
+        words = f"reference ({preset_of(best)}) " if preset_of(best) else "reference "
+        panel.text(float(best["cpu_s"]), 0.03, words, rotation=90, fontsize=8, color="#666666", ha="right", va="bottom",
                    transform=panel.get_xaxis_transform())  # fmt: skip
     for row in (row for row in rows if row["failed"] and float(row["cpu_s"])):
         panel.plot(float(row["cpu_s"]), 0.97, marker="x", color="#b00020", ms=6, transform=panel.get_xaxis_transform())
-    if not found:
+    if not errors:
         return
-    panel.set_xscale("log")
-    panel.set_yscale("log")
-    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    panel.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    panel.xaxis.set_minor_formatter(NullFormatter())
-    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    panel.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    panel.yaxis.set_minor_formatter(NullFormatter())
+    panel.set(xscale="log", yscale="log")
+    for axis_ in (panel.xaxis, panel.yaxis):
+        axis_.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis_.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axis_.set_minor_formatter(NullFormatter())
     panel.grid(True, which="major", color="#e8ebef", lw=0.8)
     panel.tick_params(labelsize=8)
 
 
-def _points(found: Sequence[tuple[Mapping[str, str], float]], axis: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def _points(errors: Sequence[tuple[Mapping[str, str], float]], axis: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Processor times, errors in percent and names of the settings of one axis, by time."""
-    mine = [(float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST), row["setting"]) for row, error in found
-            if row["axis"] == axis]  # fmt: skip
-    mine.sort()
-    return np.array([m[0] for m in mine]), np.array([m[1] for m in mine]), [m[2] for m in mine]
+    own = sorted(
+        (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST), row["setting"])
+        for row, error in errors
+        if row["axis"] == axis
+    )
+    times, percents, names = zip(*own, strict=True) if own else ((), (), ())
+    return np.array(times), np.array(percents), list(names)
 
 
 def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
@@ -131,9 +130,9 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
     )
     curves = []
     for measure in BANDED:
-        found = fit.errors(rows, measure, T_0)
-        said = f"{record(measure).short}: {order_of(rows, measure, T_0)}"
-        curves.append(page.chart(f"wp-{measure}", _chart(found) if found else None, said))
+        errors = fit.errors(rows, measure, T_0)
+        heading_ = f"{record(measure).short}: {order_of(rows, measure, T_0)}"
+        curves.append(page.chart(f"wp-{measure}", _chart(errors) if errors else None, heading_))
     page.section("curves", "One by one", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
     page.section("table", "All settings", _table(rows, T_0))
     failed = [(row["axis"], row["setting"], row["points"], row["failed"]) for row in rows if row["failed"]]
@@ -148,10 +147,10 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
     return page.html(f"Accuracy against time: {heading}", escape(under), "", "Computed by coldspray.")
 
 
-def _chart(found: Sequence[tuple[Mapping[str, str], float]]) -> charts.Figure:
+def _chart(errors: Sequence[tuple[Mapping[str, str], float]]) -> charts.Figure:
     traces: list[charts.Figure] = []
     for k, axis in enumerate(AXES):
-        x, y, names = _points(found, axis)
+        x, y, names = _points(errors, axis)
         if not len(x):
             continue
         traces.append({

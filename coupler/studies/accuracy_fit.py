@@ -75,7 +75,7 @@ def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
 
     Single impacts share the order of each measure; a sequence takes theirs.
     """
-    found: list[dict[str, object]] = []
+    packed: list[dict[str, object]] = []
     for measure in BANDED:
         used, fit = order([resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
         for case in cases:
@@ -84,7 +84,7 @@ def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
                 continue
             limit, slope, residuals = line(h, y, used)
             best = reference(case.rows)
-            found.append({
+            packed.append({
                 "case": case.name, "impacts": case.impacts, "speed": case.speed, "measure": measure,
                 "points_from": round(float(h.max()) ** -3), "points_to": round(float(h.min()) ** -3),
                 "reference": value(best, measure, case.temperature) if best else math.nan, "limit": limit,
@@ -92,20 +92,20 @@ def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
                 "slope": abs(slope), "scatter": float(np.sqrt(np.mean(residuals**2))),
                 **_knobs(case.rows, measure, case.temperature),
             })  # fmt: skip
-    return found
+    return packed
 
 
 def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, object]:
     """Half of what each knob of the scheme moves a measure by over the values tried, over the reference; and at how many points."""
     best = reference(rows)
-    found: dict[str, object] = {"knobs_at": ""}
+    shares: dict[str, object] = {"knobs_at": ""}
     for axis in KNOBS:
         tried = [row for row in finished(rows) if row["axis"] == axis]
-        found[axis] = ""
+        shares[axis] = ""
         if not tried or best is None:
             continue
         plain = [r for r in finished(rows) if r["axis"] == "points" and r["points"] == tried[0]["points"]]
         values = [value(row, measure, T_0) for row in (*tried, *plain)]
-        found[axis] = 0.5 * (max(values) - min(values)) / abs(value(best, measure, T_0))
-        found["knobs_at"] = round(float(tried[0]["points_used"]))
-    return found
+        shares[axis] = 0.5 * (max(values) - min(values)) / abs(value(best, measure, T_0))
+        shares["knobs_at"] = round(float(tried[0]["points_used"]))
+    return shares

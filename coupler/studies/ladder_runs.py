@@ -10,6 +10,7 @@ import resource
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from ..deposition.run import resume, run
@@ -86,26 +87,16 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
     note, clock = folder / "spent.json", Clock()
     before = _spent_before(note)
     row: dict[str, object] = {"axis": point.axis, "setting": point.name, "points": point.points}
+    start = partial(resume, folder) if any(before) else partial(run, scene, folder, force=True)
     try:
-        if before:
-            result = resume(
-                folder,
-                progress=progress,
-                threads=1,
-                numerics=point.numerics,
-                probe=clock.probe,
-                checkpoint_every=math.inf,
-            )
-        else:
-            result = run(
-                scene, folder, force=True, progress=progress, threads=1, numerics=point.numerics, probe=clock.probe,
-                checkpoint_every=math.inf,
-            )  # fmt: skip
+        result = start(
+            progress=progress, threads=1, numerics=point.numerics, probe=clock.probe, checkpoint_every=math.inf
+        )
     except SolverError as problem:
         row |= {"failed": " ".join(str(problem).split())[:200]}
     except KeyboardInterrupt:
         folder.mkdir(parents=True, exist_ok=True)
-        note.write_text(json.dumps([clock.whole + before.get("whole", 0.0), clock.loop + before.get("loop", 0.0)]))
+        note.write_text(json.dumps([clock.whole + before[0], clock.loop + before[1]]))
         raise
     else:
         s = result.values
@@ -118,15 +109,16 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
     finally:
         progress.stop()
     shutil.rmtree(folder, ignore_errors=True)
-    return row | {"cpu_s": clock.whole + before.get("whole", 0.0), "cpu_loop_s": clock.loop + before.get("loop", 0.0)}
+    return row | {"cpu_s": clock.whole + before[0], "cpu_loop_s": clock.loop + before[1]}
 
 
-def _spent_before(note: Path) -> dict[str, float]:
+def _spent_before(note: Path) -> tuple[float, float]:
+    """Processor time of a run before it was stopped, and of its loop, s."""
     try:
-        whole, loop = json.loads(note.read_text())
-    except (OSError, ValueError):
-        return {}
-    return {"whole": float(whole), "loop": float(loop)}
+        whole, loop = map(float, json.loads(note.read_text()))
+    except (OSError, ValueError, TypeError):
+        return 0.0, 0.0
+    return whole, loop
 
 
 def _warm_up(out: Path, say: Callable[[str], None]) -> None:

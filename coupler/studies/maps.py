@@ -132,7 +132,7 @@ class Regressor(Protocol):
 
 @dataclass(frozen=True)
 class Interpolation:
-    """A Gaussian process through the points of a map. axes: the columns it goes over; rows: the points it was given.
+    """A Gaussian process through the points of a map. axes: the columns it goes over; rows: its points.
 
     loo_rms: root mean square of what each point is off the prediction from all others; loo_inside: share of the points
     that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
@@ -165,7 +165,7 @@ class Interpolation:
 
 
 def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
-    """Interpolate a column of the table over the axes that vary (or the given ones), from the rows that are done.
+    """Interpolate a column of the table over the axes that vary (or `axes`), from the rows that are done.
 
     Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal
     likelihood. Errors of leaving points out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's

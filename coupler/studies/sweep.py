@@ -125,7 +125,7 @@ class Sweep:
             fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
             ended = _ended(known) if fresh else None
             ended = compute(scene, known) if ended is None else ended
-            log(f"{next(done)}/{len(self.points)} {point}: {_said(ended)}")
+            log(f"{next(done)}/{len(self.points)} {point}: {_status(ended)}")
 
         with ThreadPoolExecutor(max(jobs, 1)) as pool:
             waiting = [pool.submit(run_point, point) for point in self.points]
@@ -181,7 +181,7 @@ def main(arguments: list[str]) -> int:
     for number in _STOPPED:
         signal.signal(number, stop)
     try:
-        print(f"{scene.stem}: {_said(compute(scene, status))}")
+        print(f"{scene.stem}: {_status(compute(scene, status))}")
     except KeyboardInterrupt:
         return 128 + signal.SIGTERM
     return 0
@@ -292,7 +292,7 @@ def _begun(scene: Path, folder: Path) -> bool:
 
 
 def _reason(code: int, errors: str) -> str:
-    """The message of a run that failed: from its last line that speaks for the program, or what killed it."""
+    """The message of a run that failed: from its last line with the program's name, or the signal that killed it."""
     if code == 0:
         return ""
     if code < 0:
@@ -311,7 +311,7 @@ def _ended(path: Path) -> dict[str, object] | None:
     return ended if isinstance(ended.get("status"), str) else None
 
 
-def _said(ended: Mapping[str, object]) -> str:
+def _status(ended: Mapping[str, object]) -> str:
     return f"{ended['status']}" + (f": {ended['reason']}" if ended.get("reason") else "")
 
 

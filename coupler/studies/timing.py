@@ -48,7 +48,7 @@ class _Impact(Protocol):
 def measure() -> tuple[float, float]:
     """The two factors of this machine, timed now in one thread. Raises SolverError if there was too little to time."""
     sizes = [
-        min((_timed(SMALL.format(spacing=spacing, time=time)) for _ in range(REPEATS)), key=lambda found: found[2])
+        min((_timed(SMALL.format(spacing=spacing, time=time)) for _ in range(REPEATS)), key=lambda timed: timed[2])
         for spacing, time in SIZES
     ]  # other work on the machine only ever adds to a time
     # f_s (step + element E) + f_p point N = seconds of a step, for the two impacts
