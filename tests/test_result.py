@@ -43,7 +43,7 @@ def test_finished_run(folder):
         {"points": 20, "steps": 7, "lost": float("nan"), "end": {"flattening_ratio": 0.56, "T_max_K": 470.0}},
     ]
     finish(folder, summary_of(*impacts, steps=9, warnings=["slow"]))
-    result = Result.open(folder)
+    result = Result(folder)
     assert result.finished
     assert result.flattening_ratio == 0.56
     assert result.end["T_max_K"] == 470.0

@@ -6,11 +6,10 @@
 Rows in the tables are not computed again; a stopped ladder goes on where it was.
 """
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pages import PAGES, ROOT, figure_path, markdown, marked, table_rows, versions, write_parts
+from pages import PAGES, ROOT, figure_path, markdown, marked, options, table_rows, versions, write_parts
 
 from coupler.measures import BANDED, MEASURES
 from coupler.plan import bands, cost
@@ -19,7 +18,7 @@ from coupler.report.picture import save
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, ladder_runs
 from coupler.studies.accuracy_figures import diagram, order_of, preset_of
-from coupler.studies.order import OrderFit, fit_order
+from coupler.studies.order import fit_order
 from coupler.studies.table import StudyTable, write_rows
 
 
@@ -90,15 +89,14 @@ def cases_part(cases: dict[str, fit.StudyCase]) -> list[str]:
             f" the finest setting compared with it, and took {float(best['cpu_s']):.0f} s"
             f" ([table](../tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
         ]  # fmt: skip
-        found = {
-            m: {(r["axis"], r["setting"]): e for r, e in fit.errors(case.rows, m, case.temperature)} for m in BANDED
-        }
+        by_measure = {m: fit.errors(case.rows, m, case.temperature) for m in BANDED}
+        errors = {m: {(r["axis"], r["setting"]): e for r, e in pairs} for m, pairs in by_measure.items()}
         shown = []
         for row in ladder.finished(case.rows):
             if row["axis"] != "reference":
                 text = row["setting"] + ("" if row["axis"] == "points" else f", {row['points']} points")
                 text = marked(text + (f" ({preset_of(row)})" if preset_of(row) else ""), row)
-                cells = [f"{found[m][row['axis'], row['setting']]:+.1f}" for m in BANDED]
+                cells = [f"{errors[m][row['axis'], row['setting']]:+.1f}" for m in BANDED]
                 shown.append([text, f"{float(row['cpu_s']):.3g}", *cells])
         lines += [*markdown(["setting", "s", *(MEASURES[m].short for m in BANDED)], shown), ""]
         failed = [f"{r['setting']} ({r['points']} points): {r['failed']}" for r in case.rows if r["failed"]]
@@ -112,17 +110,10 @@ def orders_part(packaged: Sequence[dict[str, object]], cases: Sequence[fit.Study
     lines = []
     for measure in dict.fromkeys(str(row["measure"]) for row in packaged):
         rows = [row for row in packaged if row["measure"] == measure]
-        found: OrderFit = fit_order([fit.resolutions(c.rows, measure, c.temperature) for c in singles], fit.ORDERS)
+        fitted = fit_order([fit.resolutions(c.rows, measure, c.temperature) for c in singles], fit.ORDERS)
         limits = [f"{row['limit']:.3f}" for row in rows]
-        lines.append(
-            [
-                MEASURES[measure].short,
-                f"{found.order:.2g}",
-                " to ".join(found.interval()),
-                f"{rows[0]['order']:.2g}",
-                *limits,
-            ]
-        )
+        orders = (f"{fitted.order:.2g}", " to ".join(fitted.interval()), f"{rows[0]['order']:.2g}")
+        lines.append([MEASURES[measure].short, *orders, *limits])
     return markdown(
         ["measure", "fitted order", "95 %", "order taken", *(f"limit, {case.name}" for case in cases)], lines
     )
@@ -156,10 +147,7 @@ def pace_part() -> list[str]:
 
 def main() -> None:
     """Compute the ladders and write what rests on them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--docs", action="store_true", help="run nothing")
-    parser.add_argument("--only", nargs="*", choices=STUDIES, default=list(STUDIES), help="cases to compute")
-    a = parser.parse_args()
+    a = options(__doc__, "docs", only=list(STUDIES))
     if not a.docs:
         compute(a.only)
     cases = {name: case_of(name) for name in STUDIES}

@@ -1,6 +1,6 @@
 """Writes docs/guide/scene.md, a scene key by key, from the models that read scenes: python workflows/scene_page.py [FILE]
 
-Types, units, limits and defaults are those of the models; only the words are kept here. `make docs` runs it first.
+Types, units, limits and defaults are those of the models; the descriptions are here. `make docs` runs it first.
 """
 
 import dataclasses
@@ -131,16 +131,16 @@ def page() -> str:
     """The page as Markdown."""
     known = "; ".join(f"{name} `{'` `'.join(known)}`" for name, known in _units())
     lines = [
-        "# A scene, key by key",
-        "",
-        "<!-- written by workflows/scene_page.py from coupler/scene/tables.py: change those -->",
-        "",
-        'A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is',
-        "wrong is said at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds",
-        "every default written out.",
-        "",
-        f"Units: {known}.",
-        "",
+        f"""# A scene, key by key
+
+<!-- written by workflows/scene_page.py from coupler/scene/tables.py: change those -->
+
+A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is
+wrong is said at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds
+every default written out.
+
+Units: {known}.
+"""
     ]
     top, tables = [], []
     for name, info in Scene.model_fields.items():
@@ -153,22 +153,18 @@ def page() -> str:
     for key, model in tables:
         lines += [f"## `[{key}]`", "", ABOUT.get(key, _first(model)), ""]
         lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
+    own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
     lines += [
         "## `[materials.NAME]`",
         "",
-        f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())}).",
+        own,
         "",
         *_plain(materials.Material, materials._DEFAULTS, MATERIAL, _material_unit),
-        "## `[nozzles.NAME]`",
-        "",
-        f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md)).",
-        "",
-        *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else ""),
-        "## Effects",
-        "",
-        f"Names for `effects`: {', '.join(f'`{name}`' for name in NAMES)}.",
-        "",
     ]
+    own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
+    lines += ["## `[nozzles.NAME]`", "", own, "",
+              *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
+    lines += ["## Effects", "", f"Names for `effects`: {', '.join(f'`{name}`' for name in NAMES)}."]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -188,9 +184,8 @@ def missing_words() -> list[str]:
 def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
     lines = ["| key | takes | default | |", "|---|---|---|---|"]
     for key, info in fields:
-        lines.append(
-            f"| `{key}` | {_takes(info)} | {'' if key == 'name' else _default(info)} | {WORDS.get(above + key, '')} |"
-        )
+        default = "" if key == "name" else _default(info)
+        lines.append(f"| `{key}` | {_takes(info)} | {default} | {WORDS.get(above + key, '')} |")
     return [*lines, ""]
 
 
@@ -215,11 +210,11 @@ def _units() -> list[tuple[str, list[str]]]:
 
 
 def _quantities(model: type) -> list[Quantity]:
-    found: list[Quantity] = []
+    quantities: list[Quantity] = []
     for info in model.model_fields.values():  # type: ignore[attr-defined]
-        inner = _section(info.annotation)
-        found += _quantities(inner) if inner else [q for q in [_quantity(info)] if q]
-    return found
+        inner, own = _section(info.annotation), _quantity(info)
+        quantities += _quantities(inner) if inner else [own] if own else []
+    return quantities
 
 
 def _section(annotation: Any) -> type[Section] | None:
@@ -234,9 +229,9 @@ def _quantity(info: FieldInfo) -> Quantity | None:
     """The unit and limits of a field, of each item of a tuple too, and of one that hangs on the size."""
     inner = [item for arg in typing.get_args(info.annotation) for item in getattr(arg, "__metadata__", ())]
     for item in (*info.metadata, *inner):
-        found = getattr(item, "of", item)
-        if isinstance(found, Quantity):
-            return found
+        quantity = getattr(item, "of", item)
+        if isinstance(quantity, Quantity):
+            return quantity
     return None
 
 

@@ -1,4 +1,4 @@
-"""Clouds of points that must become meshes: real impacts and made-up hard ones, by each method, in one table.
+"""Clouds of points that must become meshes: real impacts and synthetic hard ones, by each method, in one table.
 
     python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--summary]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pages import single_impact, spacing_of
 from scipy.spatial import cKDTree
 
 from coupler import Scene, run
@@ -40,12 +41,8 @@ def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, A
     def make() -> dict[str, Any]:
         how = {"shape": "sphere", "angle": 0, "tilt": 0, "offset": 0, "points": 1000, "onto": False, **more}
         diameter = 25.0 if metal == "Ni" else 30.0
-        spacing = (np.pi / 6.0 * diameter**3 / how["points"]) ** (1.0 / 3.0)
-        first = (
-            f'[[particle]]\nmaterial = "{metal}"\ndiameter = "{diameter} um"\nvelocity = "500 m/s"\n'
-            if how["onto"]
-            else ""
-        )
+        spacing = spacing_of(how["points"], diameter)
+        first = single_impact(metal, diameter, 500.0).partition("[substrate]")[0] if how["onto"] else ""
         text = SCENE.format(before=first, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how)
         scene = Scene.from_text(text, "battery")
         body = shapes.shape(how["shape"], diameter * 1e-6, scene.derived.points, np.radians(how["tilt"]), 0.8)
@@ -78,21 +75,21 @@ def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, A
 
 def real() -> dict[str, Callable[[], dict[str, Any]]]:
     """The impacts by name."""
-    found = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
-    found |= {f"{m}{v}_greatest": impact(m, v, greatest=True) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
+    clouds = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
+    clouds |= {f"{m}{v}_greatest": impact(m, v, greatest=True) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
-        found |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
+        clouds |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
     for angle, fast in ((30, 1000), (45, 750)):
-        found |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))}
-    found["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt=90)
+        clouds |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))}
+    clouds["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt=90)
     for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
-        found[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=offset)
-    found["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=14)
+        clouds[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=offset)
+    clouds["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=14)
     fine = {"points": 5000}
-    found |= {"Ni500_fine": impact("Ni", 500, **fine), "Ni1000_fine": impact("Ni", 1000, **fine)}
-    found |= {"Ti500_fine": impact("Ti", 500, **fine), "Ni750_flake_fine": impact("Ni", 750, shape="flake", **fine)}
-    found["Ni500_hollow_sphere_fine"] = impact("Ni", 500, shape="hollow_sphere", **fine)
-    return found
+    clouds |= {"Ni500_fine": impact("Ni", 500, **fine), "Ni1000_fine": impact("Ni", 1000, **fine)}
+    clouds |= {"Ti500_fine": impact("Ti", 500, **fine), "Ni750_flake_fine": impact("Ni", 750, shape="flake", **fine)}
+    clouds["Ni500_hollow_sphere_fine"] = impact("Ni", 500, shape="hollow_sphere", **fine)
+    return clouds
 
 
 def still(x: np.ndarray) -> np.ndarray:
@@ -140,15 +137,15 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> dict[str, An
         [(motion(body.points + step * e) - motion(body.points - step * e)) / (2.0 * step) for e in np.eye(3)], -1
     )
     J = np.abs(np.linalg.det(gradient))
-    made = filled(x, body.volume, body.spacing) | {"J": J}
+    cloud = filled(x, body.volume, body.spacing) | {"J": J}
     if carried:
         vertices, triangles = body.vertices, body.triangles
         if body.inner is not None:
             triangles = np.concatenate([triangles, body.inner[1] + len(vertices)])
             vertices = np.concatenate([vertices, body.inner[0]])
-        made["vertices"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x)
-        made["triangles"] = triangles
-    return made
+        cloud["vertices"] = CarriedSurface(body.points, vertices, triangles, body.spacing).positions(x)
+        cloud["triangles"] = triangles
+    return cloud
 
 
 def filled(x: np.ndarray, volume: float, spacing: float) -> dict[str, Any]:
@@ -183,9 +180,9 @@ def moved(cloud: dict[str, Any], by: tuple[float, float, float]) -> dict[str, An
 
 def pair(n: int, gap: float) -> dict[str, Any]:
     """Two balls whose outermost points are `gap` spacings apart."""
-    one = mapped(ball(n), still, carried=False)
-    width = float(np.ptp(one["x"][:, 0])) + gap * one["spacing"]
-    return joined(one, moved(one, (width, 0.0, 0.0)))
+    left = mapped(ball(n), still, carried=False)
+    width = float(np.ptp(left["x"][:, 0])) + gap * left["spacing"]
+    return joined(left, moved(left, (width, 0.0, 0.0)))
 
 
 def shattered(n: int, sizes: tuple[int, ...], seed: int) -> dict[str, Any]:
@@ -248,10 +245,10 @@ def curved_layer(n: int) -> dict[str, Any]:
 
 def made_up() -> dict[str, Callable[[], dict[str, Any]]]:
     """The synthetic clouds by name."""
-    found: dict[str, Callable[[], dict[str, Any]]] = {}
+    clouds: dict[str, Callable[[], dict[str, Any]]] = {}
 
     def add(name: str, body: Callable[[], shapes.Body], motion: Map, carried: bool = True) -> None:
-        found[name] = lambda: mapped(body(), motion, carried)
+        clouds[name] = lambda: mapped(body(), motion, carried)
 
     for n in (500, 2000, 20000, 89094):
         add(f"lens_{n}", partial(ball, n), lens)
@@ -270,10 +267,10 @@ def made_up() -> dict[str, Callable[[], dict[str, Any]]]:
         add(f"curled_rod_3000{label}", rod, curled, carried)
     add("sheet_2000", partial(ball, 2000), lambda x: x * [2.6, 2.6, 1 / 6.76])
     for gap in (0.6, 1.0, 2.0, 6.0):
-        found[f"two_balls_gap_{gap:g}"] = partial(pair, 1500, gap)
-    found["fragments"] = partial(shattered, 3000, (400, 120, 60, 30, 12, 5, 1), 1)
-    found["dust_1_percent"] = partial(dust, 5000, 0.01, 2)
-    found["ring_3000"] = partial(ring, 3000)
-    found["no_lattice_3000"] = partial(scattered, 3000, 3)
-    found["curved_layer_1500"] = partial(curved_layer, 1500)
-    return found
+        clouds[f"two_balls_gap_{gap:g}"] = partial(pair, 1500, gap)
+    clouds["fragments"] = partial(shattered, 3000, (400, 120, 60, 30, 12, 5, 1), 1)
+    clouds["dust_1_percent"] = partial(dust, 5000, 0.01, 2)
+    clouds["ring_3000"] = partial(ring, 3000)
+    clouds["no_lattice_3000"] = partial(scattered, 3000, 3)
+    clouds["curved_layer_1500"] = partial(curved_layer, 1500)
+    return clouds

@@ -11,16 +11,19 @@ import resource
 import stat
 import tomllib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from ..errors import StoreError
 
+T = TypeVar("T")
 SCENE_LIMIT = 1_000_000  # bytes of a TOML file
 TEXT_LIMIT = 256 * 1024**2  # bytes of any other text
 DEPTH_LIMIT = 32  # tables within tables
+_TOO_DEEP = f"it is nested more than {DEPTH_LIMIT} deep"
 INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
@@ -89,11 +92,16 @@ def read_text(path: str | Path, limit: int = TEXT_LIMIT) -> str:
 def parse_toml(text: str) -> dict[str, Any]:
     """Tables of a TOML text. Raises ValueError: not TOML, nested too deeply, or an integer beyond 64 bits."""
     if _DEEP_KEY.search(text):
-        raise ValueError(f"tables are nested more than {DEPTH_LIMIT} deep")
+        raise ValueError(_TOO_DEEP)
+    return _parsed(tomllib.loads, text.removeprefix("\ufeff"))
+
+
+def _parsed(load: Callable[[str], T], text: str) -> T:
+    """The data of a text, with its nesting and integers checked. Raises ValueError."""
     try:
-        data = tomllib.loads(text.removeprefix("\ufeff"))
+        data = load(text)
     except RecursionError:
-        raise ValueError(f"tables are nested more than {DEPTH_LIMIT} deep") from None
+        raise ValueError(_TOO_DEEP) from None
     check_nesting(data)
     return data
 
@@ -108,12 +116,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 def parse_json(text: str) -> object:
     """A JSON text whose numbers a float can hold. Raises ValueError: damaged, nested too deeply, nan, 1e999, 400 digits."""
-    try:
-        data = json.loads(text, parse_constant=_no_constant, parse_float=_finite)
-    except RecursionError:
-        raise ValueError(f"it is nested more than {DEPTH_LIMIT} deep") from None
-    check_nesting(data)
-    return data
+    return _parsed(partial(json.loads, parse_constant=_no_constant, parse_float=_finite), text)
 
 
 def read_json_object(path: str | Path) -> dict[str, object]:
@@ -142,7 +145,7 @@ def check_nesting(data: object) -> None:
         if not below:
             return
         level = below
-    raise ValueError(f"it is nested more than {DEPTH_LIMIT} deep")
+    raise ValueError(_TOO_DEEP)
 
 
 def _no_constant(name: str) -> None:

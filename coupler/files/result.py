@@ -63,11 +63,6 @@ class Result:
             raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
 
-    @classmethod
-    def open(cls, directory: str | Path) -> Result:
-        """The same as Result(directory)."""
-        return cls(directory)
-
     def __repr__(self) -> str:
         return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
 

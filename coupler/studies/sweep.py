@@ -17,8 +17,10 @@ import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
 from .. import units
 from ..errors import SceneError
@@ -27,6 +29,7 @@ from ..files.outputs import claim_folder, replacing
 from ..plan.reading import Scene
 from ..scene.model import safe_name
 
+T = TypeVar("T")
 AXES = {"diameter": "um", "velocity": "m/s", "temperature": "K"}  # and the unit of each in the names of points
 MOST_POINTS = 10_000
 SUBSTRATE = (8.0, 4.0)  # diameter and height over the particle's diameter: 200 x 100 um for 25 um
@@ -81,7 +84,11 @@ class Sweep:
         if problems or not (isinstance(points, Mapping) and isinstance(shared, Mapping) and isinstance(name, str)):
             raise SceneError(problems, source)
         problems = _unknown(points, _POINT_KEYS, "points.")
-        materials, values, sizes = _materials(points, problems), _axes(points, problems), _sizes(points, problems)
+        materials, sizes = _values(points, "material", _name, problems), _sizes(points, problems)
+        values = {
+            axis: _values(points, axis, partial(units.parse, dimension=units.dimension_of(unit)), problems)
+            for axis, unit in AXES.items()
+        }
         problems += _shared_problems(shared)
         count = len(materials) * math.prod(map(len, values.values()))
         if count > MOST_POINTS:
@@ -165,9 +172,8 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
         raise KeyboardInterrupt
     ended = {"status": "failed" if code else "done", "reason": _reason(code, errors), "exit_code": code}
-    part = status.with_suffix(".part")
-    part.write_text(json.dumps(ended, indent=1) + "\n", encoding="utf-8")
-    os.replace(part, status)
+    with replacing(status) as part:
+        part.write_text(json.dumps(ended, indent=1) + "\n", encoding="utf-8")
     return ended
 
 
@@ -195,38 +201,26 @@ def _unknown(table: Mapping[str, object], known: tuple[str, ...], where: str) ->
     ]
 
 
-def _list(points: Mapping[str, object], axis: str, problems: list[str]) -> list[object]:
+def _values(points: Mapping[str, object], axis: str, read: Callable[[object], T], problems: list[str]) -> list[T]:
+    """The values of an axis, each once. read: of an item, raises ValueError. Every problem is added to `problems`."""
     entry = points.get(axis, ["300 K"] if axis == "temperature" else None)
-    values = [entry] if isinstance(entry, str) else entry
-    if isinstance(values, list) and values:
-        return values
-    problems.append(f"points.{axis}: expected a list, such as {_EXAMPLES[axis]}")
-    return []
+    items = [entry] if isinstance(entry, str) else entry
+    if not isinstance(items, list) or not items:
+        problems.append(f"points.{axis}: expected a list, such as {_EXAMPLES[axis]}")
+        return []
+    values = []
+    for item in items:
+        try:
+            values.append(read(item))
+        except ValueError as error:
+            problems.append(f"points.{axis} = {json.dumps(item, default=str)[:60]} {error}")
+    return list(dict.fromkeys(values))
 
 
-def _materials(points: Mapping[str, object], problems: list[str]) -> list[str]:
-    """Names of materials, each once; what is wrong goes to problems."""
-    names: list[str] = []
-    for item in _list(points, "material", problems):
-        if isinstance(item, str) and re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", item):
-            names.append(item)
-        else:
-            problems.append(f"points.material = {json.dumps(item, default=str)[:60]}: expected a name")
-    return list(dict.fromkeys(names))
-
-
-def _axes(points: Mapping[str, object], problems: list[str]) -> dict[str, list[float]]:
-    """SI values of each axis, each once; what is wrong goes to problems."""
-    values: dict[str, list[float]] = {}
-    for axis, unit in AXES.items():
-        parsed = []
-        for item in _list(points, axis, problems):
-            try:
-                parsed.append(units.parse(item, units.dimension_of(unit)))
-            except units.UnitError as error:
-                problems.append(f"points.{axis} = {json.dumps(item, default=str)[:60]} {error}")
-        values[axis] = list(dict.fromkeys(parsed))
-    return values
+def _name(item: object) -> str:
+    if isinstance(item, str) and re.fullmatch(r"[A-Za-z0-9_.-]{1,40}", item):
+        return item
+    raise ValueError("is not the name of a material")
 
 
 def _sizes(points: Mapping[str, object], problems: list[str]) -> tuple[float, float]:
@@ -244,9 +238,10 @@ def _shared_problems(shared: Mapping[str, object]) -> list[str]:
     particle = shared.get("particle", {})
     if not isinstance(particle, Mapping):
         return ["scene.particle: expected one table [scene.particle]; a point is one impact"]
-    return [
+    problems = [
         f"scene.particle.{key}: give it as a list under [points]" for key in ("material", *AXES) if key in particle
-    ] + [f"scene.{key}: a sweep gives velocities and temperatures itself" for key in ("gas",) if key in shared]
+    ]
+    return problems + (["scene.gas: a sweep gives velocities and temperatures itself"] if "gas" in shared else [])
 
 
 def _scene(
