@@ -142,7 +142,7 @@ def pace_part() -> list[str]:
         [marked(f"{r['round']}, {r['scene']}", r), r["steps_said"], r["steps"], r["said_s"], r["took_s"],
          f"{float(r['off_percent']):+.0f} %"] for r in rows
     ]  # fmt: skip
-    return [*lines, "", *markdown(["round, scene", "steps said", "steps", "s said", "s taken", "off"], cells)]
+    return [*lines, "", *markdown(["round, scene", "steps estimated", "steps", "s estimated", "s", "off"], cells)]
 
 
 def main() -> None:

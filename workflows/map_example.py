@@ -1,6 +1,6 @@
 # A map of 12 points from Python only: nickel on stainless steel, three sizes, four velocities.
 #
-# Run it as a whole, python workflows/map_example.py, or cell by cell in an editor that knows `# %%`. It takes a few minutes; what
+# Run it as a whole, python workflows/map_example.py, or cell by cell in an editor with cells (`# %%`). It takes a few minutes; what
 # has been computed is kept in runs/map_example and not computed again.
 
 # %% The points: every combination of these is a run of its own
@@ -35,7 +35,7 @@ for row in rows:
     else:
         print(row["point"], row["status"], row["reason"])
 
-# %% Between the points: a Gaussian process, with its uncertainty and how well it foretells a point it was not given
+# %% Between the points: a Gaussian process, with its uncertainty and how well it predicts a point that is left out
 flattening = interpolate(rows, "flattening_ratio")
 print(f"leaving one out: {flattening.loo_rms:.3f} rms, of a spread of {flattening.spread:.3f}")
 mean, std = flattening(550.0, 25e-6)  # m/s, m: in the order of flattening.axes

@@ -24,7 +24,7 @@ from coupler.spray import nozzles
 
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 WORDS = {
-    "name": "of the run, and of its folder in `runs/`; the file's name unless said",
+    "name": "of the run, and of its folder in `runs/`; the file's name by default",
     "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
     "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
     " ([effects](../theory/effects.md))",
@@ -36,7 +36,7 @@ WORDS = {
     "particle.tilt": "of the shape about y",
     "particle.temperature": "at impact, uniform",
     "particle.offset": "of the centre from the axis, x and y, at the start",
-    "particle.gap": "of the lowest point above what lies under it at the start; half a spacing unless said",
+    "particle.gap": "of the lowest point above what lies under it at the start; half a spacing by default",
     "particle.dwell": "pause after this impact, in which heat flows",
     "gas.kind": "of gas",
     "gas.pressure": "total, before the nozzle",
@@ -55,27 +55,27 @@ WORDS = {
     "substrate.bottom": "as `sides`",
     "substrate.window": "radius round each impact within which the target is computed, the rest keeps still"
     f" ([sequences](sequences.md)); {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and"
-    " everything with fewer, unless said",
+    " everything with fewer, by default",
     "contact.friction": "Coulomb's coefficient",
-    "adhesion.kind": '`"tied"` for several particles and `"none"` for one, unless said',
+    "adhesion.kind": '`"tied"` for several particles and `"none"` for one, by default',
     "adhesion.criterion": "which of the nodes in contact are bonded",
-    "adhesion.threshold": "of plastic strain (a number), pressure (with unit) or velocity over the critical one (1 unless said)",
+    "adhesion.threshold": "of plastic strain (a number), pressure (with unit) or velocity over the critical one (default 1)",
     "adhesion.strength": "in tension, of a cohesive bond",
     "adhesion.energy": "of fracture in tension, of a cohesive bond; 0 is brittle",
-    "adhesion.shear_strength": "in shear; that in tension unless said",
-    "adhesion.shear_energy": "in shear; that in tension unless said",
+    "adhesion.shear_strength": "in shear; that in tension by default",
+    "adhesion.shear_energy": "in shear; that in tension by default",
     "splat.mass_scaling": "share of the next particle's mass that the elements with the shortest steps may be made heavier by; 0 for"
     " none ([sequences](sequences.md))",
     "splat.method": "where the surface of a finished splat comes from ([splats](../theory/splats.md))",
-    "splat.element_size": "edges of a splat's elements; the target's smallest unless said",
-    "resolution.spacing": "of the particle's points; by the preset unless said",
-    "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings unless said",
+    "splat.element_size": "edges of a splat's elements; the target's smallest by default",
+    "resolution.spacing": "of the particle's points; by the preset by default",
+    "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
     "resolution.growth": "of the edges, for each unit of distance from the impact",
     "resolution.engine": "of the particle's stress and internal forces: our compiled passes, or LAMMPS's MACHDYN; the same scheme"
     " ([particle](../theory/particle.md))",
-    "end.at": '`"rest"` unless `at` or `time` is said; `"greatest"` is the greatest deformation',
+    "end.at": '`"rest"` unless `at` or `time` is there; `"greatest"` is the greatest deformation',
     "end.time": "after the start of each impact; with `at`, whichever comes first",
-    "output.every": "simulated time between two written steps; diameter / velocity / 25 unless said",
+    "output.every": "simulated time between two written steps; diameter / velocity / 25 by default",
     "coating.material": "of all particles",
     "coating.number": "of particles in all",
     "coating.layers": "that they come in, with equal numbers",
@@ -85,7 +85,7 @@ WORDS = {
     "coating.spread": "geometric standard deviation of the diameters; 1 is all equal",
     "coating.smallest": "where the distribution is cut",
     "coating.largest": "where the distribution is cut",
-    "coating.velocity": "one value, or pairs of a diameter and a value; from `[gas]` unless said",
+    "coating.velocity": "one value, or pairs of a diameter and a value; from `[gas]` by default",
     "coating.velocity_spread": "standard deviation about the velocity, cut at two",
     "coating.temperature": "one value, or pairs of a diameter and a value",
     "coating.shapes": "shares of each shape, by number",
@@ -117,7 +117,7 @@ NOZZLE = {
     "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
     "diverging": "length of the second cone", "barrel": "length of a straight part behind",
     "chamber": "length of a straight part before",
-    "injection": "where the powder is fed, from the throat, upstream negative; at the very start unless said",
+    "injection": "where the powder is fed, from the throat, upstream negative; at the very start by default",
     "source": "where the numbers come from", "assumed": "what of this is not known",
 }  # fmt: skip
 
@@ -136,7 +136,7 @@ def page() -> str:
 <!-- written by workflows/scene_page.py from coupler/scene/tables.py: change those -->
 
 A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is
-wrong is said at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds
+wrong is reported at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds
 every default written out.
 
 Units: {known}.

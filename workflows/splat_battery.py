@@ -47,10 +47,10 @@ def load(path: Path) -> Cloud:
 
 
 def cloud_of(name: str, folder: Path, make: Callable[[], dict[str, Any]]) -> Cloud:
-    """A cloud from its file in a folder, which is made first where it is missing. Raises ColdsprayError."""
+    """A cloud from its file in a folder, which is computed where it is missing. Raises ColdsprayError."""
     path = folder / f"{name}.npz"
     if not path.exists():
-        print(f"{name}: making it", flush=True)
+        print(f"{name}: computing it", flush=True)
         folder.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(path, **make())
     return load(path)
@@ -88,7 +88,7 @@ def main() -> None:
         print("\n".join(summary(table.rows)))
         return
     makers = {name: ("real", make) for name, make in splat_clouds.real().items()}
-    makers |= {name: ("made up", make) for name, make in splat_clouds.made_up().items()}
+    makers |= {name: ("made up", make) for name, make in splat_clouds.synthetic().items()}
     for name, (kind, make) in makers.items():
         if a.only not in name:
             continue

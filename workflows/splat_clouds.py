@@ -1,4 +1,4 @@
-"""The clouds of the splat battery: what real impacts leave, and made-up hard ones."""
+"""The clouds of the splat battery: what real impacts leave, and synthetic hard ones."""
 
 import tempfile
 from collections.abc import Callable
@@ -186,7 +186,7 @@ def pair(n: int, gap: float) -> dict[str, Any]:
 
 
 def shattered(n: int, sizes: tuple[int, ...], seed: int) -> dict[str, Any]:
-    """A splat with fragments of so many points thrown off it."""
+    """A splat with fragments of so many points separated from it."""
     rng = np.random.default_rng(seed)
     whole = mapped(ball(n), lens, carried=False)
     parts = [whole]
@@ -243,7 +243,7 @@ def curved_layer(n: int) -> dict[str, Any]:
     return filled(x, spacing**3, spacing)
 
 
-def made_up() -> dict[str, Callable[[], dict[str, Any]]]:
+def synthetic() -> dict[str, Callable[[], dict[str, Any]]]:
     """The synthetic clouds by name."""
     clouds: dict[str, Callable[[], dict[str, Any]]] = {}
 

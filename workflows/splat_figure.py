@@ -2,7 +2,7 @@
 
     python workflows/splat_figure.py [--clouds DIR]
 
-Clouds that are not in DIR yet are made (see splat_battery.py).
+Clouds that DIR lacks are computed (see splat_battery.py).
 """
 
 from pathlib import Path
@@ -22,7 +22,7 @@ from coupler.splat.convert import convert
 
 matplotlib.use("Agg")
 
-CLOUDS = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, made up"}
+CLOUDS = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, synthetic"}
 
 
 def section(axes: Any, points: np.ndarray, tets: np.ndarray, values: np.ndarray, most: float) -> Any:
@@ -38,7 +38,7 @@ def main() -> None:
     """Make the picture."""
     a = options(__doc__, clouds=splat_battery.CLOUDS, out=Path("docs/evidence/splats.png"))
     figure, axes = plt.subplots(3, len(CLOUDS), figsize=(12.0, 6.4), constrained_layout=True)
-    makers = splat_clouds.real() | splat_clouds.made_up()
+    makers = splat_clouds.real() | splat_clouds.synthetic()
     for column, (name, label) in zip(axes.T, CLOUDS.items(), strict=True):
         cloud = splat_battery.cloud_of(name, a.clouds, makers[name])
         assert cloud.eps_p is not None
@@ -57,8 +57,8 @@ def main() -> None:
                 assert body.eps_p is not None
                 drawn = section(panel, body.points, body.tets, body.eps_p, most)
             r = splat.report
-            told = f"{r['tets']} tets, gamma {r['gamma_min']:.2f}, volume {r['volume_error_before']:+.1%}"
-            panel.set_title(f"{r['method']}: {told}", fontsize=7.5)
+            numbers = f"{r['tets']} tets, gamma {r['gamma_min']:.2f}, volume {r['volume_error_before']:+.1%}"
+            panel.set_title(f"{r['method']}: {numbers}", fontsize=7.5)
         low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
         for panel in column:
             panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[2], high[2]))

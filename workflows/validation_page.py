@@ -135,7 +135,7 @@ def shape(rows: Sequence[Row]) -> list[str]:
 
 def contact(rows: Sequence[Row]) -> list[str]:
     """Case A against the paper's table 3."""
-    row, given = seven(rows)[0][1], table_rows("validation_wave")
+    row, wave_rows = seven(rows)[0][1], table_rows("validation_wave")
     texts = {
         "largest von Mises stress, MPa": ("max_von_mises_MPa", "particle {von_mises_greatest_MPa:.0f} at greatest deformation,"
                                           " {von_mises_MPa:.0f} at the end; target {target_von_mises_MPa:.0f}"),
@@ -145,8 +145,10 @@ def contact(rows: Sequence[Row]) -> list[str]:
     }  # fmt: skip
     values = {name: float(value) for name, value in row.items() if name.endswith(("_MPa", "_um")) and value}
     ours = {label: (key, text.format(**values)) for label, (key, text) in texts.items()}
-    if given:
-        pressure, force, time, area = (column(given, c) for c in ("pressure_MPa", "force_mN", "time_ns", "contact_um2"))
+    if wave_rows:
+        pressure, force, time, area = (
+            column(wave_rows, c) for c in ("pressure_MPa", "force_mN", "time_ns", "contact_um2")
+        )
         peak, rest = int(force.argmax()), (time > 20) & (time < 30)
         text = f"{pressure[peak]:.0f} at the greatest force ({force[peak]:.0f} mN, {time[peak]:.1f} ns, {area[peak]:.0f} µm²); "
         text += f"{pressure[rest].mean():.0f} from 20 to 30 ns"
@@ -160,13 +162,13 @@ def contact(rows: Sequence[Row]) -> list[str]:
 
 def wave(rows: Sequence[Row]) -> list[str]:
     """The stress over time at the first point of contact."""
-    given = table_rows("validation_wave")
-    if not given:
+    wave_rows = table_rows("validation_wave")
+    if not wave_rows:
         return ["Not computed."]
-    paper, time, lines = PAPER["single_Ni_500"], column(given, "time_ns"), []
+    paper, time, lines = PAPER["single_Ni_500"], column(wave_rows, "time_ns"), []
     for name, label in (("particle_MPa", "particle, at its lowest point"), ("target_MPa", "target, below it"),
                         ("particle_mean_MPa", "particle, mean")):  # fmt: skip
-        y = column(given, name)
+        y = column(wave_rows, name)
         values = (y.max(), y[time > 120].mean(), *figures.ringing(time, y, 60.0, 150.0))
         lines.append([label, *(f"{value:.0f}" for value in values)])
     known = [
@@ -192,7 +194,7 @@ def heat(rows: Sequence[Row]) -> list[str]:
 
 def cost(rows: Sequence[Row]) -> list[str]:
     """Points and elements, time steps and wall time; the paper's hours."""
-    given, lines = PAPER["cost"], []
+    paper, lines = PAPER["cost"], []
     for letter, k in (("A", 0), ("B", None), ("C", None), ("D", 2)):
         own = [row for row in rows if row["run"] == letter and not row["failed"]]
         if not own:
@@ -207,10 +209,10 @@ def cost(rows: Sequence[Row]) -> list[str]:
             line += ["-"] * 5
         else:
             line += [
-                f"{given['elements'][k]:,}".replace(",", " "),
-                *(f"{given[who]['dt_ns'][k] * 1e3:g}" for who in METHODS[:2]),
+                f"{paper['elements'][k]:,}".replace(",", " "),
+                *(f"{paper[who]['dt_ns'][k] * 1e3:g}" for who in METHODS[:2]),
             ]
-            line += [f"{h:g} h: {h * 3600 / busy:.0f}" for h in (given[who]["hours"][k] for who in METHODS[:2])]
+            line += [f"{h:g} h: {h * 3600 / busy:.0f}" for h in (paper[who]["hours"][k] for who in METHODS[:2])]
         lines.append(line)
     head = "| points | elements | time step ps | wall s | processor s | paper: elements | hybrid: ps | ALE: ps"
     return markdown(f"{head} | hybrid: hours, times ours | ALE: hours, times ours", lines)
@@ -224,10 +226,10 @@ def trends(rows: Sequence[Row]) -> list[str]:
 
 def shapes(rows: Sequence[Row]) -> list[str]:
     """Six shapes, three impacts each: strain of the particles."""
-    lines, given = [], table_rows("validation_trends")
+    lines, runs = [], table_rows("validation_trends")
     columns = {"eps_p_mean": 2, "eps_p_p99": 2, "eps_p_max": 2, "T_p99": 0, "crater_um": 1, "rebound_m_s": 0}
     for name, strain in PAPER["morphology"]["eps_max"].items():
-        own = [row for row in given if row["run"] == f"shape-{name}"]
+        own = [row for row in runs if row["run"] == f"shape-{name}"]
         if own and own[0]["failed"]:
             lines.append([name.replace("_", " "), own[0]["failed"], *["-"] * 5, f"{strain:g}"])
         elif own:
