@@ -76,20 +76,19 @@ def in_tets(points: NDArray, tets: NDArray, places: NDArray) -> tuple[NDArray[np
 
     points: (n, 3). tets: (m, 4). places: (k, 3), few: each is held against every tetrahedron near all of them.
     """
-    corners = points[tets]
-    near = ((corners.min(1) <= places.max(0)) & (corners.max(1) >= places.min(0))).all(1)
-    some, corners = np.flatnonzero(near), corners[near]
-    owner, share = np.full(len(places), -1), np.zeros((len(places), 4))
+    corners, owner, share = points[tets], np.full(len(places), -1), np.zeros((len(places), 4))
     edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    whole = np.abs(np.linalg.det(edges)) > 0
-    some, corners, edges = some[whole], corners[whole], edges[whole]
-    if not len(some):
+    near = ((corners.min(1) <= places.max(0)) & (corners.max(1) >= places.min(0))).all(1) & (
+        np.linalg.det(edges) != 0.0
+    )
+    near_tets = np.flatnonzero(near)
+    if not len(near_tets):
         return owner, share
-    inverse = np.linalg.inv(edges)
+    inverse, origin = np.linalg.inv(edges[near]), corners[near, 0]
     for k, place in enumerate(places):
-        three = np.einsum("mij,mj->mi", inverse, place - corners[:, 0])
+        three = np.einsum("mij,mj->mi", inverse, place - origin)
         four = np.column_stack([1 - three.sum(1), three])
         best = int(np.argmax(four.min(1)))
         if four[best].min() > -1e-9:
-            owner[k], share[k] = some[best], four[best]
+            owner[k], share[k] = near_tets[best], four[best]
     return owner, share
