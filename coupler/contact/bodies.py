@@ -203,7 +203,7 @@ class BodyContact:
             side.contact.restore(kept)
 
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
-        """Take over what the contact of fewer bodies remembers. node (N before,): new number of each of its nodes.
+        """Take over the history of the contact of fewer bodies. node (N before,): new number of each of its nodes.
 
         For a domain with one more body: friction springs and ledger continue. Heat must have been fetched before.
         """

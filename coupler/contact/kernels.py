@@ -102,12 +102,12 @@ def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, shift: float) -> Int
 
 
 @njit(cache=True, nogil=True)
-def note(rows: Ints, xp: Floats, gap: Floats, lead: float, seen: Floats, room: Floats) -> None:
-    """Remember for `due` where the points of `rows` are, and their gaps less `lead`, m."""
+def note(rows: Ints, xp: Floats, gap: Floats, shift: float, seen: Floats, room: Floats) -> None:
+    """Store for `due` where the points of `rows` are, and their gaps less `shift`, m."""
     for q in range(len(rows)):
         i = rows[q]
         seen[i, 0], seen[i, 1], seen[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
-        room[i] = gap[i] - lead
+        room[i] = gap[i] - shift
 
 
 @njit(cache=True, nogil=True)
@@ -168,7 +168,7 @@ def contact_forces(
     nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; facets (k,3) nodes
     with outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface,
     force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal). spring (n,3):
-    friction force each point remembers, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet
+    friction force of each point, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet
     (k,) J receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the
     step, touching points]. depth (n,): penetration in m, 0 where there is none. The friction pair acts across the gap
     between the two surfaces; its moment is balanced by a couple on the triangle's nodes, and the slip it works on

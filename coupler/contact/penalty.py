@@ -84,7 +84,7 @@ class PointContact:
         return float(self.sums[0] + self.sums[1])
 
     def state(self) -> ContactState:
-        """What a later step needs to know of earlier ones, and the energies."""
+        """The history that later steps need, and the energies."""
         return collect(ContactState, self)
 
     def restore(self, state: ContactState) -> None:

@@ -1,7 +1,7 @@
 """Blocks of tetrahedra laid out side by side, so that what has neither branches nor scattered memory is done with the
 processor's vectors: their kinematics, and the forces that a stress puts on their nodes.
 
-None of it asks which effects of the law are on: numba translates it once, whatever choices of them it meets. Both functions
+Nothing here depends on which effects of the law are on: numba translates it once, whatever choices of them it meets. Both functions
 are to be inlined: only where w is made does the compiler see that its rows lie apart, and without that its loops would go
 element by element (1.6 times the time of an elastic step).
 """

@@ -76,7 +76,9 @@ def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Li
         b = free * (source - dt * (K @ (T + fixed))) + fixed
         change, failed = cg(A, b, x0=fixed, rtol=CG_TOLERANCE, maxiter=5000, M=diags(1.0 / A.diagonal()))
         if failed:
-            raise SolverError("the pause's heat conduction found no end: give a shorter dwell or a finer preset")
+            raise SolverError(
+                "the heat conduction of the pause does not converge: give a shorter dwell or a finer preset"
+            )
         # each element gets what its nodes gained, and gives what it had above them
         gains(0, m, t.mesh.conn, share, change, own, gain)
         take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y)

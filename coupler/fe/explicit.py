@@ -152,7 +152,7 @@ class Target:
         self._weigh()
 
     def window(self, radius: float) -> int:
-        """Compute nothing farther than `radius` m from the point of impact, and let waves die before it (`fe.window`).
+        """Compute nothing farther than `radius` m from the point of impact, and damp waves before it (`fe.window`).
 
         What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
         elements are within.

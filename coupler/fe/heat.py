@@ -60,7 +60,7 @@ class Conduction:
         self.elapsed, self.steps = 0.0, 0
 
     def state(self) -> ConductionState:
-        """What a later call needs to know of earlier ones."""
+        """The history that later calls need."""
         return collect(ConductionState, self)
 
     def restore(self, state: ConductionState) -> None:

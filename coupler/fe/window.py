@@ -1,4 +1,4 @@
-"""A window on the target: what lies beyond a radius round the impact keeps still, and waves die in a layer before it.
+"""A window on the target: what lies beyond a radius round the impact is at rest, and a layer before it damps waves.
 
 Nodes on the window's edge are held, so that what is outside neither moves nor strains, and only has to be added up once: the forces
 of its resting elements are in equilibrium. Before the edge a layer takes velocity away, with a rate that grows with the square of the

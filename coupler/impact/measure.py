@@ -64,7 +64,7 @@ def measure(
     diameter: float,
     level: float = 0.0,
 ) -> dict[str, float]:
-    """Measures of this instant, SI. Heights from the surface as the particle found it, z = level; the crater's depth
+    """Measures of this instant, SI. Heights from the surface as the particle met it, z = level; the crater's depth
     from z = 0; means over mass, percentiles over points.
 
     particle, target: the two domains; surface: the particle's carried surface; surface_nodes: nodes of the target

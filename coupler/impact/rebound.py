@@ -24,7 +24,7 @@ def rebounds(plan: Plan, i: int, upwards: float, hold: Hold | None) -> bool:
 
 
 def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None, settled: bool) -> Values:
-    """What is to be said of the finished impact i beside its measures.
+    """The record of the finished impact i beside its measures.
 
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
     bonded_area_m2, bonded_area_end_m2: where it bonded at its greatest deformation, and what of that held. settled: whether the
@@ -34,12 +34,12 @@ def outcome(plan: Plan, i: int, particle: DistributedParticle, hold: Hold | None
     upwards = float(particle.momentum()[2]) / mass
     left = rebounds(plan, i, upwards, hold)
     first, last = hold.area if hold is not None else (0.0, 0.0)
-    found: Values = {"rebounded": None, "restitution": None}
+    record: Values = {"rebounded": None, "restitution": None}
     if settled:
-        found = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
+        record = {"rebounded": left, "restitution": upwards / -plan.impacts[i].velocity[2] if left else 0.0}
     if plan.adhesion.in_impact:
-        found |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
-    return found | {"velocity_ratio": plan.impacts[i].velocity_ratio, "particle_mass_kg": mass}
+        record |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
+    return record | {"velocity_ratio": plan.impacts[i].velocity_ratio, "particle_mass_kg": mass}
 
 
 def deposition_efficiency(records: Sequence[Values]) -> float | None:

@@ -61,19 +61,19 @@ class Retry:
 class Retries(Generic[S]):
     """Sound states of one impact, and the retries so far.
 
-    S: what is kept, which never changes. requested: numerics that the run was asked to change; made: the retries, in order.
+    S: what is kept, which never changes. requested: numerics that the run was asked to change; applied: the retries so far, in order.
     """
 
-    def __init__(self, requested: Mapping[str, float], made: Sequence[Retry] = ()):
+    def __init__(self, requested: Mapping[str, float], applied: Sequence[Retry] = ()):
         self.requested = dict(requested)
-        self.made = list(made)
+        self.applied = list(applied)
         self._kept: list[tuple[float, S]] = []
         self._windows = 0
 
     @property
     def numerics(self) -> dict[str, float]:
         """Numerics of the particle: those of the last retry, or those requested."""
-        return dict(self.made[-1].numerics if self.made else self.requested)
+        return dict(self.applied[-1].numerics if self.applied else self.requested)
 
     def due(self) -> bool:
         """Whether a state should be kept before the window of steps that comes next, which is counted."""
@@ -88,13 +88,13 @@ class Retries(Generic[S]):
 
     def next_remedy(self, error: SolverError, impact: int, time: float) -> tuple[Retry, S]:
         """The next retry, and the state to go back to. time: s, of the error. Raises the error when no remedy is left."""
-        if len(self.made) >= len(REMEDIES) or not self._kept:
+        if len(self.applied) >= len(REMEDIES) or not self._kept:
             raise error
-        remedy = REMEDIES[len(self.made)]
+        remedy = REMEDIES[len(self.applied)]
         index = max(remedy.back, -len(self._kept))
         back, state = self._kept[index]
         self._kept = self._kept[: index % len(self._kept) + 1]  # later states may already carry the fault
         reason = str(error).split(". Try ")[0].split(": try ")[0]
         retry = Retry(impact, time, back, reason, remedy.words, remedy.dt_factor, remedy.raised(self.requested))
-        self.made.append(retry)
+        self.applied.append(retry)
         return retry, state

@@ -110,7 +110,7 @@ def run_impact(
                     if ending.at_limit(impact.time):
                         ending.end_time = options.until or impact.time + ending.end_time
                     recorder.restore(state.recorder)
-                    impact.dt_factor = retries.made[-1].dt_factor if retries.made else 1.0
+                    impact.dt_factor = retries.applied[-1].dt_factor if retries.applied else 1.0
                 keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
                 recorder.start(impact)
                 watch.start_loop()
@@ -125,7 +125,7 @@ def run_impact(
                 if undecided is not None:
                     save(keeper.state())
                 record = summarise(
-                    impact, recorder, retries.made, watch.wall, watch.looped, undecided, ending.settled(impact.time)
+                    impact, recorder, retries.applied, watch.wall, watch.looped, undecided, ending.settled(impact.time)
                 )
                 return ImpactOutcome(domains, impact.hold, record)
             except SolverError as error:
@@ -205,7 +205,7 @@ class _Keeper:
             self.impact.state(),
             self.ending.state(),
             self.recorder.state(),
-            list(self.retries.made),
+            list(self.retries.applied),
             self.impact.domains.level,
             self.watch.wall,
             self.watch.looped,

@@ -139,7 +139,7 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
             worst = int(np.argmax(T / T_m))
             warnings.append(
                 f"impact {recorder.i + 1}: the {name} went beyond melting, to {T[worst]:.0f} K where it melts at {T_m[worst]:.0f} K"
-                f" ({share[molten].sum():.2%} of the particle's volume): the law knows no latent heat and no melt"
+                f" ({share[molten].sum():.2%} of the particle's volume): the law has no latent heat and no melt"
             )
     return warnings
 

@@ -38,7 +38,7 @@ def critical_velocity_linear(material: Material, temperature: float) -> float:
     """Critical velocity, m/s, as the linear fit v = 667 - 14 rho + 0.08 T_m + 0.1 sigma_TS - 0.4 T to computed impacts.
 
     There rho is in g/cm3, temperatures in degC, sigma_TS in MPa: Assadi, Gaertner, Stoltenhoff & Kreye (2003), Acta
-    Mater. 51, 4379. It was made for copper and for small changes about it: use it for nothing far from copper. Raises
+    Mater. 51, 4379. It was fitted for copper and for small changes about it: use it for nothing far from copper. Raises
     ColdsprayError where the material has no sigma_TS.
     """
     strength = _tensile_strength(material) * 1e-6

@@ -17,6 +17,7 @@ from ..geometry.triangles import enclosed_volume
 from . import field as fields
 from . import quality, stuffing, surface
 from .cloud import Cloud, Report
+from .remesh import even
 
 T = TypeVar("T")
 MIN_GAMMA = 0.05
@@ -185,7 +186,7 @@ def build_mesh(
             report |= {"moved_m": moved, **check_mesh(points, tets, solid, size)}
             return points, tets, report
         level_set = surface.LevelSet(shape.field, shape.level, size)
-        shells = timed("surface", lambda: [surface.even(shell, size, level_set) for shell in _one_piece(shape)])
+        shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
     shells, moved = surface.correct_volume(shells, solid, max_offset)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT

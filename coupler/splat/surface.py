@@ -5,7 +5,6 @@ from skimage.measure import marching_cubes
 
 from ..geometry.graph import connected_parts
 from ..geometry.triangles import edges, enclosed_volume, surface_area, vertex_normals
-from . import remesh
 from .field import Field
 from .quality import compact
 
@@ -68,11 +67,6 @@ class LevelSet:
             length = np.linalg.norm(pull, axis=1)
             x += pull * np.minimum(1.0, 0.15 * self.size / np.maximum(length, 1e-9 * self.size))[:, None]
         return x
-
-
-def even(surface: Surface, size: float, level_set: LevelSet | None = None) -> Surface:
-    """The same closed surface with edges of about `size` m, on the level set if one is given."""
-    return remesh.even(*surface, size, level_set.project if level_set else None)
 
 
 def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:

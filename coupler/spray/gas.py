@@ -277,12 +277,12 @@ class Flow:
     @property
     def notes(self) -> list[str]:
         """What a person should know of this flow before trusting it."""
-        found, end = [], self.exit_pressure / self.ambient
+        notes, end = [], self.exit_pressure / self.ambient
         if end < SEPARATES:
-            found.append(
+            notes.append(
                 f"over-expanded: {self.exit_pressure / 1e5:.2g} bar at the exit against {self.ambient / 1e5:.3g} outside;"
                 f" below {SEPARATES:g} of it a real flow leaves the wall before the exit, and particles are slower"
             )
         if self.standoff > self.core:
-            found.append(f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet has slowed")
-        return found
+            notes.append(f"the target stands beyond the jet's core, {self.core * 1e3:.3g} mm long: the jet has slowed")
+        return notes
