@@ -100,6 +100,7 @@ bench: setup
 studies: test-setup
 	$(VENV)/bin/python workflows/taylor_bar.py
 	$(VENV)/bin/python workflows/convergence.py --parameters
+	$(VENV)/bin/python workflows/element_particle.py
 
 accuracy: setup
 	$(VENV)/bin/python workflows/accuracy.py

@@ -1,7 +1,7 @@
 """The particle as finite elements: an independent discretisation of the same impact, beside that by points.
 
-    python workflows/element_particle.py                    # docs/tables/element_particle.csv: rows in it are not computed again
-    python workflows/element_particle.py --cases Ni500      # these cases only; --sizes 3.4 2.4, --methods elements
+    python workflows/element_particle.py                    # docs/tables/element_particle.csv and the page; rows in it are kept
+    python workflows/element_particle.py --cases Ni500      # other rows of the table: see --help
     python workflows/element_particle.py --docs             # computes nothing: the figure, and the tables of the page
 
 The particle is one more body of the target: tetrahedra of the same kind, the contact kernels of the splats. Material, effects,
@@ -14,6 +14,7 @@ too soft: half of what --contact particle and --contact substrate differ by is a
 
 import argparse
 import shutil
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -39,16 +40,13 @@ from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
 from coupler.report.picture import blank, save
-from coupler.scene.effects import NAMES
 from coupler.sph.carried_surface import shape_measures
 from coupler.sph.packing import surface
 from coupler.studies.order import FEWEST, fit_order, line
 from coupler.studies.table import Row
 
-# Heat that flows, and heat of what the schemes dissipate: without them both methods solve the same equations.
-OFF = ("conduction", "particle_conduction", "interface_conduction", "dissipation_heat")
 SCENE = """
-effects = ["auto", {off}]
+effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]
 [particle]
 material = "{material}"
 diameter = "25 um"
@@ -78,8 +76,7 @@ BODY = 1  # number of the particle among the bodies; the substrate is 0
 
 def scene_of(case: str, size: float, friction: float = 0.5) -> Scene:
     """The scene of a case whose substrate has edges of `size` um."""
-    off = ", ".join(f'"-{name}"' for name in OFF if name in NAMES)
-    text = SCENE.format(off=off, **CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
+    text = SCENE.format(**CASES[case], size=size, spacing=size / ELEMENT_SIZE_OVER_SPACING, friction=friction)
     return Scene.from_text(text, case)
 
 
@@ -297,6 +294,16 @@ def _shown(values: Mapping[str, Mapping[str, float | None]]) -> dict[str, float 
     return row
 
 
+STANDARD = (  # the options that fill the table of the page
+    "--friction 0.5",
+    "--friction 0 --sizes 3.4 2.4 1.7",
+    f"--methods points --numerics {LESS} --cases Ni300 Ni500 Cu300 --friction 0.5 --sizes 3.4 2.4 1.7",
+    f"--methods points --numerics {LESS} --cases Ni300 Ni500 Cu300 --friction 0 --sizes 3.4 2.4",
+    "--methods elements --contact particle --cases Ni300 Ni500 Cu300 --friction 0.5",
+    "--methods elements --contact substrate --cases Ni300 Ni500 --friction 0.5 --sizes 3.4 2.4 1.7",
+    "--methods elements --contact particle --cases Ni300 Cu300 --friction 0 --sizes 3.4 2.4 1.7",
+    "--methods elements --contact substrate --cases Ni300 --friction 0 --sizes 3.4 2.4 1.7",
+)
 SHOWN = {
     "flattening_gd": "flattening above surface, greatest", "whole_end": "flattening, end", "crater_end_um": "crater, end, µm",
     "diameter_end_um": "diameter, end, µm", "eps_p_mean_gd": "mean strain, greatest", "eps_p_mean_end": "mean strain, end",
@@ -400,8 +407,12 @@ def write_docs(rows: Sequence[Row]) -> None:
     write_parts(PAGES["accuracy"], {"element particle": lines})
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fill the table."""
+def main(arguments: Sequence[str]) -> None:
+    """Fill the table: with the rows that the options ask for, with all of STANDARD where there are none."""
+    if not arguments:
+        for line_of in (*STANDARD, "--docs"):
+            main(line_of.split())
+        return
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", nargs="*", default=list(CASES), choices=CASES)
     parser.add_argument("--methods", nargs="*", default=["elements", "points"])
@@ -444,4 +455,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
