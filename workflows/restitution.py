@@ -79,9 +79,8 @@ def rebound(metal: str, velocity: float, stiffness: float) -> dict[str, object]:
         scene = Scene.from_text(SCENE.format(impact=single_impact(metal, 25.0, velocity, metal)), "restitution")
         numerics = {} if stiffness == 1.0 else {"contact_stiffness": stiffness}
         s = run(scene, Path(place) / "run", threads=1, probe=probe, numerics=numerics, progress=Progress(quiet=True))
+        mass, up = s.particle_mass_kg, s.rebound_velocity_m_s
     area, strain, T = probe.values or (math.nan, math.nan, math.nan)
-    mass = s.particle_mass_kg
-    up = s.rebound_velocity_m_s
     values = (
         metal, velocity, stiffness, round(up / velocity, 5), round(up, 2), round(area * 1e12, 2), round(strain, 3), round(T, 1),
         round(0.5 * mass * up**2 / area, 2), round(s.flattening_ratio, 4), f"{s.energy_drift:.1e}",
