@@ -15,9 +15,11 @@ SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows th
 PLASTIC_SHARE_LIMIT = 0.05  # dissipation of the particle's scheme over its plastic work beyond which a run warns
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
 
+STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
+
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
-BALANCE = "balance, of the initial energy"
-GROUPS = (SHAPE, PARTICLE, BALANCE, TARGET, RUN)  # in reading order
+VERDICT, BALANCE = "verdict", "balance, of the initial energy"
+GROUPS = (VERDICT, SHAPE, PARTICLE, BALANCE, TARGET, RUN)  # in reading order
 
 # Ending of a key -> unit and factor in which people read it; the first ending that fits counts.
 _UNITS = {
@@ -100,11 +102,16 @@ TABLE = (
     Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),
     Measure("splat_diameter_m", group=SHAPE, short="diameter", low=0.0, converges=True),
     Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
-    Measure("rebounded", group=SHAPE),
-    Measure("restitution", "rebound velocity / impact velocity", SHAPE, low=0.0),
-    Measure("velocity_ratio", "velocity / critical velocity", SHAPE, low=0.0),
-    Measure("bonded_area_m2", "bonded area, greatest deformation", SHAPE, low=0.0),
-    Measure("bonded_area_end_m2", "bonded area at the end", SHAPE, low=0.0),
+    Measure("verdict", group=VERDICT),
+    Measure("verdict_criterion", "criterion", VERDICT),
+    Measure("verdict_rests_on", "rests on", VERDICT),
+    Measure("margin_m_s", "margin, as a velocity", VERDICT),
+    Measure("margin_J", "margin, as an energy", VERDICT),
+    Measure("rebounded", group=VERDICT),
+    Measure("restitution", "rebound velocity / impact velocity", VERDICT, low=0.0),
+    Measure("velocity_ratio", "normal velocity / critical velocity", VERDICT, "velocity / critical velocity", low=0.0),
+    Measure("bonded_area_m2", "area that bonded", VERDICT, low=0.0),
+    Measure("bonded_area_end_m2", "bonded area at the end", VERDICT, low=0.0),
     Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
     Measure("surface_level_m", "surface met at", SHAPE),
     Measure("material", "material of the particle", PARTICLE),

@@ -17,11 +17,13 @@ def scene(
     of_particle: str = "",
     of_substrate: str = "",
     more: str = "",
+    tied: bool = True,
 ) -> str:
     """TOML of impacts on SS304, one after another.
 
     particles: material, diameter in um, velocity in m/s of each. spacing, element_size, diameter, height: um. end: ns.
-    of_particle, of_substrate: further lines of these tables. more: further tables.
+    of_particle, of_substrate: further lines of these tables. more: further tables. tied: splats of several
+    impacts stick wherever they touch.
     """
     head = "[particle]" if len(particles) == 1 else "[[particle]]"
     lines = [
@@ -32,6 +34,8 @@ def scene(
     lines.append(f'[resolution]\nspacing = "{spacing} um"\nelement_size = "{element_size} um"\n')
     if end is not None:
         lines.append(f'[end]\ntime = "{end} ns"\n')
+    if tied and len(particles) > 1:
+        lines.append('[adhesion]\nkind = "tied"\n')
     return "".join(lines) + more
 
 

@@ -16,7 +16,7 @@ from coupler.errors import SolverError
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact import bodies
 from coupler.impact.bodies import Bodies
-from coupler.impact.rebound import deposition_efficiency
+from coupler.impact.verdict import deposition_efficiency
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -91,9 +91,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Result]:
 
 def test_strong_bonds_hold_and_weak_ones_do_not(runs: dict[str, Result]) -> None:
     strong, weak = runs["strong"].values, runs["weak"].values
+    assert strong["verdict"] == "sticks"
+    assert strong["margin_m_s"] > 10.0
     assert not strong["rebounded"]
     assert strong["restitution"] == 0.0
     assert strong["bonded_area_end_m2"] > 0.5 * strong["bonded_area_m2"]
+    assert weak["verdict"] == "rebounds"
+    assert weak["margin_m_s"] == -weak["velocity_z_m_s"]
     assert weak["rebounded"]
     assert weak["restitution"] == pytest.approx(weak["velocity_z_m_s"] / 500.0)
     assert weak["restitution"] > 0.02
@@ -121,10 +125,10 @@ def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_
 
 
 def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
-    second = scene(("Ni", 25, 500), ("Ni", 25, 500), **COARSE)
+    second = scene(("Ni", 25, 500), ("Ni", 25, 500), **COARSE, tied=False)
     result = run(
-        Scene.from_text(second + '[adhesion]\nkind = "tied"\ncriterion = "velocity"\n', "two"), tmp_path / "two"
-    )
+        Scene.from_text(second, "two"), tmp_path / "two"
+    )  # 0.75 of the critical velocity: nothing is tied silently
     s = result.summary
     assert [impact["rebounded"] for impact in s["impacts"]] == [True, True]
     assert s["joins"][0]["bodies"] == 0

@@ -106,13 +106,15 @@ def test_numbers_of_conduction_on_both_sides() -> None:
     assert later["particle_conduction"] == pytest.approx(in_points)  # a particle is there for its own impact only
 
 
-def test_cooling_and_adhesion_need_a_pause_and_several_impacts() -> None:
-    assert not plan(scene_with(particle__dwell="1 ms")).effects.adhesion
+def test_cooling_needs_a_pause_and_adhesion_is_the_same_for_one_and_for_several() -> None:
+    alone = plan(scene_with(particle__dwell="1 ms"))
+    assert alone.effects.adhesion
     short, long = (plan(several({"dwell": dwell}, {})).effects for dwell in ("1 ns", "1 ms"))
     assert (short.cooling, long.cooling) == (False, True)
     value = next(row.value for row in long.rows if row.name == "cooling")
     assert value == pytest.approx(math.sqrt(effects.diffusivity(material("Ni"), 300.0) * 1e-3) / 25e-6)
-    assert plan(several({}, {})).adhesion.kind == "tied"
+    assert plan(several({}, {})).adhesion == alone.adhesion
+    assert (alone.adhesion.kind, alone.adhesion.criterion) == ("tied", "velocity")
     assert plan(several({}, {}, effects=["auto", "-adhesion"])).adhesion.kind == "none"
 
 

@@ -32,14 +32,30 @@ def test_rest_needs_a_turn_and_a_silent_contact():
 
 
 def test_a_bonded_particle_is_at_rest_when_it_swings_little_for_a_period():
-    """2 % of 500 m/s for half of D / v = 50 ns; one that is not bonded needs a silent contact."""
+    """2 % of 500 m/s for half of D / v = 50 ns; one that is not bonded, or may come off, needs a silent contact."""
     swings = [(30, -20.0, 2.0), (40, 9.0, -1.0), (50, -8.0, 1.0), (56, 7.0, -1.0)]
-    for held in (True, False):
+    for grip in ("free", "failing", "held"):
         ending = EndCriterion(200e-9, "rest", 50e-9, 500.0)
         ending.observe(10e-9, 200.0, 3.0)
         for time, sinking, force in swings:
-            ending.observe(time * 1e-9, sinking, force, held)
-        assert ending.met(56e-9) == held
+            ending.observe(time * 1e-9, sinking, force, grip)
+        assert ending.met(56e-9) == (grip == "held")
+
+
+def test_bonds_that_may_part_are_waited_for_and_secure_ones_are_not():
+    still = [(20, 0.0, 1.0), (30, -9.0, 0.0), (56, -9.0, 0.0)]
+    fast = [(20, 0.0, 1.0), (30, -40.0, 1.0), (56, 40.0, 1.0)]
+    for swings, grip, met in (
+        (still, "failing", False),
+        (still, "free", True),
+        (fast, "held", False),
+        (fast, "secure", True),
+    ):
+        ending = EndCriterion(200e-9, "rest", 50e-9, 500.0)
+        ending.observe(10e-9, 200.0, 3.0)
+        for time, sinking, force in swings:
+            ending.observe(time * 1e-9, sinking, force, grip)
+        assert ending.met(56e-9) == met, grip
 
 
 def test_a_time_limit_is_not_rest():

@@ -52,7 +52,8 @@ def test_the_example_of_nickel():
     assert scene.derived.element_size == pytest.approx(1.7 * scene.derived.spacing)
     assert scene.derived.output_every_of(scene.particle) == pytest.approx(2e-9)
     assert scene.derived.end_time == pytest.approx(3 * 25e-6 / 500 + scene.derived.gap_of(scene.particle) / 500)
-    assert scene.derived.adhesion_law.kind == "none"
+    law = scene.derived.adhesion_law
+    assert (law.kind, law.criterion) == ("tied", "velocity")
 
 
 def test_the_example_of_titanium():
@@ -167,10 +168,10 @@ def test_all_problems_at_once():
         ("adhesion", 3, "expected a table [adhesion]"),
         ("adhesion__kind", "glued", "expected one of none, tied, cohesive"),
         ("adhesion__strenght", "3 MPa", 'did you mean "strength"'),
-        ("adhesion__strength", "300 MPa", 'no effect with kind = "none"'),
-        ("adhesion__energy", "20 J/m2", 'no effect with kind = "none"'),
+        ("adhesion__strength", "300 MPa", 'no effect with kind = "tied"'),
+        ("adhesion__energy", "20 J/m2", 'no effect with kind = "tied"'),
         ("adhesion__criterion", "pressure", "adhesion.threshold is needed"),
-        ("adhesion__threshold", 0.5, 'no effect with criterion = "all"'),
+        ("adhesion", {"kind": "tied", "threshold": 0.5}, 'no effect with criterion = "all"'),
         ("adhesion", {"criterion": "pressure", "threshold": 0.5}, "needs a pressure"),
         ("adhesion", {"criterion": "plastic_strain", "threshold": "1 GPa"}, "needs a number without unit"),
         ("adhesion", {"criterion": "plastic_strain", "threshold": True}, "needs a number without unit"),
@@ -290,7 +291,7 @@ def test_adhesion_is_read_in_si_units():
     }
     law = scene_with(adhesion=table).derived.adhesion_law
     assert (law.strength, law.energy, law.threshold, law.shear_strength) == (300e6, 20.0, 1e9, None)
-    assert several({}, {}).derived.adhesion_law.kind == "tied"
+    assert several({}, {}).derived.adhesion_law == scene_with().derived.adhesion_law
     assert several({}, {}, adhesion__kind="none").derived.adhesion_law.kind == "none"
 
 
@@ -299,6 +300,9 @@ def test_a_critical_velocity_needs_a_tensile_strength():
     assert scene_with(adhesion=adhesion).derived.adhesion_law.criterion == "velocity"
     (problem,) = problems_with(particle=[NI, NI | {"material": "42CrMo4"}], adhesion=adhesion)
     assert problem.startswith('adhesion.criterion = "velocity": 42CrMo4 has no sigma_TS')
+    assert scene_with(particle__material="42CrMo4").derived.adhesion_law.kind == "none"
+    (problem,) = problems_with(particle=[NI, NI | {"material": "42CrMo4"}])
+    assert problem.startswith("adhesion: several particles need something that holds them")
 
 
 def test_a_long_sequence_writes_no_more_than_a_scene_may():

@@ -31,6 +31,8 @@ velocity = "1000 m/s"
 material = "Ni"
 diameter = "25 um"
 velocity = "1000 m/s"
+[adhesion]
+kind = "tied"
 [substrate]
 material = "SS304"
 diameter = "120 um"

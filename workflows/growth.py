@@ -32,7 +32,7 @@ def scene(impacts: int, seed: int) -> Scene:
             if x * x + y * y < 144:
                 break
         text += f'[[particle]]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "550 m/s"\noffset = ["{x:.2f} um", "{y:.2f} um"]\n'
-    return Scene.from_text(text, "growth")
+    return Scene.from_text(text + '[adhesion]\nkind = "tied"\n', "growth")
 
 
 class Clock:

@@ -57,7 +57,7 @@ WORDS = {
     f" ([sequences](sequences.md)); {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and"
     " everything with fewer, by default",
     "contact.friction": "Coulomb's coefficient",
-    "adhesion.kind": '`"tied"` for several particles and `"none"` for one, by default',
+    "adhesion.kind": '`"tied"` by `"velocity"` where neither kind nor criterion is given; `"none"` where a metal has no `sigma_TS`',
     "adhesion.criterion": "which of the nodes in contact are bonded",
     "adhesion.threshold": "of plastic strain (a number), pressure (with unit) or velocity over the critical one (default 1)",
     "adhesion.strength": "in tension, of a cohesive bond",

@@ -25,6 +25,8 @@ velocity = "{velocity} m/s"
 angle = "{angle} deg"
 tilt = "{tilt} deg"
 offset = ["{offset} um", "0 um"]
+[adhesion]
+kind = "{kind}"
 [substrate]
 material = "SS304"
 [resolution]
@@ -43,7 +45,10 @@ def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, A
         diameter = 25.0 if metal == "Ni" else 30.0
         spacing = spacing_of(how["points"], diameter)
         first = single_impact(metal, diameter, 500.0).partition("[substrate]")[0] if how["onto"] else ""
-        text = SCENE.format(before=first, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how)
+        kind = "tied" if how["onto"] else "none"
+        text = SCENE.format(
+            before=first, kind=kind, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how
+        )
         scene = Scene.from_text(text, "battery")
         body = shapes.shape(how["shape"], diameter * 1e-6, scene.derived.points, np.radians(how["tilt"]), 0.8)
         inner = CarriedSurface(body.points, *body.inner, body.spacing) if body.inner is not None else None

@@ -220,8 +220,10 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     if not arguments.quiet and is_first_rank():
         from rich.console import Console
 
-        from ..report import alerts, summary_table
+        from ..report import alerts, summary_table, verdict
 
+        if text := verdict(result.summary):
+            print(f"verdict: {text}")
         for text in alerts(result.summary):
             print(f"doubtful: {text}")
         Console().print(summary_table(result))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..measures import MEASURES, axis_label
+from ..measures import MEASURES, REBOUNDS, UNDECIDED, axis_label
 from .arguments import Commands, add_force, path
 
 if TYPE_CHECKING:
@@ -191,14 +191,16 @@ def _panel(at: "Axes", field: "tuple[NDArray, NDArray, NDArray]", levels: "NDArr
 
 
 def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None:
-    """The points: full where done, open where the run says that the particle did not bond, crosses where failed."""
+    """The points by their verdicts, crosses where failed."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     from ..studies.maps import LOGARITHMIC
 
+    done = [r for r in rows if r["status"] == "done"]
     kinds = {
-        "done": ([r for r in rows if r["status"] == "done" and r["bonded"] in (None, True)], "o", "w"),
-        "not bonded": ([r for r in rows if r["status"] == "done" and r["bonded"] not in (None, True)], "v", "w"),
+        "sticks": ([r for r in done if r["verdict"] not in (REBOUNDS, UNDECIDED)], "o", "w"),
+        "rebounds": ([r for r in done if r["verdict"] == REBOUNDS], "v", "w"),
+        "undecided": ([r for r in done if r["verdict"] == UNDECIDED], "s", "w"),
         "failed": ([r for r in rows if r["status"] != "done"], "X", "#d55e00"),
     }  # fmt: skip
     for label, (points, marker, colour) in kinds.items():

@@ -13,7 +13,7 @@ from ..fe.cooling import Links, cool, together
 from ..files.summary import Values
 from ..impact.bodies import NEAR, Bodies, level_under
 from ..impact.domains import Domains
-from ..impact.rebound import rebounds
+from ..impact.verdict import judge
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..sph.carried_surface import shape_measures
@@ -43,7 +43,7 @@ def join(
     upwards = float(particle.momentum()[2] / particle.mass.sum())
     report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio
-    left = rebounds(plan, i, upwards, hold)
+    left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True
     origin = point_of_impact(bodies, following.offset, None if left else domains)
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
     if report["remeshing"]["remeshed"]:

@@ -5,9 +5,9 @@ from dataclasses import asdict
 
 from .. import __version__
 from ..files.summary import FORMAT, Summary, Values
-from ..impact.rebound import deposition_efficiency
 from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
+from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import Plan
 from ..ranks.ranks import Ranks

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, TypedDict, cast
 
 from ..errors import StoreError
+from ..measures import REBOUNDS, STICKS, UNDECIDED
 from .inputs import read_json_object
 
 FORMAT = 2
@@ -70,7 +71,9 @@ def upgraded(data: Mapping[str, object]) -> dict[str, object]:
             record.pop(name, None)
         if k + 1 < len(records):
             record["at_end"] = at_end
-        record |= {"refused": {}, "undecided": record.get("undecided")}
+        left = record.get("rebounded")
+        verdict = UNDECIDED if left is None else REBOUNDS if left else STICKS
+        record |= {"refused": {}, "undecided": record.get("undecided"), "verdict": verdict}
     run = {name: data[name] for name in OF_THE_RUN if name in data}
     run |= {"retries": data.get("retries", data.get("rescues", [])), "undecided": data.get("undecided")}
     return {

@@ -1,7 +1,9 @@
 """When an impact is over: at rest, at its greatest deformation, or at a given time."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
+Grip = Literal["free", "failing", "held", "secure"]
 STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
 QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
@@ -39,21 +41,20 @@ class EndCriterion:
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self._state = EndState()
 
-    def observe(
-        self, time: float, sinking: float, force: float, held: bool = False, secure: bool = False, above: bool = True
-    ) -> None:
-        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; held:
-        whether the particle is bonded; secure: whether its bonds can take up far more energy than there is left to part them;
-        above: whether its centre is above the target."""
+    def observe(self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True) -> None:
+        """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; grip: of its
+        bonds: "free" (none), "failing" (they may part), "held", "secure" (they take up far more than there is left); above: whether
+        its centre is above the target."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
             s = replace(s, turned=time)
-        if not held or (abs(sinking) > self.held_slow and not secure):
+        if grip in ("free", "failing") or (grip == "held" and abs(sinking) > self.held_slow):
             s = replace(s, fast=time)
         if above:
             s = replace(s, above=time)
-        self._state = replace(s, loud=time) if abs(force) > QUIET_FORCE * s.peak else s
+        is_loud = grip == "failing" or abs(force) > QUIET_FORCE * s.peak
+        self._state = replace(s, loud=time) if is_loud else s
 
     @property
     def turned(self) -> float | None:

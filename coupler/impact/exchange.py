@@ -20,6 +20,7 @@ from ..sph.threads import SecondThread
 from ..state.records import Shape, assign, check_indices, collect
 from .bodies import BodiesState
 from .domains import Domains
+from .ending import Grip
 from .ledger import Ledger, LedgerState
 
 WINDOW = (
@@ -83,13 +84,13 @@ class Impact:
         return -float(self.particle.momentum()[2] / self.particle.mass.sum())
 
     @property
-    def held(self) -> tuple[bool, bool]:
-        """Whether bonds hold the particle, and whether they can take up SECURE times the energy there is left to part them: that of
-        the centre of mass normal to the surface, and that stored in the bonds."""
-        if self.hold is None:
-            return False, False
-        resistance, left = self.hold.resistance, self.normal_energy + self.hold.bond.stored
-        return resistance > 0.0, resistance > SECURE * left
+    def grip(self) -> Grip:
+        """How bonds hold the particle: by what they can take up, over the energy there is left to part them: that of the centre of
+        mass normal to the surface, and that stored in the bonds."""
+        if self.hold is None or not self.hold.whole.any():
+            return "free"
+        ratio = self.hold.resistance / max(self.normal_energy + self.hold.bond.stored, 1e-300)
+        return "failing" if ratio <= 1.0 else "held" if ratio < SECURE else "secure"
 
     @property
     def normal_energy(self) -> float:

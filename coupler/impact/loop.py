@@ -25,7 +25,7 @@ def advance_to_end(
         keep()
         dt = advance_window(impact, end_time)
         force, above = float(impact.force[2]), recorder.is_above(impact)
-        ending.observe(impact.time, impact.sinking, force, *impact.held, above)
+        ending.observe(impact.time, impact.sinking, force, impact.grip, above)
         if ending.turned is not None:
             if adhesion.in_impact:
                 impact.bond(adhesion, recorder.impact_plan.velocity_ratio)

@@ -8,18 +8,20 @@ from typing import TypeVar
 import numpy as np
 
 from ..files.summary import Values
-from ..measures import within_range
+from ..measures import UNDECIDED, within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
-from .rebound import outcome
 from .recorder import Recorder
 from .retry import Retry
+from .verdict import verdict_values
 
 V = TypeVar("V")
 NEEDS_REST = (
     "rebound_velocity_m_s",
     "rebounded",
     "restitution",
+    "margin_J",
+    "margin_m_s",
     "bonded_area_end_m2",
 )  # beside the measures of the end
 
@@ -51,6 +53,9 @@ def summarise(
     """
     particle, ledger, impact_plan = impact.particle, impact.ledger, recorder.impact_plan
     measured = recorder.measures(impact)
+    verdict = verdict_values(
+        recorder.plan.adhesion, impact_plan, float(particle.mass.sum()), measured["velocity_z_m_s"], impact.hold
+    )
     others = ("drift", "momentum_error")
     own = {
         "material": impact_plan.material.name,
@@ -58,7 +63,7 @@ def summarise(
         "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
         "surface_level_m": impact.domains.level,
         "rebound_velocity_m_s": max(measured["velocity_z_m_s"], 0.0),
-        **outcome(recorder.plan, recorder.i, particle, impact.hold, settled),
+        **verdict,
         "penetration_max_m": impact.deepest,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
@@ -81,6 +86,9 @@ def summarise(
     }
     refused: dict[str, str] = {}
     end: Values = {**measured}
+    if not settled:
+        reason = undecided or "the contact has not come to an end"
+        own |= {"verdict": UNDECIDED, "verdict_rests_on": reason, "rebounded": None, "restitution": None}
     if undecided is not None:
         end |= dict.fromkeys(measured.keys() - {"time_s"})
         unknown = [key for key in NEEDS_REST if key in own]

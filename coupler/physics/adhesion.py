@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from .. import units
 from ..errors import ColdsprayError, SceneError
 from .materials import Material
 
@@ -136,6 +137,26 @@ class Adhesion:
         """Whether bonds act from the greatest deformation on, while the particle rebounds: where they may break, or where the
         contact decides which there are. Others hold what has come to rest."""
         return self.kind == "cohesive" or (self.kind == "tied" and self.criterion in ("plastic_strain", "pressure"))
+
+    @property
+    def words(self) -> str:
+        """The law in a line."""
+        if self.kind == "none":
+            return "none, contact and friction only"
+        text: str = self.kind
+        if self.strength is not None and self.energy is not None:
+            text += f", {units.rounded(self.strength, 'MPa')} and {units.rounded(self.energy, 'J/m2')}"
+            shear = (self.shear_strength, "MPa"), (self.shear_energy, "J/m2")
+            of_shear = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
+            text += f" ({of_shear} in shear)" if of_shear else ""
+        reached = 1.0 if self.threshold is None else self.threshold
+        where = {
+            "all": "wherever they touch",
+            "plastic_strain": f"where the plastic strain has reached {reached:g}",
+            "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
+            "velocity": f"where the velocity has reached {reached:g} of the critical one",
+        }
+        return f"{text}, {where[self.criterion]}"
 
     def law(self) -> dict[str, float]:
         """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""

@@ -175,6 +175,12 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
             yield (field, "adhesion.kind", "adhesion.criterion"), f"adhesion.{problem}"
         return
     scene = d.scene
+    if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1:
+        yield (
+            ("adhesion.kind", "particle"),
+            "adhesion: several particles need something that holds them, and the critical velocity of one is not known (no sigma_TS):"
+            ' give kind = "cohesive" with strength and energy, "tied", or "none" if nothing holds them',
+        )
     yield from _bond_energy(d, law, catalogue)
     if law.criterion != "velocity" or law.kind == "none":
         return

@@ -94,9 +94,12 @@ class Derived:
     @cached_property
     def adhesion_law(self) -> Adhesion:
         """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
-        law = self.scene.adhesion.model_dump()
-        law["kind"] = law["kind"] or ("tied" if len(self.scene.particles) > 1 else "none")
-        return Adhesion(**law)
+        table = self.scene.adhesion.model_dump()
+        if table["kind"] is None and table["criterion"] is None:
+            metals = [self._catalogue[0].get(p.material) for p in self.scene.particles]
+            known = all(metal is None or metal.sigma_TS is not None for metal in metals)
+            table |= {"kind": "tied", "criterion": "velocity"} if known else {"kind": "none"}
+        return Adhesion(**table | {"kind": table["kind"] or "tied", "criterion": table["criterion"] or "all"})
 
     def gap_of(self, particle: Particle) -> float:
         """Distance of a particle's lowest point from what lies under it at the start, m; half a spacing by default."""

@@ -27,8 +27,9 @@ class ImpactPlan:
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
     rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio:
-    over the critical velocity of material and temperature, None where the material has none. lengths: m, of the shape at tilt 0.
+    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
+    component normal to the surface over the critical velocity of material and temperature, None where the material has none.
+    lengths: m, of the shape at tilt 0.
     splat_elements: of its splat, an estimate. bands: accuracy of each measure at this resolution."""
 
     material: Material
@@ -209,7 +210,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         dwell=particle.dwell,
         end_at=end_at,
         window=scene.derived.window_of(particle),
-        velocity_ratio=_velocity_ratio(material, particle.temperature, v),
+        velocity_ratio=_velocity_ratio(material, particle.temperature, v * math.cos(particle.angle)),
         lengths=particle.form.lengths,
         splat_elements=scene.derived.splat_elements_of(particle),
         bands=of_measures(

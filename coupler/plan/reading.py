@@ -99,7 +99,10 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
     first, each = scene.particle, ", of the first impact" if len(scene.particles) > 1 else ""
     every, end = d.output_every_of(first), d.end_time_of(first)
     return {
-        "[adhesion]": {"kind": f'"{d.adhesion_law.kind}"  (from: the number of particles)'},
+        "[adhesion]": {
+            "kind": f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)',
+            "criterion": f'"{d.adhesion_law.criterion}"',
+        },
         "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},
         "[resolution]": {
             "spacing": f"{text_of(d.spacing, 'um')}  (from: preset)",

@@ -109,24 +109,13 @@ def _splats(plan: Plan) -> list[str]:
     a, splats = plan.adhesion, len(plan.impacts) - 1
     if not splats and a.kind == "none":
         return []
-    held: str = a.kind if a.kind != "none" else "none, contact and friction only"
-    if a.strength is not None and a.energy is not None:
-        held += f", {units.rounded(a.strength, 'MPa')} and {units.rounded(a.energy, 'J/m2')}"
-        shear = (a.shear_strength, "MPa"), (a.shear_energy, "J/m2")
-        in_shear = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
-        held += f" ({in_shear} in shear)" if in_shear else ""
-    reached = 1.0 if a.threshold is None else a.threshold
-    where = {
-        "all": "wherever they touch",
-        "plastic_strain": f"where the plastic strain has reached {reached:g}",
-        "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
-        "velocity": f"where the velocity has reached {reached:g} of the critical one",
-    }
-    held += "" if a.kind == "none" else f", {where[a.criterion]}"
     each = [impact.splat_elements for impact in plan.impacts]
     count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
     size = units.rounded(plan.splat_element_size, "um")
-    return [f"  adhesion   {held}", f"  splats     about {count} elements of {size} each, method {plan.splat_method}"]
+    return [
+        f"  adhesion   {a.words}",
+        f"  splats     about {count} elements of {size} each, method {plan.splat_method}",
+    ]
 
 
 def _window(plan: Plan) -> list[str]:

@@ -43,7 +43,7 @@ from .picture import (
 )
 from .profiles import profiles
 from .solid import frames, solid
-from .words import alerts, title
+from .words import alerts, title, verdict
 
 PICTURES = 5  # of the cut
 PICTURE_PIXELS = 260  # along the particle: a picture is a third of the page wide
@@ -204,6 +204,8 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
     notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in doubts]
     state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
     warned = (result.values if result.finished else result.plan).get("warnings") or []
+    decided = verdict(result.summary)
+    state = (f'<p id="verdict"><b>Verdict</b>: {escape(decided)}</p>' if decided else "") + state
     return state + parts.tiles(result.summary) + parts.warnings([text for text in warned if text not in doubts])
 
 

@@ -13,11 +13,11 @@ from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
-from ..measures import DISSIPATION_LIMIT, GROUPS, measure
+from ..measures import DISSIPATION_LIMIT, GROUPS, REBOUNDS, STICKS, UNDECIDED, measure
 
 NAMED = 3  # particles that a title names
 NOTES = ("effects", "warnings")  # lists of words, below the table
-_ABOVE = (*NOTES, "undecided")  # not in the tables
+_ABOVE = (*NOTES, "undecided", "verdict_criterion", "verdict_rests_on")  # not in the tables
 _BLOCKS = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
 Block = Mapping[str, object]  # measures of one impact or run at one time
 
@@ -95,6 +95,29 @@ def bands(summary: Summary) -> dict[str, tuple[float, str]]:
 def impacts(summary: Summary) -> list[Block]:
     """The measures of each impact at its end, and all else of it, in order."""
     return [plain(impact_values(summary, i)) for i in range(len(summary.get("impacts", [])))]
+
+
+def verdict(summary: Summary) -> str:
+    """The verdict of a run in a sentence: on one particle with what it rests on, on several how many stick. "" without one."""
+    records = summary.get("impacts", [])
+    counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
+    if sum(counts.values()) == 0:
+        return ""
+    if len(records) > 1:
+        return f"of {len(records)} particles " + ", ".join(
+            f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n
+        )
+    record = records[0]
+    text = str(record["verdict"])
+    if record.get("verdict_rests_on"):
+        text += f": {record['verdict_rests_on']}"
+    if isinstance(margin := record.get("margin_m_s"), int | float):
+        text += f"; margin {margin:+.3g} m/s"
+    return f"{text} (adhesion: {record['verdict_criterion']})" if record.get("verdict_criterion") else text
+
+
+_VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
+          (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
 
 
 def alerts(summary: Summary) -> list[str]:

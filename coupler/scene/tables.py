@@ -240,10 +240,11 @@ _SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
 
 class AdhesionTable(Section):
     """What holds splats, as `coupler.physics.adhesion.Adhesion` has it. Pa, J/m2; threshold in Pa, a strain or a ratio, as the
-    criterion wants it. kind: "tied" for several particles, "none" for one, unless said."""
+    criterion wants it. Unless kind or criterion is said, particles are tied by their velocity over the critical one, and by
+    nothing where a metal has no tensile strength."""
 
     kind: Kind | None = None
-    criterion: Criterion = "all"
+    criterion: Criterion | None = None
     threshold: float | None = None
     strength: Annotated[float | None, _Stress] = None
     energy: Annotated[float | None, _SurfaceEnergy] = None

@@ -28,7 +28,7 @@ LOGARITHMIC = ("velocity_m_s", "diameter_m")
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
-COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "bonded", "version")
+COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
 LEAST_POINTS = 6  # of which a map is drawn
 LARGEST = 1e30  # a measure beyond it is damage
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
@@ -39,7 +39,7 @@ def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
     status: "done", "failed" (then `reason` says why) or "unfinished"; measures, as in the summaries, of points that are not done
-    are missing. bonded: as the run says, where its plan has an adhesion; version: of the program that computed the run. Raises
+    are missing. verdict: of the run; version: of the program that computed the run. Raises
     StoreError if the folder is not there or holds no point.
     """
     folder = Path(folder)
@@ -82,10 +82,7 @@ def _row(folder: Path, name: str) -> Row:
     row |= {"material": impact.material.name, "substrate": plan.target.material.name}
     row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
     row |= {key: _number(values.get(key)) for key in MEASURES}
-    if (
-        plan.adhesion.kind != "none" and values.get("rebounded") is not None
-    ):  # without adhesion all rebound: that tells nothing
-        row["bonded"] = not values["rebounded"]
+    row["verdict"] = str(values.get("verdict") or "")
     return row
 
 

@@ -1,0 +1,117 @@
+"""Does it stick? The verdict on the particle of an impact, and how much of the powder stayed. SI units."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..contact.hold import FEWEST, Hold
+from ..files.summary import Values
+from ..measures import REBOUNDS, STICKS, UNDECIDED
+from ..physics.adhesion import Adhesion
+from ..plan.planning import ImpactPlan
+
+REBOUND = 1.0  # m/s off the surface: a particle that nothing holds leaves with more
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """verdict: "sticks", "rebounds" or "undecided". rests_on: the values that decide it.
+
+    margin_J, margin_m_s: how far the verdict is from the other one; positive where the particle sticks: the energy that its bonds
+    can take up beyond that in motion, and the velocity of the particle with this energy; or, by a criterion of velocity, the
+    energy and velocity of impact above the critical ones. Negative where it rebounds: its energy and velocity off the surface, or
+    below the critical ones. None where nothing was compared.
+    """
+
+    verdict: str
+    rests_on: str
+    margin_J: float | None = None
+    margin_m_s: float | None = None
+
+    @property
+    def rebounded(self) -> bool | None:
+        """Whether the particle leaves; None where that is undecided."""
+        return None if self.verdict == UNDECIDED else self.verdict == REBOUNDS
+
+
+def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None) -> Verdict:
+    """The verdict on a particle at the end of its impact.
+
+    mass kg; upwards m/s: velocity of its centre normal to the surface; hold: its bonds, None if nothing bonded.
+    """
+    if law.in_impact:
+        return _by_bonds(mass, upwards, hold)
+    if law.kind == "tied" and law.criterion == "velocity":
+        return _by_velocity(law, impact, mass, upwards)
+    if law.kind == "tied":
+        return Verdict(STICKS, "the scene, which ties all that touches; no bond was computed")
+    return _unheld("there is no adhesion in the scene", mass, upwards)
+
+
+def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
+    """From the bonds computed in the impact: what they can still take up against the energy left to part them."""
+    whole = 0 if hold is None else int(np.count_nonzero(hold.whole))
+    if hold is None or whole == 0:
+        return _unheld("no bond formed" if hold is None else "all bonds are torn", mass, upwards)
+    if whole < FEWEST:
+        return Verdict(UNDECIDED, f"only {whole} of {len(hold.rows)} bonds {'hold' if whole > 1 else 'holds'}")
+    resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
+    if math.isinf(resistance):
+        return Verdict(STICKS, f"{whole} of {len(hold.rows)} bonds hold, which do not break")
+    words = f"bonds can take up {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to part them"
+    if resistance <= energy:
+        return Verdict(UNDECIDED, words)
+    spare = resistance - energy
+    return Verdict(STICKS, words, spare, math.sqrt(2.0 * spare / mass))
+
+
+def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
+    """From the normal velocity of impact over the critical one of Schmidt's formula."""
+    ratio, threshold = impact.velocity_ratio, 1.0 if law.threshold is None else law.threshold
+    if ratio is None:
+        return Verdict(UNDECIDED, "the critical velocity is not known")
+    velocity = abs(impact.velocity[2])
+    critical = velocity / ratio * threshold
+    words = f"Schmidt's formula: {velocity:.0f} m/s normal to the surface, critical {critical:.0f} m/s; no bond was computed"
+    margin = 0.5 * mass * (velocity**2 - critical**2), velocity - critical
+    if ratio >= threshold:
+        return Verdict(STICKS, words, *margin)
+    if upwards <= REBOUND:
+        return Verdict(UNDECIDED, f"{words}, and it does not move off ({upwards:.2g} m/s)", *margin)
+    return Verdict(REBOUNDS, words, *margin)
+
+
+def _unheld(reason: str, mass: float, upwards: float) -> Verdict:
+    if upwards <= REBOUND:
+        return Verdict(UNDECIDED, f"{reason}, and it does not move off ({upwards:.2g} m/s)")
+    return Verdict(REBOUNDS, f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2, -upwards)
+
+
+def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None) -> Values:
+    """The part of the record of a finished impact that is its verdict.
+
+    restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
+    bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds.
+    """
+    decided = judge(law, impact, mass, upwards, hold)
+    left = decided.rebounded
+    values: Values = {
+        "verdict": decided.verdict, "verdict_criterion": law.words, "verdict_rests_on": decided.rests_on,
+        "margin_J": decided.margin_J, "margin_m_s": decided.margin_m_s, "rebounded": left,
+        "restitution": None if left is None else upwards / -impact.velocity[2] if left else 0.0,
+    }  # fmt: skip
+    if law.in_impact:
+        first, last = hold.area if hold is not None else (0.0, 0.0)
+        values |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
+    return values | {"velocity_ratio": impact.velocity_ratio, "particle_mass_kg": mass}
+
+
+def deposition_efficiency(records: Sequence[Values]) -> float | None:
+    """Mass of the particles that stayed over the mass of all, from the records of their impacts; None while one is undecided."""
+    if any(record["rebounded"] is None for record in records):
+        return None
+    mass = [record["particle_mass_kg"] for record in records]
+    stayed = [m for m, record in zip(mass, records, strict=True) if not record["rebounded"]]
+    return float(sum(stayed) / sum(mass))

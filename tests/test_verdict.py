@@ -1,0 +1,99 @@
+"""The verdict on a particle: what it says, what it rests on, and that one particle and several are judged alike."""
+
+import math
+
+import numpy as np
+import pytest
+from test_hold import ENERGY, SIDE, Sheet
+from test_plan import scene_with, several
+
+from coupler.impact.verdict import judge
+from coupler.physics.adhesion import Adhesion, critical_velocity
+from coupler.physics.materials import material
+from coupler.plan.planning import plan
+from coupler.report import verdict as in_words
+
+COHESIVE = Adhesion(kind="cohesive", strength=4e8, energy=ENERGY)
+WHOLE = ENERGY * SIDE**2  # J
+MASS = 1e-13  # kg
+IMPACT = plan(scene_with()).impact
+
+
+def opened(lift: float) -> Sheet:
+    sheet = Sheet(4)
+    for s in np.linspace(0.0, lift, 500)[1:]:
+        sheet.move(sheet.xp + np.array([0.0, 0.0, s]))
+    return sheet
+
+
+def test_a_particle_sticks_while_its_bonds_can_take_up_more_than_is_left() -> None:
+    hold = opened(0.1e-6).hold
+    left = hold.resistance - hold.bond.stored
+    assert 0.1 * WHOLE < left < WHOLE
+    limit = math.sqrt(2.0 * left / MASS)
+    for share in (0.5, 0.99, 1.01, 2.0):
+        found = judge(COHESIVE, IMPACT, MASS, share * limit, hold)
+        assert found.verdict == ("sticks" if share < 1.0 else "undecided")
+        if share < 1.0:
+            assert found.margin_J == pytest.approx(left * (1.0 - share**2))
+            assert found.margin_m_s == pytest.approx(limit * math.sqrt(1.0 - share**2))
+    assert judge(COHESIVE, IMPACT, MASS, -0.5 * limit, hold).verdict == "sticks"
+
+
+def test_a_particle_that_hangs_on_a_point_is_undecided() -> None:
+    sheet = Sheet(4)
+    for s in np.linspace(0.0, 1.0, 4000)[1:]:  # peeled off all but the row at the edge
+        to = sheet.xp.copy()
+        to[3:, 2] += s * 1e-6
+        sheet.move(to)
+    hold = sheet.hold
+    assert hold.whole.sum() == 3
+    assert judge(COHESIVE, IMPACT, MASS, 0.0, hold).verdict == "sticks"
+    hold.bond.damage[0] = 1.0
+    found = judge(COHESIVE, IMPACT, MASS, 0.0, hold)
+    assert (found.verdict, found.rests_on) == ("undecided", "only 2 of 16 bonds hold")
+    assert found.rebounded is None
+
+
+def test_nothing_that_holds_and_no_motion_is_no_verdict() -> None:
+    torn = opened(1e-6).hold
+    for law, hold in ((COHESIVE, None), (COHESIVE, torn), (Adhesion(), None)):
+        left = judge(law, IMPACT, MASS, 20.0, hold)
+        assert (left.verdict, left.margin_m_s) == ("rebounds", -20.0)
+        assert left.margin_J == pytest.approx(-0.5 * MASS * 400.0)
+        assert judge(law, IMPACT, MASS, 0.3, hold).verdict == "undecided"
+
+
+@pytest.mark.parametrize(
+    ("metal", "angle", "expected"), [("Ni", 0.0, "rebounds"), ("OFHC_Cu", 0.0, "sticks"), ("OFHC_Cu", 60.0, "rebounds")]
+)
+def test_the_default_compares_the_normal_velocity_with_the_critical_one(
+    metal: str, angle: float, expected: str
+) -> None:
+    """The same for one particle and for two; the component along the surface does not count."""
+    critical = critical_velocity(material(metal), 300.0)
+    changes = {
+        "material": metal,
+        "angle": f"{angle} deg",
+        "velocity": f"{1.23 * critical if metal != 'Ni' else 500.0} m/s",
+    }
+    one, two = plan(scene_with(**{f"particle__{k}": v for k, v in changes.items()})), plan(several({}, changes))
+    for planned, impact in ((one, one.impact), (two, two.impacts[1])):
+        found = judge(planned.adhesion, impact, MASS, 20.0, None)
+        assert found.verdict == expected
+        assert found.margin_m_s == pytest.approx(-impact.velocity[2] - critical)
+        assert "Schmidt" in found.rests_on
+
+
+def test_ties_of_the_scene_are_named_as_its_assumption() -> None:
+    found = judge(Adhesion(kind="tied"), IMPACT, MASS, 20.0, None)
+    assert (found.verdict, found.margin_J) == ("sticks", None)
+    assert found.rests_on.startswith("the scene")
+
+
+def test_the_verdict_in_words() -> None:
+    record = {"verdict": "sticks", "verdict_rests_on": "bonds", "margin_m_s": 12.34, "verdict_criterion": "tied"}
+    assert in_words({"impacts": [record]}) == "sticks: bonds; margin +12.3 m/s (adhesion: tied)"
+    several_ = [{"verdict": word} for word in ("sticks", "sticks", "rebounds", "undecided")]
+    assert in_words({"impacts": several_}) == "of 4 particles 2 stick, 1 rebounds, 1 is undecided"
+    assert in_words({}) == ""
