@@ -9,7 +9,9 @@ from scenes import TINY, scene
 
 from coupler import Result
 from coupler.commands.main import main
+from coupler.errors import StoreError
 from coupler.impact.ending import EndCriterion
+from coupler.studies import coating, maps, sweep
 
 LIMITED = scene(("Ni", 25, 500), **TINY, more='[end]\nat = "rest"\ntime = "20 ns"\n')
 
@@ -128,6 +130,17 @@ def test_an_undecided_run_goes_on_as_if_it_had_not_stopped(limited, tmp_path):
     for name in ("flattening_ratio", "crater_depth_m", "restitution", "energy_drift", "steps"):
         assert getattr(one, name) == getattr(other, name)
     np.testing.assert_array_equal(one.history("kinetic"), other.history("kinetic"))
+
+
+def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(limited):
+    folder, _ = limited
+    ended = sweep.compute(folder / "limited.toml", folder / "limited.json")
+    assert (ended["status"], ended["exit_code"]) == ("undecided", 4)
+    assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 20 ns")
+    (row,) = (row for row in maps.table(folder) if row["point"] == "limited")
+    assert row["status"] == "undecided"
+    with pytest.raises(StoreError, match="no impact is finished yet"):
+        coating.read(Result(folder / "limited"))
 
 
 @pytest.mark.slow

@@ -228,7 +228,7 @@ def test_the_command_draws_maps_with_their_points(finished, tmp_path, capsys) ->
 
     assert cli.main(["map", str(finished), "--out", str(tmp_path), "--show", "flattening_ratio", "velocity_ratio"]) == 0
     said = capsys.readouterr().out
-    assert "24 points: 22 done, 1 failed, 1 unfinished" in said
+    assert "24 points: 22 done, 0 undecided, 1 failed, 1 unfinished" in said
     assert "failed: an inverted element" in said
     assert "leaving one out" in said
     assert (tmp_path / "map.csv").is_file()

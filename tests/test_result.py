@@ -95,6 +95,19 @@ def test_fields(folder):
         result.fields(-1, "../particle")
 
 
+def test_a_history_that_has_lost_a_line_is_damaged(tmp_path):
+    with Store.create(tmp_path / "run", "") as store:
+        for k in range(4):
+            store.record({"time": 1e-9 * k, "kinetic": 1.0})
+        store.finish({"format": 2, "run": {}, "impacts": [{"end": {}}]})
+    path = tmp_path / "run" / "history.csv"
+    assert len(Result(tmp_path / "run").history("time")) == 4
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[:2] + lines[3:]))
+    with pytest.raises(StoreError, match="it has 3 rows, the run wrote 4"):
+        Result(tmp_path / "run").history()
+
+
 def test_history(folder):
     result = Result(folder)
     np.testing.assert_allclose(result.history("kinetic"), [10, 9, 8])

@@ -1,5 +1,7 @@
 """State from points to a mesh: exact sums, analytic fields, and no values out of nowhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,15 @@ def test_analytic_fields_come_over_within_three_per_cent(mesh) -> None:
     assert off(made["T"] - 300.0, heat(at_elements) - 300.0) < 0.03
     assert off(made["eps_p"], strain(at_elements)) < 0.03
     assert off(made["energy"], 1e9 * (1 + at_nodes[:, 2] ** 2)) < 0.03
+
+
+def test_no_temperature_falls_below_the_coldest_point(mesh) -> None:
+    """A hot layer on cold metal: neither the overshoot of the fit nor the shift that keeps the heat cools the rest."""
+    cloud, points, tets = mesh
+    cloud = replace(cloud, T=np.where(cloud.x[:, 2] < np.median(cloud.x[:, 2]), 900.0, 300.0))
+    made, _, errors = transfer(cloud, points, tets)
+    assert made["T"].min() >= 300.0
+    assert abs(errors["T"]) < 1e-12
 
 
 def test_mass_and_momenta_are_exact(mesh) -> None:

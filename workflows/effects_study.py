@@ -34,7 +34,7 @@ from pages import (
 )  # fmt: skip
 
 from coupler import Scene, run
-from coupler.errors import ColdsprayError
+from coupler.errors import ColdsprayError, SolverError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
@@ -118,6 +118,11 @@ def compute(text: str, effects: Effects) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         result = run(checked, Path(folder) / "run", threads=1)
         cpu = time.process_time() - start
+        missing = [
+            f"{key}: {result.refused.get(key, 'no value')}" for key in MEASURES.values() if getattr(result, key) is None
+        ]
+        if missing:
+            raise SolverError(f"no effect can be measured without {'; '.join(missing)}")
         values = {name: float(getattr(result, key)) for name, key in MEASURES.items()}
         values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
     return values

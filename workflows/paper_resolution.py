@@ -45,7 +45,8 @@ def main() -> None:
     rows = []
     for name, factor in WHOLE.items():
         unit = "%" if factor == 100.0 else "m/s" if name.endswith("m_s") else "K" if name.endswith("_K") else ""
-        values = {which: f"{factor * float(getattr(result, name)):.5g}" for which, result in results.items()}
+        numbers = {which: getattr(result, name) for which, result in results.items()}
+        values = {which: "" if n is None else f"{factor * n:.5g}" for which, n in numbers.items()}
         rows.append({"measure": name, "unit": UNITS.get(name, unit), **values})
     about = "remake: python workflows/paper_resolution.py; 25 um Ni on SS304 at 500 m/s, two ranks"
     write_table(TABLES / "paper_resolution.csv", rows, about)

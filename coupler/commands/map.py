@@ -51,7 +51,9 @@ def run(arguments: argparse.Namespace) -> int:
     out.mkdir(parents=True, exist_ok=True)
     for name in ("map.csv", *(drawn.name for drawn in out.glob("map_*.png"))):
         claim_file(out / name, (".csv", ".png"), force=arguments.force)
-    count = {status: sum(row["status"] == status for row in rows) for status in ("done", "failed", "unfinished")}
+    count = {
+        status: sum(row["status"] == status for row in rows) for status in ("done", "undecided", "failed", "unfinished")
+    }
     print(f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items()))
     for row in rows:
         if row["status"] != "done":

@@ -253,9 +253,9 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
     known = {"s": s, "heat": V0 / V0.sum() * domain.elements.heat[patch.elements].sum()}
     for name, spec in rows_of(ElementState).items():
         if not spec.notes.get("computed"):
-            values, floor = getattr(domain.elements, name), spec.notes.get("floor")
-            raw = at_elements(values[around])
-            raw = raw if floor is None else np.maximum(raw, floor)
+            values = getattr(domain.elements, name)
+            floor = spec.notes.get("floor", float(values[around].min()))
+            raw = np.maximum(at_elements(values[around]), floor)
             known[name] = with_sum(raw, V0, float(V0_before @ values[patch.elements]), floor)
 
     cut, free = patch.nodes[: patch.cut], slice(patch.cut, None)

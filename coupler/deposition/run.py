@@ -14,7 +14,7 @@ from ..errors import CheckpointError, ColdsprayError, is_first_rank
 from ..files import checkpoint
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
-from ..files.summary import Values
+from ..files.summary import Summary, Values, problem_of
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
@@ -209,17 +209,32 @@ class Deposition:
                     f"the checkpoint in {self.store.directory} is damaged: start anew with coldspray run --force"
                 )
             bodies = restored_target(self.plan, kept)
+            self._check_records(bodies)
         for i in range(len(self.records), len(self.plan.impacts)):
             bodies = self._impact(i, bodies, running)
             running = None
             if self.undecided:
                 break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-        standing = splats_at_end(
-            self.plan, [record.values["surface_level_m"] for record in self.records], self.joins, bodies
-        )
-        self.store.finish(summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks))
+        self.store.finish(self._summary(bodies))
         if not self.undecided:
             checkpoint.clear(self.store.directory)
+
+    def _summary(self, bodies: Bodies) -> Summary:
+        """The summary of the impacts so far, whose splats are `bodies`."""
+        levels = [record.values["surface_level_m"] for record in self.records]
+        standing = splats_at_end(self.plan, levels, self.joins, bodies)
+        return summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks)
+
+    def _check_records(self, bodies: Bodies) -> None:
+        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
+        try:
+            if self.records and (problem := problem_of(self._summary(bodies))) is not None:
+                raise ValueError(problem)
+        except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
+            raise CheckpointError(
+                f"the checkpoint in {self.store.directory} is damaged (its records: {type(error).__name__} {error}): start anew with"
+                " coldspray run --force"
+            ) from error
 
     def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> Bodies:
         """Impact i on the bodies, and the joining of its splat: the bodies of the next impact."""

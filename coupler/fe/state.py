@@ -30,8 +30,8 @@ class ElementState:
     """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
     the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners.
 
-    A remeshed patch takes its arrays over by moving least squares, with the same sum over reference volume and none below `floor`;
-    those with computed=True are computed by `deposition.remeshing` and `fe.patch`.
+    A remeshed patch takes its arrays over by moving least squares, with the same sum over reference volume and none below `floor`,
+    by default the least of the old ones; those with computed=True are computed by `deposition.remeshing` and `fe.patch`.
     """
 
     s: Annotated[np.ndarray, Rows(6, computed=True)]

@@ -168,8 +168,8 @@ class Result:
     def history(self, column: str | None = None) -> dict[str, NDArray[np.float64]] | NDArray[np.float64]:
         """Columns of history.csv: all as a dict of (rows,) arrays, or one of them; SI units.
 
-        A last line that was cut short is left out. Raises StoreError if the file is missing or damaged,
-        KeyError for an unknown column.
+        A last line that was cut short is left out. Raises StoreError if the file is missing or damaged, or has lost rows of a finished
+        run, KeyError for an unknown column.
         """
         path = self.directory / "history.csv"
         text = read_text(path)
@@ -183,6 +183,9 @@ class Result:
             values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(names))
         except (ValueError, csv.Error) as error:
             raise StoreError(f"{path} is damaged: {error}") from error
+        written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
+        if written != len(values):
+            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written}")
         table = {name: values[:, number] for number, name in enumerate(names)}
         if column is None:
             return table

@@ -209,8 +209,9 @@ class Store:
             self._rows.extend(values)
 
     def finish(self, summary: Mapping[str, object]) -> None:
-        """Write summary.json whole or not at all. Numbers that are not finite become null."""
-        text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
+        """Write summary.json whole or not at all, with the number of rows of the history. Numbers that are not finite become null."""
+        rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
+        text = json.dumps(_plain({**summary, **rows}), indent=2, allow_nan=False) + "\n"
         with _named(self.directory / SUMMARY):
             _replace(self.directory / SUMMARY, text)
 

@@ -19,13 +19,15 @@ Values = dict[str, Any]
 
 
 class Summary(TypedDict, total=False):
-    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them. SI units."""
+    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them; history_rows: of
+    history.csv. SI units."""
 
     format: int
     version: str
     run: Values
     impacts: list[Values]
     joins: list[Values]
+    history_rows: int
 
 
 def read_summary(path: Path) -> Summary:
@@ -39,12 +41,12 @@ def read_summary(path: Path) -> Summary:
             f"{path} has format {str(form)[:40]} (version {version}); formats 1 and {FORMAT} can be read: open it with that version,"
             " or compute the scene anew"
         )
-    if (problem := _problem(data)) is not None:
+    if (problem := problem_of(data)) is not None:
         raise StoreError(f"{path} is damaged: {problem}")
     return cast(Summary, data)
 
 
-def _problem(data: Mapping[str, object]) -> str | None:
+def problem_of(data: Mapping[str, object]) -> str | None:
     """What makes readers fail: a table or list that is missing or is something else."""
     impacts = data.get("impacts")
     if not isinstance(data.get("run"), dict):

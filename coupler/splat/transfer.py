@@ -3,7 +3,7 @@
 Linear moving least squares (Lancaster & Salkauskas 1981), then a correction that conserves sums. Velocities get the rigid
 motion a + omega x r that restores linear and angular momentum, and a scaling of the remainder that restores the kinetic energy.
 Temperature, plastic strain and energy get a uniform shift that restores their sum over the mass. No value leaves the range of
-the points it comes from by more than EXTRAPOLATION of that range.
+the points it comes from by more than EXTRAPOLATION of that range, and no temperature falls below that of the coldest point.
 """
 
 import numpy as np
@@ -113,7 +113,8 @@ def transfer(
         errors[name] = float(over @ corrected - mean) / span if span else 0.0
 
     if cloud.T is not None:
-        add_field("T", at_elements(cloud.T), share)
+        coldest = float(cloud.T.min())
+        add_field("T", np.maximum(at_elements(cloud.T), coldest), share, floor=coldest)
     if cloud.eps_p is not None:
         add_field("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
     if cloud.energy is not None:

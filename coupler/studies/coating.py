@@ -78,13 +78,13 @@ def read(result: Result) -> Splats:
         impact[counts[k - 1] : counts[k]] = k
     left = [counts[k] == counts[k - 1] for k in range(1, done)]
     last = None
-    if result.finished:
+    if result.finished and result.undecided is None:
         left.append(bool(result.summary["impacts"][-1]["rebounded"]))
         surface = result.fields(-1, "surface")
         last = None if left[-1] else (surface.points, surface.cells)
     elif not left:
         raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
-    impacts = plan.impacts[: len(left)]  # one that is still falling is not counted
+    impacts = plan.impacts[: len(left)]  # one that is still falling, or undecided, is not counted
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)

@@ -38,8 +38,8 @@ Row = dict[str, Any]
 def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
-    status: "done", "failed" (then `reason` says why) or "unfinished"; measures, as in the summaries, of points that are not done
-    are missing. verdict: of the run; version: of the program that computed the run. Raises
+    status: "done", "failed" or "undecided" (then `reason` says why), or "unfinished"; measures, as in the summaries, of points that
+    are not done are missing. verdict: of the run; version: of the program that computed the run. Raises
     StoreError if the folder is not there or holds no point.
     """
     folder = Path(folder)
@@ -78,7 +78,8 @@ def _row(folder: Path, name: str) -> Row:
     if len(plan.impacts) > 1:
         return row | {"status": "failed", "reason": f"has {len(plan.impacts)} impacts; a point of a map is one"}
     impact = plan.impact
-    row |= {"status": "done", "version": str(values["version"]), "reason": result.undecided or ""}
+    status = "done" if result.undecided is None else "undecided"
+    row |= {"status": status, "version": str(values["version"]), "reason": result.undecided or ""}
     row |= {"material": impact.material.name, "substrate": plan.target.material.name}
     row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
     row |= {key: _number(values.get(key)) for key in MEASURES}

@@ -36,6 +36,7 @@ SUBSTRATE = (8.0, 4.0)  # diameter and height over the particle's diameter: 200 
 _KEYS = ("name", "points", "scene")
 _POINT_KEYS = ("material", *AXES, "substrate_diameter", "substrate_height")
 _STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+_STATUS = {0: "done", 4: "undecided"}  # by the exit code of a run; "failed" else
 _EXAMPLES = {
     "material": '["Ni"]',
     "diameter": '["10 um", "25 um"]',
@@ -153,7 +154,7 @@ def point_name(material: str, diameter: float, velocity: float, temperature: flo
 def compute(scene: Path, status: Path) -> dict[str, object]:
     """Run a scene into the folder of its name, or go on there, on one core; write how it ended to `status` and return it.
 
-    {"status": "done" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
+    {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
     KeyboardInterrupt and leaves no status, so that the next attempt goes on with it.
     """
     folder = scene.with_suffix("")
@@ -171,7 +172,7 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     code = run.returncode
     if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
         raise KeyboardInterrupt
-    ended = {"status": "failed" if code else "done", "reason": _reason(code, errors), "exit_code": code}
+    ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
     with replacing(status) as part:
         part.write_text(json.dumps(ended, indent=1) + "\n", encoding="utf-8")
     return ended
@@ -287,7 +288,7 @@ def _begun(scene: Path, folder: Path) -> bool:
 
 
 def _reason(code: int, errors: str) -> str:
-    """The message of a run that failed: from its last line with the program's name, or the signal that killed it."""
+    """The message of a run that failed or is undecided: from its last line with the program's name, or the signal that killed it."""
     if code == 0:
         return ""
     if code < 0:
