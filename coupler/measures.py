@@ -13,6 +13,9 @@ T = TypeVar("T")
 EPS_P_LIMIT = 20.0
 SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows the points no better
 PLASTIC_SHARE_LIMIT = 0.05  # dissipation of the particle's scheme over its plastic work beyond which a run warns
+# A surface that lies a thirtieth of a sphere's diameter too deep all round encloses a fifth less (dV / V = 6 d / D).
+SURFACE_VOLUME_LIMIT = 0.2
+OF_THE_SURFACE = ("flattening_ratio", "flattening_ratio_total", "height_m", "thickness_m", "splat_diameter_m")
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
@@ -33,7 +36,7 @@ class Measure:
     """One measure. key: its name in files, where its value is SI; label: in tables; short: in one line beside others.
 
     unit, factor: in which people read it, and the factor from SI; from the ending of the key unless said. low, high: the range
-    that follows from the definition; sphere_only: that range holds for particles that are spheres; beyond: the reason for it.
+    that follows from the definition; beyond: the reason for it.
     expected, unusual: values outside `expected` are possible, and `unusual` (below, above) says what they mean.
     converges: True with a band at each resolution; False for local maxima; None for what has no resolution.
     """
@@ -46,7 +49,6 @@ class Measure:
     factor: float = 0.0
     low: float = -math.inf
     high: float = math.inf
-    sphere_only: bool = False
     beyond: str = "outside the range of its definition"
     expected: tuple[float, float] = (-math.inf, math.inf)
     unusual: tuple[str, str] = ("", "")
@@ -65,11 +67,11 @@ class Measure:
         """The value that errors and bands are relative to: the initial temperature T_0 (K) of temperatures, else zero."""
         return T_0 if self.key.startswith("T_") else 0.0
 
-    def refusal(self, value: float, shape: str = "sphere") -> str | None:
-        """The reason why a value lies outside the range; None if it is inside. shape: of the particle."""
+    def refusal(self, value: float) -> str | None:
+        """The reason why a value lies outside the range; None if it is inside."""
         if not math.isfinite(value):
             return "not a number"
-        if (self.sphere_only and shape != "sphere") or self.low <= value <= self.high:
+        if self.low <= value <= self.high:
             return None
         side, limit = ("below", self.low) if value < self.low else ("above", self.high)
         return (
@@ -94,8 +96,13 @@ TABLE = (
         ),
     ),
     Measure(
-        "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, low=-SHAPE_TOLERANCE, high=1.0,
-        sphere_only=True, beyond="an impact makes a sphere thinner, and its thickness stays above zero",
+        "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, high=1.0, beyond="no thickness is left",
+        expected=(-SHAPE_TOLERANCE, 1.0),
+        unusual=("it is higher from its lowest to its highest point than its diameter, as a cup that lines its crater or a rod", ""),
+    ),
+    Measure(
+        "surface_volume_error", "volume inside the surface, off that of the points", SHAPE, unit="%", factor=100.0,
+        low=-SURFACE_VOLUME_LIMIT, high=SURFACE_VOLUME_LIMIT, beyond="the surface no longer follows the points: take more points",
     ),
     Measure("height_m", group=SHAPE),
     Measure("thickness_m", group=SHAPE, low=0.0),
@@ -160,13 +167,18 @@ def measure(key: str) -> Measure:
     return MEASURES.get(key) or Measure(key, group=TARGET if key.startswith(("target", "plastic")) else RUN)
 
 
-def within_range(values: Mapping[str, T], shape: str) -> tuple[dict[str, T | None], dict[str, str]]:
-    """Values with None for those outside the range of their measure, and the reasons by key. shape: of the particle."""
+def within_range(values: Mapping[str, T]) -> tuple[dict[str, T | None], dict[str, str]]:
+    """Values with None for those outside the range of their measure, and the reasons by key.
+
+    Measures of a surface that does not follow the points are outside it too.
+    """
     reasons = {
         key: reason
         for key, value in values.items()
-        if isinstance(value, float | int) and (reason := measure(key).refusal(value, shape)) is not None
+        if isinstance(value, float | int) and (reason := measure(key).refusal(value)) is not None
     }
+    if (reason := reasons.get("surface_volume_error")) is not None:
+        reasons |= dict.fromkeys([key for key in OF_THE_SURFACE if key in values], reason)
     return {key: None if key in reasons else value for key, value in values.items()}, reasons
 
 

@@ -42,14 +42,24 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
     assert plastic_zone(target) == (0.0, 0.0)
 
 
-def test_only_the_whole_flattening_of_a_sphere_is_bound() -> None:
+def test_what_flattening_may_be() -> None:
+    """No thickness is below zero; a particle that lines its crater as a cup is higher than the sphere was, which is a remark."""
     assert measure("flattening_ratio_total").refusal(0.37) is None
     assert "above 1" in (measure("flattening_ratio_total").refusal(1.76) or "")
-    assert measure("flattening_ratio_total").refusal(-0.2, shape="rod") is None
+    assert measure("flattening_ratio_total").refusal(-0.29) is None
+    assert "cup that lines its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
     assert measure("flattening_ratio").refusal(1.2) is None
     assert "embedded" in (measure("flattening_ratio").remark(1.2) or "")
     assert "rod" in (measure("flattening_ratio").remark(-0.06) or "")
     assert measure("flattening_ratio").remark(0.5) is None
+
+
+def test_a_surface_that_does_not_follow_its_points_gives_no_shape() -> None:
+    values = {"surface_volume_error": -0.29, "flattening_ratio": 0.5, "height_m": 1e-6, "crater_depth_m": 2e-6}
+    kept, reasons = within_range(values)
+    assert kept == {**dict.fromkeys(values), "crater_depth_m": 2e-6}
+    assert reasons["height_m"] == "-29 is below -20 %: the surface no longer follows the points: take more points"
+    assert within_range(values | {"surface_volume_error": -0.1})[1] == {}
 
 
 def test_a_strain_beyond_the_scheme_is_refused() -> None:
@@ -66,11 +76,10 @@ def test_values_outside_their_range_have_a_reason() -> None:
         "velocity_z_m_s": math.inf,
         "material": "Ni",
     }
-    kept, reasons = within_range(values, "sphere")
+    kept, reasons = within_range(values)
     assert kept == {**values, "eps_p_max": None, "flattening_ratio_total": None, "velocity_z_m_s": None}
     assert reasons.keys() == {"eps_p_max", "flattening_ratio_total", "velocity_z_m_s"}
-    assert "flattening_ratio_total" not in within_range(values, "rod")[1]
-    assert within_range({"rebounded": None, "restitution": 0.0}, "sphere") == (
+    assert within_range({"rebounded": None, "restitution": 0.0}) == (
         {"rebounded": None, "restitution": 0.0},
         {},
     )

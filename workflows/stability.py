@@ -51,7 +51,7 @@ dissipation, melting); *undecided*, the run says that it did not come to rest; *
   {verify.ELASTIC:.0%} (of the initial kinetic energy), and heat is the share of plastic work that heats, and friction, within
   {verify.HEAT:.0%};
 - each body changes its volume as its pressure says within {verify.VOLUME:.1%}, a splat has that of its mass within {verify.JOINED:.0%},
-  the particle's surface encloses that of its points within {verify.SKIN:.0%};
+  the particle's surface encloses that of its points within {verify.SKIN:.0%}, or the summary has no measure of its shape;
 - the particle has touched, the contact force has taken its momentum, no point of its surface is deeper than a spacing in the target,
   and at rest it does not sink;
 - no von Mises stress is above the law's, no temperature below that at the start, none above melting without a warning;

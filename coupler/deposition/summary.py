@@ -35,7 +35,7 @@ def summary(
     undecided = impacts[-1]["undecided"]
     for i, shape in enumerate(standing):
         refused = dict(impacts[i]["refused"])
-        at_end = accepted(shape, plan.impacts[i].shape, refused, "at_end.") if shape is not None else None
+        at_end = accepted(shape, refused, "at_end.") if shape is not None else None
         if undecided is not None and at_end is not None:  # the target that it lies in is not at rest
             at_end, refused["at_end"] = None, undecided
         impacts[i] = {**impacts[i], "at_end": at_end, "refused": refused}

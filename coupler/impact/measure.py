@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from ..fe.explicit import Target
+from ..geometry.triangles import enclosed_volume
 from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface, shape_measures
@@ -70,7 +71,10 @@ def measure(
     particle, target: the two domains; surface: the particle's carried surface; surface_nodes: nodes of the target
     that can be touched; diameter: the particle's, m.
     """
-    m = shape_measures(surface.positions(particle.x) - [0.0, 0.0, level], diameter)
+    rho = float(particle.law["rho"][0])
+    skin = surface.positions(particle.x) - [0.0, 0.0, level]
+    m = shape_measures(skin, diameter)
+    m["surface_volume_error"] = enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.J) - 1.0
     m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))

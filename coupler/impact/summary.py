@@ -94,10 +94,9 @@ def summarise(
         unknown = [key for key in NEEDS_REST if key in own]
         own |= dict.fromkeys(unknown)
         refused = dict.fromkeys([*unknown, *(f"end.{key}" for key in end if key != "time_s")], undecided)
-    shape = impact_plan.shape
-    own = accepted(own, shape, refused)
-    end = accepted(end, shape, refused, "end.")
-    greatest = accepted(recorder.greatest, shape, refused, "greatest.") if recorder.greatest is not None else None
+    own = accepted(own, refused)
+    end = accepted(end, refused, "end.")
+    greatest = accepted(recorder.greatest, refused, "greatest.") if recorder.greatest is not None else None
     bands = half_widths(impact_plan.bands, {**end, **own}, impact_plan.temperature)
     return ImpactRecord(
         {**own, "greatest": greatest, "end": end, "refused": refused, "bands": bands},
@@ -107,9 +106,9 @@ def summarise(
     )
 
 
-def accepted(values: Mapping[str, V], shape: str, refused: dict[str, str], block: str = "") -> dict[str, V | None]:
+def accepted(values: Mapping[str, V], refused: dict[str, str], block: str = "") -> dict[str, V | None]:
     """The values, None for those outside their range. The reason is added to `refused`, under the key after `block`."""
-    kept, reasons = within_range(values, shape)
+    kept, reasons = within_range(values)
     refused |= {block + key: reason for key, reason in reasons.items()}
     return kept
 
