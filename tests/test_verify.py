@@ -1,0 +1,140 @@
+"""The independent check of results (workflows/verify.py) finds each kind of fault in files that were tampered with."""
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import verify
+from runs import SharedRuns
+from scenes import SHORT, SHORT_DOUBLE, WHOLE
+
+from coupler import Result
+
+Change = Callable[[np.ndarray], np.ndarray]
+Tamper = Callable[[Path], None]
+
+
+def field(domain: str, name: str, change: Change, step: int = -1) -> Tamper:
+    """Change "Points" or a field ("PointData/T") of a domain from a step on."""
+
+    def tamper(folder: Path) -> None:
+        with h5py.File(folder / f"{domain}.vtkhdf", "r+") as file:
+            root = file["VTKHDF"]
+            group, _, last = name.rpartition("/")
+            offsets = root[f"Steps/{group}Offsets/{last}" if group else "Steps/PointOffsets"]
+            start = int(np.ravel(offsets)[step])
+            root[name][start:] = change(root[name][start:])
+
+    return tamper
+
+
+def column(name: str, change: Change) -> Tamper:
+    """Change a column of the history."""
+
+    def tamper(folder: Path) -> None:
+        with open(folder / "history.csv", newline="") as stream:
+            head, *rows = csv.reader(stream)
+        at = head.index(name)
+        changed = change(np.array([float(row[at]) for row in rows]))
+        for row, value in zip(rows, changed, strict=True):
+            row[at] = repr(float(value))
+        (folder / "history.csv").write_text("\n".join(map(",".join, [head, *rows])) + "\n")
+
+    return tamper
+
+
+def record(block: str, name: str, change: Callable[[float], float]) -> Tamper:
+    """Change a measure of the summary."""
+
+    def tamper(folder: Path) -> None:
+        path = folder / "summary.json"
+        summary = json.loads(path.read_text())
+        table = summary["impacts"][-1][block] if block else summary["impacts"][-1]
+        table[name] = change(table[name])
+        path.write_text(json.dumps(summary))
+
+    return tamper
+
+
+def at(index: int, value: float) -> Change:
+    """One value set."""
+
+    def change(values: np.ndarray) -> np.ndarray:
+        values[index] = value
+        return values
+
+    return change
+
+
+def about_centre(factor: float) -> Change:
+    return lambda x: x.mean(axis=0) + factor * (x - x.mean(axis=0))
+
+
+def inside_out(x: np.ndarray) -> np.ndarray:
+    """The highest node of the target moved far below it."""
+    x[np.argmax(x[:, 2]), 2] -= 200e-6
+    return x
+
+
+FAULTS: dict[str, tuple[Tamper, str]] = {
+    "a temperature that is no number": (field("particle", "PointData/T", at(3, np.nan)), "particle, step 5: T is not a number"),
+    "a history that is no number": (column("drift", lambda c: at(2, np.nan)(c)), "history: drift is not a number"),
+    "a negative strain": (field("target", "CellData/eps_p", at(0, -0.1)), "a plastic strain is negative"),
+    "a strain that falls": (field("particle", "PointData/eps_p", lambda e: 0.5 * e), "plastic strain of the particle fell"),
+    "an energy": (column("plastic_target", lambda c: 1.1 * c), "columns do not add up"),
+    "an open ledger": (column("drift", lambda c: c + 0.02), "the energy ledger is open"),
+    "momentum": (column("momentum_error", lambda c: c + 1e-8), "momentum: 1e-08"),
+    "no contact": (column("contact_force", np.zeros_like), "the particle never touched"),
+    "an impulse": (column("contact_force", lambda c: 4.0 * c), "impulse of the contact force"),
+    "an inverted element": (field("target", "Points", inside_out), "an element of the target is inverted"),
+    "a swollen target": (field("target", "Points", about_centre(1.01)), "volume of body 0 against its pressure"),
+    "a shrunken surface": (field("surface", "Points", about_centre(0.9)), "volume inside the particle's surface"),
+    "a sunken surface": (field("surface", "Points", lambda x: x - [0, 0, 8e-6]), "lies inside the target"),
+    "velocities": (field("particle", "PointData/velocity", lambda v: 1.1 * v), "kinetic energy of the particle"),
+    "stresses": (field("target", "CellData/stress", lambda s: 3.0 * s), "elastic energy of the target"),
+    "a stress above the law": (field("target", "CellData/von_mises", lambda s: 3.0 * s), "von Mises stress of the target"),
+    "a cold point": (field("particle", "PointData/T", at(0, 250.0)), "colder than all at the start"),
+    "molten metal": (field("target", "CellData/T", at(0, 2000.0)), "T over T_m, without a warning"),
+    "heat": (field("particle", "PointData/T", lambda T: T + 40.0), "heat against plastic work"),
+    "a measure of shape": (record("end", "thickness_m", lambda h: 1.02 * h), "thickness_m is"),
+    "a measure of heat": (record("end", "T_max_K", lambda T: T + 5.0), "T_max_K is"),
+    "a strain beyond the scheme": (field("target", "CellData/eps_p", at(0, 30.0)), "target_eps_p_max 30 is a number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_a_fault_is_found(shared_run: SharedRuns, tmp_path: Path, kind: str) -> None:
+    tamper, expected = FAULTS[kind]
+    copy = tmp_path / "run"
+    scene = WHOLE if kind == "an impulse" else SHORT  # it takes many rows with contact
+    shutil.copytree(shared_run(scene).directory, copy)
+    tamper(copy)
+    assert any(expected in fault for fault in verify.check(Result(copy)).faults)
+
+
+def test_a_good_result_has_no_fault_and_a_splat_of_another_volume_is_found(
+    shared_run: SharedRuns, tmp_path: Path
+) -> None:
+    """Of two impacts, whose first splat is body 1 of the target."""
+    result = shared_run(SHORT_DOUBLE)
+    assert verify.check(result).faults == []
+    copy = tmp_path / "run"
+    shutil.copytree(result.directory, copy)
+    steps = result.times("target")
+    second = next(k for k in range(len(steps)) if result.fields(k, "target").data["body"].max() == 1)
+    f = result.fields(second, "target")
+    own = np.unique(f.cells[f.data["body"] == 1])
+
+    def swell(x: np.ndarray) -> np.ndarray:
+        each = x.reshape(len(steps) - second, len(f.points), 3)
+        middle = each[:, own].mean(axis=1, keepdims=True)
+        each[:, own] = middle + 1.03 * (each[:, own] - middle)
+        return each.reshape(x.shape)
+
+    field("target", "Points", swell, second)(copy)
+    assert any("volume of splat 1 against its mass" in fault for fault in verify.check(Result(copy)).faults)
