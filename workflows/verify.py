@@ -338,7 +338,7 @@ class _ImpactCheck:
             self.hold(kind, off, {"kinetic": KINETIC, "elastic": ELASTIC}[kind], f"{kind} energy of the {body}")
 
     def heat(self) -> None:
-        """Rise of temperature against plastic work, friction and torn bonds: conduction only moves it."""
+        """Rise of temperature against plastic work, dissipation, friction and torn bonds: conduction only moves it."""
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
         stored = 0.0  # by the impacts before
@@ -356,6 +356,8 @@ class _ImpactCheck:
             low = high = 0.0
         if self.effects.friction_heat:  # of bonds only what tears becomes heat
             high += work[2] + max(float(self.rows["bond"][-1]), 0.0)
+        if self.effects.dissipation_heat:
+            high += max(float(self.rows["numerical_particle"][-1] + self.rows["numerical_target"][-1]), 0.0)
         excess = max(warmed - high, low - warmed, 0.0) / (sum(work) + 0.01 * self.energy + STORED_HEAT * stored)
         self.hold("heat", excess, HEAT, "heat against plastic work")
 
