@@ -5,6 +5,7 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
+from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Annotated
@@ -21,6 +22,7 @@ from ..state.records import Shape, assign, check_indices, collect
 from .bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
+from .exposure import Exposure, ExposureState, softer_strength
 from .ledger import Ledger, LedgerState
 
 WINDOW = (
@@ -42,6 +44,7 @@ class ImpactState:
     deepest: float
     limits: dict[str, int]
     force: Annotated[np.ndarray, Shape(3)]
+    exposure: ExposureState | None
 
 
 class Impact:
@@ -71,6 +74,7 @@ class Impact:
         self.deepest = 0.0
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
         self.hold: Hold | None = None
+        self.exposure: Exposure | None = None
         self.dt_factor = 1.0
 
     def close(self) -> None:
@@ -172,6 +176,12 @@ class Impact:
         if self.hold is not None:
             self.paths.release_fracture(self.particle, self.target, self.surface, self.contact.share, self.hold)
 
+    def expose(self, threshold: float) -> None:
+        """Take note of the clean metal that this window has exposed. threshold: exposure at which the oxide cracks."""
+        if self.exposure is None:
+            self.exposure = Exposure(self.domains)
+        self.exposure.update(self.domains, threshold)
+
     def bond(self, adhesion: Adhesion, velocity_ratio: float | None) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
@@ -190,10 +200,17 @@ class Impact:
         stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]
         pressure = self.contact.stiffness * self.contact.depth[rows] / area
-        chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
+        if self.exposure is not None:
+            sound = self.exposure.sound[rows]
+            chosen = (sound > 0.0) & (area > 0.0)
+            strength = softer_strength(self.domains, rows[chosen], facets[chosen])
+            law: Mapping[str, float | np.ndarray] = adhesion.law_by_exposure(sound[chosen], strength)
+        else:
+            chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
+            law = adhesion.law()
         if chosen.any():
             rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
-            later = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **adhesion.law())
+            later = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **law)
             self.hold = (later if self.hold is None else self.hold.joined(later)).on(s.triangles)
 
     def _pressed(self, rows: np.ndarray) -> np.ndarray:
@@ -220,7 +237,10 @@ class Impact:
         self.contact.restore(state.contact)
         self.ledger.restore(state.ledger)
         assign(self, state)
-        self.hold = None
+        self.hold = self.exposure = None
+        if state.exposure is not None:
+            self.exposure = Exposure(self.domains)
+            self.exposure.restore(state.exposure)
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
             self.hold = Hold.from_state(state.hold).on(self.surface.triangles)

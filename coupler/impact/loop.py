@@ -24,6 +24,8 @@ def advance_to_end(
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
+        if adhesion.criterion == "exposure":
+            impact.expose(adhesion.threshold or 0.0)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above)
         if ending.turned is not None:

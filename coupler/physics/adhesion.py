@@ -11,9 +11,10 @@ from ..errors import ColdsprayError, SceneError
 from .materials import Material
 
 Kind = Literal["none", "tied", "cohesive"]
-Criterion = Literal["all", "plastic_strain", "pressure", "velocity"]
+Criterion = Literal["all", "plastic_strain", "pressure", "velocity", "exposure"]
 
 ROOM = 293.0  # K, at which the tensile strength of Schmidt's formula is taken
+EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that brings metal through a crack, over its flow stress
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
 HELD_STIFFNESS = (
     1.0  # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
@@ -56,6 +57,21 @@ def _tensile_strength(material: Material) -> float:
     return material.sigma_TS
 
 
+def sound_fraction(exposed: np.ndarray, threshold: float, pressure: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Share (n,) of an interface at which clean metal has bonded to clean metal: the film theory of cold pressure welding.
+
+        f = (Y - Y') / (1 - Y') min((p - p_E) / sigma_0, 1),   Y = 1 - A_0 / A,   p_E = 2 sigma_0 / sqrt(3)
+
+    The brittle film cracks at the exposure Y' (threshold) and does not stretch; metal comes through the cracks under a pressure
+    above p_E and meets that of the other side. exposed Y (n,); pressure p, strength sigma_0 (n,) Pa: flow stress of the softer
+    metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: a strength that grows with surface exposure and
+    normal pressure; the linear form is quoted at second hand. p_E is the least value that plasticity allows, plane strain yield
+    below a crack free of traction; Bay's is from slip lines.
+    """
+    clean = np.clip((exposed - threshold) / (1.0 - threshold), 0.0, 1.0)
+    return clean * np.clip(pressure / strength - EXTRUSION, 0.0, 1.0)
+
+
 def stored_at_strength(strength: float, stiffness: float) -> float:
     """Energy (J/m2) that a cohesive spring holds at its strength (Pa), at a stiffness in Pa/m: a bond's fracture energy cannot be less,
     unless it is 0 (brittle)."""
@@ -70,7 +86,9 @@ class Adhesion:
     fracture energy are spent). strength Pa, energy J/m2: in tension; the shear ones are equal to them unless given. energy 0
     is brittle. criterion, which of the nodes in contact are bonded: "all" of them, those where the "plastic_strain" at
     the interface or the "pressure" (Pa) of contact has come to the threshold, or all or none by the "velocity" of impact over
-    the critical one (threshold 1 unless given). Thresholds of strain and pressure hang on the pair of metals and on the
+    the critical one (threshold 1 unless given), or by "exposure" (cohesive only): the share of each place that has bonded by
+    `sound_fraction`, with the strength of the softer metal there and the energy times this share; the threshold is the
+    exposure at which the oxide cracks, 0 unless given. Thresholds of strain and pressure hang on the pair of metals and on the
     mesh, no published one holds in general, and there is no default. Raises SceneError with every problem.
     """
 
@@ -91,7 +109,10 @@ class Adhesion:
         law = ("strength", "energy", "shear_strength", "shear_energy")
         for name in law:
             value = getattr(self, name)
-            if self.kind == "cohesive" and value is None and name in ("strength", "energy"):
+            if self.criterion == "exposure" and "strength" in name:
+                if value is not None:
+                    problems.append(f'{name} has no effect with criterion = "exposure": it is that of the softer metal')
+            elif self.kind == "cohesive" and value is None and name in ("strength", "energy"):
                 problems.append(f'{name} is needed by kind = "cohesive"')
             elif self.kind != "cohesive" and value is not None:
                 problems.append(f'{name} has no effect with kind = "{self.kind}": leave it out, or choose "cohesive"')
@@ -99,6 +120,10 @@ class Adhesion:
                 problems.append(f"{name} must be positive{', or 0 for a brittle bond' if 'energy' in name else ''}")
         if self.criterion in ("plastic_strain", "pressure") and self.threshold is None:
             problems.append(f'threshold is needed by criterion = "{self.criterion}"')
+        if self.criterion == "exposure" and self.kind == "tied":
+            problems.append('criterion = "exposure" needs kind = "cohesive": bonds by exposure have a strength')
+        if self.criterion == "exposure" and self.threshold is not None and self.threshold >= 1.0:
+            problems.append("threshold of exposure must be below 1")
         if self.threshold is not None and self.criterion == "all":
             problems.append('threshold has no effect with criterion = "all": leave it out, or choose another criterion')
         if self.threshold is not None and not (self.threshold > 0.0 and math.isfinite(self.threshold)):
@@ -144,6 +169,11 @@ class Adhesion:
         if self.kind == "none":
             return "none, contact and friction only"
         text: str = self.kind
+        if self.criterion == "exposure":
+            cracks = f", oxide cracks at an exposure of {self.threshold or 0.0:g}"
+            return (
+                f"{text}, {units.rounded(self.energy or 0.0, 'J/m2')} of sound metal, by exposure and pressure{cracks}"
+            )
         if self.strength is not None and self.energy is not None:
             text += f", {units.rounded(self.strength, 'MPa')} and {units.rounded(self.energy, 'J/m2')}"
             shear = (self.shear_strength, "MPa"), (self.shear_energy, "J/m2")
@@ -162,3 +192,9 @@ class Adhesion:
         """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""
         names = ("strength", "energy", "shear_strength", "shear_energy")
         return {name: float(value) for name in names if (value := getattr(self, name)) is not None}
+
+    def law_by_exposure(self, sound: np.ndarray, strength: np.ndarray) -> dict[str, np.ndarray]:
+        """The same for n places by "exposure". sound (n,): bonded share; strength (n,) Pa: of the softer metal there, in tension; in
+        shear by von Mises."""
+        energies = {name: value * sound for name, value in self.law().items()}
+        return energies | {"strength": strength * sound, "shear_strength": strength * sound / math.sqrt(3.0)}

@@ -1,0 +1,88 @@
+"""Bonds by exposure and pressure: the film theory's limits, what an impact accumulates, and its bonds in a run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs import Stopped
+from scenes import scene
+from test_scene import problems_with, scene_with
+
+from coupler import Result, Scene, run
+from coupler.deposition.run import resume
+from coupler.impact.exchange import Impact
+from coupler.physics.adhesion import EXTRUSION, sound_fraction
+
+EXPOSURE = '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\nenergy = "100 J/m2"\nthreshold = 0.1\n'
+TEXT = scene(("OFHC_Cu", 20, 600), spacing=2.7, element_size=4.0, diameter=100, height=50, more=EXPOSURE)
+
+
+def test_clean_metal_under_pressure_bonds_and_nothing_else_does() -> None:
+    """f = (Y - Y') / (1 - Y') min((p - p_E) / sigma_0, 1)."""
+    sigma = 400e6
+
+    def f(exposed: float, threshold: float, pressure: float) -> float:
+        return float(sound_fraction(np.array([exposed]), threshold, np.array([pressure]), np.array([sigma]))[0])
+
+    assert f(0.5, 0.0, EXTRUSION * sigma) == 0.0
+    assert f(0.5, 0.0, (EXTRUSION + 0.5) * sigma) == pytest.approx(0.25)
+    assert f(0.5, 0.0, (EXTRUSION + 3.0) * sigma) == pytest.approx(0.5)
+    assert f(0.5, 0.2, 1e10) == pytest.approx(0.375)
+    assert f(0.2, 0.2, 1e10) == 0.0
+    assert f(-0.3, 0.0, 1e10) == 0.0
+
+
+def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
+    table = {"kind": "cohesive", "criterion": "exposure", "energy": "100 J/m2"}
+    law = scene_with(adhesion=table).derived.adhesion_law
+    assert law.in_impact
+    assert law.words == "cohesive, 100 J/m2 of sound metal, by exposure and pressure, oxide cracks at an exposure of 0"
+    own = law.law_by_exposure(np.array([0.5, 1.0]), np.array([4e8, 6e8]))
+    assert own["strength"].tolist() == [2e8, 6e8]
+    assert own["energy"].tolist() == [50.0, 100.0]
+    assert own["shear_strength"] == pytest.approx(own["strength"] / np.sqrt(3.0))
+    for change, says in (
+        ({"strength": "300 MPa"}, "that of the softer metal"), ({"kind": "tied"}, "needs kind"), ({"threshold": 1.0}, "below 1"),
+    ):  # fmt: skip
+        assert any(says in problem for problem in problems_with(adhesion=table | change))
+
+
+@pytest.fixture(scope="module")
+def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str, np.ndarray]]:
+    seen: dict[str, np.ndarray] = {}
+
+    def probe(impact: Impact) -> None:
+        e = impact.exposure
+        if e is not None and "exposed" in seen:
+            assert np.all(e.exposed >= seen["exposed"])
+            assert np.all(e.sound >= seen["sound"])
+        if e is not None:
+            seen.update(exposed=e.exposed.copy(), sound=e.sound.copy())
+        if impact.hold is not None and "strength" not in seen:
+            seen["rows"], seen["strength"] = impact.hold.rows, impact.hold.bond.strength[:, 0].copy()
+
+    folder = tmp_path_factory.mktemp("exposure")
+    return run(Scene.from_text(TEXT, "exposure"), folder / "out", probe=probe), seen
+
+
+def test_an_impact_exposes_metal_and_bonds_it(exposed: tuple[Result, dict[str, np.ndarray]]) -> None:
+    result, seen = exposed
+    assert 0.1 < seen["exposed"][seen["rows"]].mean() < 0.9
+    assert np.all(seen["sound"] <= np.clip((seen["exposed"] - 0.1) / 0.9, 0.0, 1.0) + 1e-12)
+    assert np.ptp(seen["strength"]) > 50e6  # each place has its own bond
+    assert seen["strength"].max() < 600e6  # no more than work-hardened copper bears
+    assert result.verdict in ("sticks", "rebounds")
+    assert result.bonded_area_m2 > 0.0
+    assert abs(result.energy_drift) < 5e-3
+
+
+def test_it_goes_on_from_a_checkpoint(exposed: tuple[Result, dict[str, np.ndarray]], tmp_path: Path) -> None:
+    def stop(impact: Impact) -> None:
+        if impact.exposure is not None and impact.exposure.sound.any() and impact.hold is None and impact.time > 20e-9:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(Scene.from_text(TEXT, "exposure"), tmp_path / "out", probe=stop, checkpoint_every=0.0)
+    again = resume(tmp_path / "out")
+    for name in ("bonded_area_m2", "bonded_area_end_m2", "velocity_z_m_s"):
+        assert again.values[name] == pytest.approx(exposed[0].values[name], rel=1e-9), name
