@@ -1,5 +1,7 @@
 """Springs between a particle's surface and the target: opening from zero gap, slip under pressure, energy of fracture."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from blocks import cubes
@@ -229,7 +231,7 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
             return heat
 
     points, T = Points(), t.T.copy()
-    HeatPaths().release_fracture(points, t, points, share, hold)
+    HeatPaths(points, t, points, SimpleNamespace(share=share)).release_fracture(hold)
     law = t.laws[t.law_of]
     gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.T - T)))
     assert points.heat.sum() == pytest.approx(share * ENERGY * area.sum(), rel=0.01)

@@ -142,11 +142,12 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     under = top[np.argmin(np.linalg.norm(vertices[foot, None, :2] - middle[None, :, :2], axis=2), axis=1)]
     p = SimpleNamespace(x=X, T=np.full(len(X), 600.0), law=upper, spacing=body.spacing)
     p.warm = lambda heat: p.T.__iadd__(heat / (RHO * CP * body.volume))
-    paths = HeatPaths(True, PointConduction(X, body.spacing, np.full(len(X), body.volume), upper), True)
     contact = SimpleNamespace(touching=lambda first: (foot, under))
+    inside = PointConduction(X, body.spacing, np.full(len(X), body.volume), upper)
+    paths = HeatPaths(p, t, surface, contact, True, inside, True)
     time, steps = 0.3**2 / ALPHA, 60
     for _ in range(steps):
-        paths.flow(time / steps, p, t, surface, contact)
+        paths.flow(time / steps)
         t.conduction.conduct(time / steps, len(m.points), len(m.conn), m.points, m.V0, t.T, t.heat, t.sigma_y)
     gained = 15600.0 * CP * float(m.V0 @ (t.T - 300.0))
     lost = RHO * CP * body.volume * float(np.sum(600.0 - p.T))

@@ -23,21 +23,8 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..progress import Progress
 
-# shared library that a wheel expects from the system -> Debian package
-_PACKAGES = {
-    "libGLU.so.1": "libglu1-mesa",
-    "libXft.so.2": "libxft2",
-    "libXcursor.so.1": "libxcursor1",
-    "libXinerama.so.1": "libxinerama1",
-    "libXrender.so.1": "libxrender1",
-    "libXext.so.6": "libxext6",
-    "libXfixes.so.3": "libxfixes3",
-    "libfontconfig.so.1": "libfontconfig1",
-    "libgomp.so.1": "libgomp1",
-    "libX11.so.6": "libx11-6",
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-}
+# shared libraries that a wheel expects from the system
+_SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
@@ -75,12 +62,13 @@ def missing_library(error: Exception) -> str | None:
     """The remedy for an import without its shared library or package; None for another error."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
         return f"the Python package {error.name} is missing: set the environment up again with `make setup`"
-    match = re.match(r"(\S+\.so[.\d]*): cannot open shared object file", str(error))
+    match = re.match(r"((?:lib)?(\S+)\.so[.]?([.\d]*)): cannot open shared object file", str(error))
     if match is None:
         return None
-    library = match.group(1)
-    if library in _PACKAGES:
-        return f"the system library {library} is missing: apt-get install {_PACKAGES[library]}"
+    library, name, version = match.groups()
+    if name in _SYSTEM:  # Debian's names: libxft2, libx11-6
+        package = f"lib{name.lower()}{'-' if name[-1].isdigit() else ''}{version}{'-mesa' if name == 'GLU' else ''}"
+        return f"the system library {library} is missing: apt-get install {package}"
     return f"the library {library} is missing: set the environment up again with `make setup`"
 
 

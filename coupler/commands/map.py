@@ -89,13 +89,6 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
             path = out / f"map_{material}_{quantity}.png"
             m = MEASURES[quantity]
             title, unit, factor = m.label, m.unit, m.factor
-            if quantity == "velocity_ratio":
-                if any(row[quantity] for row in of_material):
-                    _figure(path, of_material, axes, quantity, None)
-                    remarks.append(f"{material}, {title}: by the formula, nothing interpolated; {path}")
-                else:
-                    remarks.append(f"{material}, {title}: no map; {material} has no tensile strength sigma_TS")
-                continue
             try:
                 with reading(path.name):
                     fit = interpolate(of_material, quantity, axes)
@@ -111,21 +104,18 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) ->
     return remarks or ["no map: no point is done"]
 
 
-def _figure(
-    path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation | None"
-) -> None:
-    """Mean and half width of the 95 % band side by side, a row for each value of the third axis; one panel for a formula."""
+def _figure(path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation") -> None:
+    """Mean and half width of the 95 % band side by side, a row for each value of the third axis."""
     from ..report.picture import blank, save
 
     factor = MEASURES[quantity].factor
     x_axis, y_axis, *third = axes
     done = [row for row in rows if row["status"] == "done" and row[quantity] is not None]
     slices = sorted({row[third[0]] for row in done}) if third else [None]
-    columns = 1 if fit is None else 2
-    figure = blank(5.4 * columns, 4.3 * len(slices), dpi=130, layout="constrained")
-    panels = figure.subplots(len(slices), columns, squeeze=False, sharex=True, sharey=True)
-    fields = [_fields(done, axes, quantity, value, fit) for value in slices]
-    for number in range(columns):
+    figure = blank(10.8, 4.3 * len(slices), dpi=130, layout="constrained")
+    panels = figure.subplots(len(slices), 2, squeeze=False, sharex=True, sharey=True)
+    fields = [_fields(done, axes, value, fit) for value in slices]
+    for number in range(2):
         levels = _levels([factor * field[2 + number] for field in fields], quantity, number == 1)
         for at, value, (x, y, *values) in zip(panels[:, number], slices, fields, strict=True):
             here = [row for row in rows if not third or row[third[0]] == value]
@@ -141,9 +131,9 @@ def _figure(
 
 
 def _fields(
-    done: "Sequence[Row]", axes: tuple[str, ...], quantity: str, value: float | None, fit: "Interpolation | None"
+    done: "Sequence[Row]", axes: tuple[str, ...], value: float | None, fit: "Interpolation"
 ) -> "tuple[NDArray, ...]":
-    """x, y, mean and half width of the band on a grid over the range of the points; of a formula, x, y and its value."""
+    """x, y, mean and half width of the band on a grid over the range of the points."""
     import numpy as np
 
     from ..studies.maps import BAND, LOGARITHMIC
@@ -154,12 +144,6 @@ def _fields(
         space = np.geomspace if axis in LOGARITHMIC else np.linspace
         sides.append(space(min(values), max(values), GRID))
     x, y = np.meshgrid(*sides)
-    if fit is None:
-        # critical velocity of each temperature of the points: the formula has nothing else of theirs in it
-        critical = {row["temperature_K"]: row["velocity_m_s"] / row[quantity] for row in done}
-        constant = value if value is not None else done[0]["temperature_K"]
-        T, known = y if axes[1] == "temperature_K" else np.full_like(x, constant), sorted(critical)
-        return x, y, x / np.interp(T, known, [critical[t] for t in known])
     at = (x, y) if value is None else (x, y, np.full_like(x, value))
     mean, std = fit(*at)
     return x, y, mean, BAND * std

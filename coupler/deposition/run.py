@@ -4,13 +4,12 @@ import hashlib
 import os
 import sys
 import time as clock
-import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from .. import __version__
-from ..errors import CheckpointError, ColdsprayError, is_first_rank
+from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
@@ -62,10 +61,9 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
-    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every)
-    return _compute(
-        decided, folder, requested, lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided))
-    )
+    options = _options(folder, progress, threads, knobs, placement, probe, checkpoint_every)
+    deposition = Deposition(decided, folder, options)
+    return deposition.run(lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided)))
 
 
 def resume(
@@ -96,8 +94,8 @@ def resume(
         )
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
-    requested = _Requested(progress, threads, knobs, placement, probe, checkpoint_every, until)
-    return _compute(decided, folder, requested, None)
+    options = _options(folder, progress, threads, knobs, placement, probe, checkpoint_every, until)
+    return Deposition(decided, folder, options).run()
 
 
 def _complete(result: Result) -> None:
@@ -108,54 +106,21 @@ def _complete(result: Result) -> None:
             section_picture(result)
 
 
-@dataclass(frozen=True)
-class _Requested:
-    """What the caller of `run` or `resume` has asked for; only `numerics` changes the numbers."""
-
-    progress: Progress | None
-    threads: int | None
-    numerics: dict[str, float]
-    placement: str | None
-    probe: Probe | None
-    checkpoint_every: float
-    until: float | None = None
-
-
-def _compute(decided: Plan, folder: Path, requested: _Requested, create: Callable[[], Store] | None) -> Result:
-    """Compute a plan into a folder. create: makes the folder's files; None: go on with those that are there."""
-    ranks = parallel.arrange(parallel.world(), requested.placement)
-    progress = requested.progress
-    options = RunOptions(
-        log=progress.log if progress is not None else _to_stderr,
-        log_file=folder / "log.lammps",
-        ranks=ranks,
-        progress=progress,
-        threads=(requested.threads or cores()) if ranks.size == 1 else 1,
-        numerics=requested.numerics,
-        probe=requested.probe,
-        checkpoint_every=requested.checkpoint_every,
-        until=requested.until,
-    )
-    if not ranks.is_root:
-        parallel.follow(
-            ranks, lambda i, place: build_particle(decided, i, place, ranks, requested.numerics, options.log_file)
-        )
-        return Result(folder)
-    try:
-        with create() if create is not None else Store.reopen(folder) as store:
-            Deposition(decided, store, options).run(anew=create is not None)
-        result = Result(folder)
-        section_picture(result)
-    except (ColdsprayError, KeyboardInterrupt) as error:
-        parallel.dismiss(ranks, error)
-        raise
-    except BaseException:
-        if ranks.size > 1:
-            traceback.print_exc()
-            parallel.abort(ranks.comm, "coldspray: the rank with the target failed; all ranks are stopped", 1)
-        raise
-    parallel.dismiss(ranks)
-    return result
+def _options(
+    folder: Path,
+    progress: Progress | None,
+    threads: int | None,
+    numerics: dict[str, float],
+    placement: str | None,
+    probe: Probe | None,
+    checkpoint_every: float,
+    until: float | None = None,
+) -> RunOptions:
+    """What the caller of `run` or `resume` has asked for, on the ranks there are."""
+    ranks = parallel.arrange(parallel.world(), placement)
+    log = progress.log if progress is not None else _to_stderr
+    threads = (threads or cores()) if ranks.size == 1 else 1
+    return RunOptions(log, folder / "log.lammps", ranks, progress, threads, numerics, probe, checkpoint_every, until)
 
 
 @dataclass(frozen=True)
@@ -172,15 +137,10 @@ class DepositionState:
 
 
 class Deposition:
-    """Impacts one after another, on the rank of the target: each takes a target and leaves one with a splat more."""
+    """Impacts one after another: each takes a target and leaves one with a splat more. All ranks make one and run it."""
 
-    def __init__(self, plan: Plan, store: Store, options: RunOptions):
-        self.plan, self.store, self.options = plan, store, options
-        scene = Result(store.directory).scene_text
-        self._belongs_to = {
-            "version": __version__, "scene": hashlib.sha256((scene + plan_text(plan)).encode()).hexdigest(),
-            "numerics": repr(sorted(options.numerics.items())),
-        }  # fmt: skip
+    def __init__(self, plan: Plan, folder: Path, options: RunOptions):
+        self.plan, self.folder, self.options = plan, folder, options
         self._started, self._before = clock.perf_counter(), 0.0
         self.records: list[ImpactRecord] = []  # of the finished impacts
         self.joins: list[Values] = []  # reports of the joining of their splats
@@ -195,29 +155,65 @@ class Deposition:
         """Whether the last impact so far has ended without its end criterion."""
         return self.records[-1].values["undecided"] is not None
 
-    def run(self, anew: bool) -> None:
-        """Compute all impacts, or those that a checkpoint has not seen finished, and write summary.json."""
-        state = None if anew else self._last_checkpoint()
-        running = None  # the impact that was interrupted
+    def run(self, create: Callable[[], Store] | None = None) -> Result:
+        """Compute all impacts and write summary.json and the picture. create: makes the folder's files; None: go on with those that
+        are there, and with the impacts that its checkpoint has not seen finished."""
+        plan, options, ranks = self.plan, self.options, self.options.ranks
+        if not ranks.is_root:
+            parallel.follow(
+                ranks, lambda i, place: build_particle(plan, i, place, ranks, options.numerics, options.log_file)
+            )
+            return Result(self.folder)
+        with parallel.leading(ranks):
+            with create() if create is not None else Store.reopen(self.folder) as self.store:
+                scene = (Result(self.folder).scene_text + plan_text(plan)).encode()
+                self._belongs_to = {
+                    "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
+                    "numerics": repr(sorted(options.numerics.items())),
+                }  # fmt: skip
+                bodies, running = (build_target(plan), None) if create is not None else self._restored()
+                for i in range(len(self.records), len(plan.impacts)):
+                    before, outcome = simulated(self.records), None
+                    try:
+                        outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
+                        bodies, running = outcome.domains.bodies, None
+                        self.records.append(outcome.record)
+                        if i + 1 == len(plan.impacts) or self.undecided:
+                            break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
+                        bodies, report = join(plan, i, outcome.domains, options.log, outcome.hold)
+                        self.joins.append(report)
+                    finally:
+                        if outcome is not None:
+                            outcome.domains.particle.close()
+                        if options.progress is not None:
+                            options.progress.stop()
+                    self._save(None, bodies.state())
+                self.store.finish(self._summary(bodies))
+                if not self.undecided:
+                    checkpoint.clear(self.folder)
+            result = Result(self.folder)
+            section_picture(result)
+        return result
+
+    def _restored(self) -> tuple[Bodies, RunningState | None]:
+        """The bodies that the last whole checkpoint holds, and the impact that was interrupted, or None; from the start without one."""
+        state = self._last_checkpoint()
         if state is None:
-            bodies = build_target(self.plan)
-        else:
-            self.records, self.joins, self._before, running = state.records, state.joins, state.wall, state.running
-            kept = running.impact.bodies if running is not None else state.bodies
-            if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
-                raise CheckpointError(
-                    f"the checkpoint in {self.store.directory} is damaged: start anew with coldspray run --force"
-                )
-            bodies = restored_target(self.plan, kept)
-            self._check_records(bodies)
-        for i in range(len(self.records), len(self.plan.impacts)):
-            bodies = self._impact(i, bodies, running)
-            running = None
-            if self.undecided:
-                break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-        self.store.finish(self._summary(bodies))
-        if not self.undecided:
-            checkpoint.clear(self.store.directory)
+            return build_target(self.plan), None
+        self.records, self.joins, self._before, running = state.records, state.joins, state.wall, state.running
+        kept = running.impact.bodies if running is not None else state.bodies
+        if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
+            raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
+        bodies = restored_target(self.plan, kept)
+        try:
+            if self.records and (problem := problem_of(self._summary(bodies))) is not None:
+                raise ValueError(problem)
+        except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
+            raise CheckpointError(
+                f"the checkpoint in {self.folder} is damaged (its records: {type(error).__name__} {error}): start anew with"
+                " coldspray run --force"
+            ) from error
+        return bodies, running
 
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far, whose splats are `bodies`."""
@@ -225,40 +221,9 @@ class Deposition:
         standing = splats_at_end(self.plan, levels, self.joins, bodies)
         return summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks)
 
-    def _check_records(self, bodies: Bodies) -> None:
-        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
-        try:
-            if self.records and (problem := problem_of(self._summary(bodies))) is not None:
-                raise ValueError(problem)
-        except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
-            raise CheckpointError(
-                f"the checkpoint in {self.store.directory} is damaged (its records: {type(error).__name__} {error}): start anew with"
-                " coldspray run --force"
-            ) from error
-
-    def _impact(self, i: int, bodies: Bodies, resume_from: RunningState | None) -> Bodies:
-        """Impact i on the bodies, and the joining of its splat: the bodies of the next impact."""
-        before = simulated(self.records)
-        outcome = None
-        try:
-            outcome = run_impact(self.plan, i, bodies, self.store, before, self.options, self._save_within, resume_from)
-            domains = outcome.domains
-            self.records.append(outcome.record)
-            if i + 1 == len(self.plan.impacts) or self.undecided:
-                return domains.bodies
-            bodies, report = join(self.plan, i, domains, self.options.log, outcome.hold)
-            self.joins.append(report)
-        finally:
-            if outcome is not None:
-                outcome.domains.particle.close()
-            if self.options.progress is not None:
-                self.options.progress.stop()
-        self._save(None, bodies.state())
-        return bodies
-
     def _last_checkpoint(self) -> DepositionState | None:
         """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
-        log, folder = self.options.log, self.store.directory
+        log, folder = self.options.log, self.folder
         state = checkpoint.latest(folder, DepositionState, self._belongs_to, log)
         if state is None:
             log(f"{folder} has no checkpoint: the run starts from its beginning")
@@ -271,7 +236,7 @@ class Deposition:
 
     def _save(self, running: RunningState | None, bodies: BodiesState | None) -> None:
         state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall)
-        checkpoint.write(self.store.directory, state, self._belongs_to)
+        checkpoint.write(self.folder, state, self._belongs_to)
 
 
 def _to_stderr(text: str) -> None:

@@ -231,29 +231,19 @@ def _available() -> int:
 
 
 def _cgroup() -> int:
-    """Bytes left of the tightest memory limit of this process's cgroups, version 2 or 1."""
-    left = 2**62
+    """Bytes left of the tightest memory limit of this process's cgroups (version 2)."""
+    left, root = 2**62, Path("/sys/fs/cgroup")
     try:
         lines = Path("/proc/self/cgroup").read_text().splitlines()
     except OSError:
         return left
-    for line in lines:
-        _, controllers, name = line.split(":", 2)
-        if controllers == "":
-            root, limit, usage = Path("/sys/fs/cgroup"), "memory.max", "memory.current"
-        elif "memory" in controllers.split(","):
-            root, limit, usage = Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes", "memory.usage_in_bytes"
-        else:
-            continue
-        folder = root / name.lstrip("/")
-        for level in (folder, *folder.parents):
-            if root not in (level, *level.parents):
-                break
-            bound, used = _number(level / limit), _number(level / usage)
-            if bound is not None and used is not None:
-                # pages of files are given back when memory is short
-                cached = _field(level / "memory.stat", "inactive_file", unit=1)
-                left = min(left, max(bound - used + cached, 0))
+    folder = root / next((line[4:] for line in lines if line.startswith("0::/")), "")
+    for level in (folder, *folder.parents):
+        bound, used = _number(level / "memory.max"), _number(level / "memory.current")
+        if bound is not None and used is not None:
+            # pages of files are given back when memory is short
+            cached = _field(level / "memory.stat", "inactive_file", unit=1)
+            left = min(left, max(bound - used + cached, 0))
     return left
 
 

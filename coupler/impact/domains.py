@@ -1,7 +1,7 @@
 """The domains of one impact, built from the plan: target, particle, and what acts between them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +41,7 @@ class Domains:
     body: shapes.Body
     place: np.ndarray
     level: float
-    paths: HeatPaths = field(default_factory=HeatPaths)
+    paths: HeatPaths
 
     @property
     def target(self) -> Target:
@@ -112,15 +112,11 @@ def build_domains(
         facet_ids=facets,
         jump=JUMP,
     )
-    return Domains(particle, bodies, contact, surface, body, place, level, _heat_paths(plan, particle, body))
-
-
-def _heat_paths(plan: Plan, particle: DistributedParticle, body: shapes.Body) -> HeatPaths:
-    """The heat paths that the plan's effects leave open."""
     on, points = plan.effects, None
     if on.particle_conduction:
         points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    return HeatPaths(on.friction_heat, points, on.interface_conduction)
+    paths = HeatPaths(particle, bodies.target, surface, contact, on.friction_heat, points, on.interface_conduction)
+    return Domains(particle, bodies, contact, surface, body, place, level, paths)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:

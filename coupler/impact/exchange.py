@@ -171,10 +171,10 @@ class Impact:
     def conduct_heat(self, time: float) -> None:
         """Let heat flow for `time` s and turn the heat of friction and fracture into temperature, of points and of elements behind
         facets."""
-        self.paths.flow(time, self.particle, self.target, self.surface, self.contact)
-        self.paths.release_friction(self.particle, self.target, self.surface, self.contact)
+        self.paths.flow(time)
+        self.paths.release_friction()
         if self.hold is not None:
-            self.paths.release_fracture(self.particle, self.target, self.surface, self.contact.share, self.hold)
+            self.paths.release_fracture(self.hold)
 
     def expose(self, threshold: float) -> None:
         """Take note of the clean metal that this window has exposed. threshold: exposure at which the oxide cracks."""

@@ -1,6 +1,6 @@
 """Heat in an impact: conduction among the particle's points and across the contact, heat of friction."""
 
-from typing import Protocol
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,82 +9,70 @@ from ..contact.penalty import PointContact
 from ..fe.explicit import Target
 from ..geometry.triangles import areas, vertex_areas
 from ..physics.constitutive import conductivities, heat_capacities
+from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface
 from ..sph.heat import PointConduction
 
 
-class Particle(Protocol):
-    """The particle as heat sees it. x (n,3) m; T (n,) K; law: LAW record (1,); spacing m."""
-
-    x: np.ndarray
-    law: np.ndarray
-    spacing: float
-
-    @property
-    def T(self) -> np.ndarray: ...
-
-    def warm(self, heat: np.ndarray) -> None:
-        """Put heat (n,) J into the points."""
-
-
+@dataclass
 class HeatPaths:
-    """The heat paths that are open. friction: its heat, and that of fracture, warms what has rubbed or torn; points: conduction in the
-    particle, or None; interface: heat crosses the contact, which is perfect."""
+    """The heat paths that are open between a particle with its surface and a target. friction: its heat, and that of fracture, warms
+    what has rubbed or torn; points: conduction in the particle, or None; interface: heat crosses the contact, which is perfect."""
 
-    def __init__(self, friction: bool = True, points: PointConduction | None = None, interface: bool = False):
-        self.friction, self.points, self.interface = friction, points, interface
+    particle: DistributedParticle
+    target: Target
+    surface: CarriedSurface
+    contact: PointContact
+    friction: bool = True
+    points: PointConduction | None = None
+    interface: bool = False
 
-    def flow(
-        self, time: float, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
-    ) -> None:
+    def flow(self, time: float) -> None:
         """Let heat flow for `time` s among the points of the particle and across the contact."""
         if self.points is not None:
-            particle.warm(self.points.share(time, particle.x, particle.T))
+            self.particle.warm(self.points.share(time, self.particle.x, self.particle.T))
         if self.interface:
-            rows, elements, heat = self.crossing(time, particle, target, surface, contact)
+            rows, elements, heat = self.crossing(time)
             if len(rows):
-                into = np.zeros(surface.touching.shape[0])
-                into[rows] = -heat
-                particle.warm(surface.spread_heat(into))
-                target.warm(elements, heat)
+                self._warm_surface(rows, -heat)
+                self.target.warm(elements, heat)
 
-    def release_friction(
-        self, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
-    ) -> None:
+    def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
+        """Put heat (k,) J at rows (k,) of the particle's surface into its points."""
+        into = np.zeros(self.surface.touching.shape[0])
+        into[rows] = heat
+        self.particle.warm(self.surface.spread_heat(into))
+
+    def release_friction(self) -> None:
         """Turn the heat of friction since the last call into temperature, of points and of the elements behind facets."""
         if not self.friction:
             return
+        target, contact = self.target, self.contact
         if contact.heat_point.any():
-            particle.warm(surface.spread_heat(contact.heat_point))
+            self.particle.warm(self.surface.spread_heat(contact.heat_point))
             contact.heat_point[:] = 0.0
         facets = np.flatnonzero(contact.heat_facet)
         if len(facets):
             target.warm(target.mesh.facet_element[contact.facet_ids[facets]], contact.heat_facet[facets])
             contact.heat_facet[facets] = 0.0
 
-    def release_fracture(
-        self, particle: Particle, target: Target, surface: CarriedSurface, share: float, hold: Hold
-    ) -> None:
-        """Turn the heat of torn bonds since the last call into temperature, `share` of it on the particle's side."""
+    def release_fracture(self, hold: Hold) -> None:
+        """Turn the heat of torn bonds since the last call into temperature, the contact's `share` of it on the particle's side."""
         if not self.friction:
             return
         rows, nodes, heat = hold.heat()
-        if not heat.any():
-            return
-        into = np.zeros(surface.touching.shape[0])
-        into[rows] = share * heat
-        particle.warm(surface.spread_heat(into))
-        target.warm_around(nodes, np.repeat((1.0 - share) / 3.0 * heat, 3))
+        if heat.any():
+            self._warm_surface(rows, self.contact.share * heat)
+            self.target.warm_around(nodes, np.repeat((1.0 - self.contact.share) / 3.0 * heat, 3))
 
-    def crossing(
-        self, time: float, particle: Particle, target: Target, surface: CarriedSurface, contact: PointContact
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.
 
         Two lumps in contact, a layer one spacing thick and the element's part: they level out exponentially, so that no
         time is too long. The resistance is that of what lies between the contact and where temperatures are known.
         """
-        rows, facets = contact.touching(len(surface.weights.indptr) - 1)
+        particle, target, surface = self.particle, self.target, self.surface
+        rows, facets = self.contact.touching(len(surface.weights.indptr) - 1)
         if len(rows) == 0:
             return rows, rows, np.zeros(0)
         elements = target.mesh.facet_element[facets].astype(np.int64)

@@ -12,7 +12,8 @@ import signal
 import sys
 import time as clock
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -94,10 +95,26 @@ def begin_impact(ranks: Ranks, i: int, place: np.ndarray) -> None:
         ranks.comm.bcast(("impact", (i, place), None), root=ranks.root)
 
 
-def dismiss(ranks: Ranks, error: BaseException | None = None) -> None:
-    """On the root rank: let the other ranks go, with the error (if any) that ended the run."""
-    if ranks.size > 1:
-        ranks.comm.bcast(("end", (error,), None), root=ranks.root)
+@contextmanager
+def leading(ranks: Ranks) -> Iterator[None]:
+    """On the root rank: within it the others follow; at its end they are let go, with the error (if any) that ended the run.
+
+    An error that is not of the program takes all ranks down.
+    """
+    ended: BaseException | None = None
+    try:
+        yield
+    except (ColdsprayError, KeyboardInterrupt) as error:
+        ended = error
+        raise
+    except BaseException:
+        if ranks.size > 1:
+            traceback.print_exc()
+            abort(ranks.comm, "coldspray: the rank with the target failed; all ranks are stopped", 1)
+        raise
+    finally:
+        if ranks.size > 1:
+            ranks.comm.bcast(("end", (ended,), None), root=ranks.root)
 
 
 def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Particle]) -> None:

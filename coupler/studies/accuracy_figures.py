@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
@@ -23,7 +22,6 @@ from .table import other_version
 
 AXES = ("points", *KNOBS, "effects")
 MARKS = ("o", "s", "D", "^", "v", "P", "X")  # of matplotlib, one for each axis
-SYMBOLS = ("circle", "square", "diamond", "triangle-up", "triangle-down", "cross", "x")  # the same in plotly
 Rows = Sequence[Mapping[str, str]]
 
 
@@ -84,9 +82,19 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
     if not errors:  # no reference, or a measure that is zero in it
         panel.text(0.5, 0.5, "nothing to compare with", ha="center", fontsize=9, transform=panel.transAxes)
     for k, axis in enumerate(AXES):
-        x, y, _ = _points(errors, axis)
+        own = sorted(
+            (float(row["cpu_s"]), max(abs(e), fit.PERCENT_AT_LEAST)) for row, e in errors if row["axis"] == axis
+        )
         style = {"lw": 1.4, "ls": "-"} if axis == "points" else {"lw": 0.0}
-        panel.plot(x, y, marker=MARKS[k], ms=5, color=charts.LINES[k], label=axis, **style)
+        panel.plot(
+            [time for time, _ in own],
+            [percent for _, percent in own],
+            marker=MARKS[k],
+            ms=5,
+            color=charts.LINES[k],
+            label=axis,
+            **style,
+        )
     for row, error in errors:
         if name := preset_of(row):
             at = (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST))
@@ -110,30 +118,13 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
     panel.tick_params(labelsize=8)
 
 
-def _points(errors: Sequence[tuple[Mapping[str, str], float]], axis: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Processor times, errors in percent and names of the settings of one axis, by time."""
-    own = sorted(
-        (float(row["cpu_s"]), max(abs(error), fit.PERCENT_AT_LEAST), row["setting"])
-        for row, error in errors
-        if row["axis"] == axis
-    )
-    times, percents, names = zip(*own, strict=True) if own else ((), (), ())
-    return np.array(times), np.array(percents), list(names)
-
-
 def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
-    """The page: the picture (a PNG file), the same curves to be hovered over, the table, and what failed. Opens offline."""
+    """The page: the picture (a PNG file), the table, and what failed. Opens offline."""
     page = Page()
     address = "data:image/png;base64," + base64.b64encode(picture).decode()
     page.section(
         "diagram", "Work and precision", f'<figure><img src="{address}" alt="work-precision diagram"></figure>'
     )
-    curves = []
-    for measure in BANDED:
-        errors = fit.errors(rows, measure, T_0)
-        heading_ = f"{record(measure).short}: {order_of(rows, measure, T_0)}"
-        curves.append(page.chart(f"wp-{measure}", _chart(errors) if errors else None, heading_))
-    page.section("curves", "One by one", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
     page.section("table", "All settings", _table(rows, T_0))
     failed = [(row["axis"], row["setting"], row["points"], row["failed"]) for row in rows if row["failed"]]
     listed = parts.table(("axis", "setting", "points", "why"), failed) if failed else "<p>None.</p>"
@@ -145,24 +136,6 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
     page.section("maxima", "What does not converge", local)
     under = "difference from the reference over processor time of one core"
     return page.html(f"Accuracy against time: {heading}", escape(under), "", "Computed by coldspray.")
-
-
-def _chart(errors: Sequence[tuple[Mapping[str, str], float]]) -> charts.Figure:
-    traces: list[charts.Figure] = []
-    for k, axis in enumerate(AXES):
-        x, y, names = _points(errors, axis)
-        if not len(x):
-            continue
-        traces.append({
-            "x": [float(f"{v:.4g}") for v in x], "y": [float(f"{v:.4g}") for v in y], "text": names, "name": axis,
-            "mode": "lines+markers" if axis == "points" else "markers", "hovertemplate": "%{text}: %{y:.3g} %, %{x:.3g} s",
-            "line": {"color": charts.LINES[k]}, "marker": {"color": charts.LINES[k], "symbol": SYMBOLS[k], "size": 8},
-        })  # fmt: skip
-    layout = {
-        "xaxis": {"title": "processor time, s", "type": "log"}, "yaxis": {"title": "difference, %", "type": "log"},
-        "hovermode": "closest", "legend": {"orientation": "h", "y": -0.25}, "showlegend": True,
-    }  # fmt: skip
-    return {"traces": traces, "layout": layout, "height": 360}
 
 
 def _table(rows: Rows, T_0: float) -> str:

@@ -176,7 +176,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
     if len(used) < LEAST_POINTS or not names:
         raise StoreError(
-            f"{quantity}: {len(used)} points are done; a map needs at least {LEAST_POINTS}, and an axis that varies"
+            f"{quantity}: {len(used)} points that are done have it; a map needs at least {LEAST_POINTS}, and an axis that varies"
         )
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
