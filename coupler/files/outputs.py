@@ -126,6 +126,14 @@ def replacing(path: Path) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file whole or not at all. Raises StoreError."""
+    with replacing(path) as part, part.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
 def _refuse_inputs(path: Path, inputs: Iterable[Path]) -> None:
     """Raise StoreError if a path is an input, by whatever link, or a file of a run that is read."""
     for item in inputs:

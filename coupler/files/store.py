@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 from ..errors import CheckpointError, StoreError
 from ..state.records import Shape
 from . import checkpoint
-from .outputs import RUN_FILES, check_folder, claim_folder
+from .outputs import RUN_FILES, check_folder, claim_folder, write_text
 from .result import Result
 from .vtkhdf import VtkHdfWriter
 
@@ -88,9 +88,9 @@ class Store:
                 for name in (SUMMARY, PLAN, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
-                _replace(directory / SCENE, scene_toml)
+                write_text(directory / SCENE, scene_toml)
                 if plan_json:
-                    _replace(directory / PLAN, plan_json)
+                    write_text(directory / PLAN, plan_json)
             except BaseException:
                 store.close()
                 raise
@@ -137,7 +137,7 @@ class Store:
                     raise CheckpointError("a state does not fit: the history has other columns")
                 self._columns = list(state.columns)
                 self._rows = array("d", state.history.ravel().tobytes())
-                _replace(path, "".join([_line(self._columns), *map(_numbers, state.history)]))
+                write_text(path, "".join([_line(self._columns), *map(_numbers, state.history)]))
                 self._history = open(path, "a", encoding="ascii")  # noqa: SIM115  (closed by close)
             else:
                 path.unlink(missing_ok=True)
@@ -213,7 +213,7 @@ class Store:
         rows = {"history_rows": len(self._rows) // len(self._columns)} if self._columns else {}
         text = json.dumps(_plain({**summary, **rows}), indent=2, allow_nan=False) + "\n"
         with _named(self.directory / SUMMARY):
-            _replace(self.directory / SUMMARY, text)
+            write_text(self.directory / SUMMARY, text)
 
     def close(self) -> None:
         """Close all files; never raises: what could not be written has been reported by the write itself."""
@@ -283,21 +283,6 @@ def _reason(error: Exception) -> str:
     if number == errno.EBADF or number is None:
         return str(error)
     return os.strerror(number)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a text file whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        with open(temporary, "w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
 
 
 def _plain(value: object) -> object:

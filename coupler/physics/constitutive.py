@@ -27,39 +27,17 @@ from .materials import Material
 
 
 class Law(Protocol):
-    """A record of LAW as the kernels read it: each number is a field."""
+    """A record of LAW as the kernels read it: each number is a field. Numba refuses a name that is none."""
 
-    rho: float
-    G: float
-    K: float
-    s: float
-    Gamma0: float
-    A: float
-    B: float
-    n: float
-    C: float
-    m: float
-    eps_dot_0: float
-    T_ref: float
-    T_m: float
-    softening: float
-    taylor_quinney: float
-    cp_T0: float
-    cp_T1: float
-    cp_0: float
-    cp_slope: float
-    k_T0: float
-    k_T1: float
-    k_0: float
-    k_slope: float
-    rate_filter: float
-    expansion: float
-    dissipation: float
+    def __getattr__(self, name: str) -> float: ...
 
 
 #: One record per material: the numbers of the law in SI units. `softening`, `expansion` and
 #: `dissipation` (what the scheme dissipates becomes heat) are 1.0 or 0.0.
-LAW = np.dtype([(name, np.float64) for name in Law.__annotations__])
+LAW = np.dtype([(name, np.float64) for name in (
+    "rho", "G", "K", "s", "Gamma0", "A", "B", "n", "C", "m", "eps_dot_0", "T_ref", "T_m", "softening", "taylor_quinney",
+    "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0", "k_slope", "rate_filter", "expansion", "dissipation",
+)])  # fmt: skip
 #: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation")

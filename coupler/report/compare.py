@@ -11,10 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ..errors import StoreError
+from ..files.outputs import write_text
 from ..files.result import Result
 from ..measures import BALANCE
 from . import charts, parts
-from .page import Page, embedded, write_text
+from .page import Page, embedded
 from .picture import (
     Cut,
     axes_at,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 
 from ..errors import StoreError
-from ..files.outputs import replacing
+from ..files.outputs import write_text
 from ..files.result import Result
 from ..files.summary import Summary
 from ..measures import measure
@@ -145,12 +145,6 @@ def picks(result: Result, most: int = PICTURES) -> list[int]:
         return sorted({turns[round(k)] for k in np.linspace(0, len(turns) - 1, min(most - 1, len(turns)))} | {last})
     wanted = [times[turns[0]] * share for share in np.linspace(0, 1, most)[1:]]
     return sorted({int(np.argmin(np.abs(times - time))) for time in wanted} | {last})
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a file whole or not at all. Raises StoreError if that is impossible."""
-    with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
 
 
 def embedded(figure: Figure) -> str:

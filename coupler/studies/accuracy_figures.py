@@ -9,11 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from ..files.outputs import write_text
 from ..measures import BANDED
 from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
-from ..report.page import Page, write_text
+from ..report.page import Page
 from ..report.picture import axes_at, blank, save
 from . import accuracy_fit as fit
 from .ladder import KNOBS

@@ -10,6 +10,7 @@ import meshio
 import numpy as np
 
 from ..errors import StoreError
+from ..files.outputs import write_text
 from ..files.result import Result
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
@@ -27,10 +28,7 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
     """coating.json, all of it, and coating_depth.csv, means over slices of the depth; SI. Raises StoreError."""
     paths = [folder / "coating.json", folder / "coating_depth.csv"]
     write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
-    try:
-        paths[0].write_text(json.dumps(asdict(measures), indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(f"cannot write {error.filename}: {error.strerror}") from error
+    write_text(paths[0], json.dumps(asdict(measures), indent=2) + "\n")
     return paths
 
 

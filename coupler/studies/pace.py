@@ -18,6 +18,7 @@ from typing import TypedDict
 from .. import __version__
 from ..errors import ColdsprayError, StoreError
 from ..files.inputs import read_json_object
+from ..files.outputs import write_text
 from ..plan import cost
 from ..plan.planning import Plan
 
@@ -114,8 +115,6 @@ def _write(path: Path, known: Mapping[str, _Entry]) -> None:
     """Write the cache; a folder that cannot be written is not an error."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_text(json.dumps(known, indent=1), encoding="utf-8")
-        part.replace(path)
-    except OSError:
+        write_text(path, json.dumps(known, indent=1))
+    except (OSError, StoreError):
         pass

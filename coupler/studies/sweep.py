@@ -25,7 +25,7 @@ from typing import TypeVar
 from .. import units
 from ..errors import SceneError
 from ..files.inputs import InputError, read_json_object, read_text, read_toml
-from ..files.outputs import claim_folder, replacing
+from ..files.outputs import claim_folder, write_text
 from ..plan.reading import Scene
 from ..scene.model import safe_name
 
@@ -116,8 +116,7 @@ class Sweep:
         path = Path(out) / f"{point}.toml"
         if not path.is_file() or read_text(path) != self.points[point]:
             claim_folder(path.parent, "sweep", [path.name])
-            with replacing(path) as part:
-                part.write_text(self.points[point], encoding="utf-8")
+            write_text(path, self.points[point])
         return path
 
     def run(self, out: str | Path | None = None, jobs: int = 1, log: Callable[[str], None] = print) -> Path:
@@ -173,8 +172,7 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
         raise KeyboardInterrupt
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
-    with replacing(status) as part:
-        part.write_text(json.dumps(ended, indent=1) + "\n", encoding="utf-8")
+    write_text(status, json.dumps(ended, indent=1) + "\n")
     return ended
 
 
