@@ -31,7 +31,6 @@ from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import areas_and_normals
-from coupler.impact.bodies import Bodies, bodies_of
 from coupler.impact.domains import build_target
 from coupler.impact.ending import EndCriterion
 from coupler.impact.exchange import WINDOW
@@ -108,9 +107,7 @@ class ElementImpact:
         substrate = build_target(plan)
         parts = [domain_now(substrate.target, substrate.body), domain_of(body, "splat1")]
         domain, _ = merge(parts, (0.0, 0.0, 0.0))
-        self.bodies: Bodies = bodies_of(
-            domain, substrate.target, substrate.fixed, substrate.absorbing, substrate.friction
-        )
+        self.bodies = substrate.remade(domain)
         self.target = t = self.bodies.target
         self.elements = self.bodies.body == BODY
         self.nodes = np.unique(t.mesh.conn[self.elements])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import Commands, add_force, path
+from .arguments import Commands, Option, add_command, add_force, path
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -22,29 +22,21 @@ _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    parser = commands.add_parser("accuracy", help="compute a scene at many settings: what accuracy costs in time")
-    parser.set_defaults(command=run)
-    parser.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
-    option = parser.add_argument
+    option = add_command(commands, "accuracy", run, "compute a scene at many settings: what accuracy costs in time")
+    option("scene", type=path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
     option("--out", type=path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
     option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
     option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
-    option(
-        "--knobs-at",
-        type=int,
-        metavar="N",
-        help="points at which the other settings are tried; 0: not at all (default: 1000)",
-    )
-    add_force(parser)
+    option("--knobs-at", type=int, metavar="N",
+           help="points at which the other settings are tried; 0: not at all (default: 1000)")  # fmt: skip
+    add_force(option)
     option("--quiet", action="store_true", help="print errors only")
 
 
-def add_to_run(parser: argparse.ArgumentParser) -> None:
+def add_to_run(option: Option) -> None:
     """The options of `run` that choose the resolution."""
-    parser.add_argument(
-        "--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"'
-    )
-    parser.add_argument(
+    option("--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"')
+    option(
         "--accuracy", metavar="PERCENT", help='choose the resolution for this uncertainty of the splat\'s shape: "2%%"'
     )
 

@@ -9,6 +9,7 @@ from typing import TypeAlias
 from ..errors import ColdsprayError
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
+Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a command
 
 
 def path(text: str) -> Path:
@@ -49,6 +50,13 @@ def quantity(option: str, dimension: str, positive: bool = True, form: str = "{}
     return read
 
 
-def add_force(parser: argparse.ArgumentParser) -> None:
+def add_command(commands: Commands, name: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
+    """Add a command, what it runs and its line of help; returns what adds its arguments."""
+    parser = commands.add_parser(name, help=text)
+    parser.set_defaults(command=run)
+    return parser.add_argument
+
+
+def add_force(option: Option) -> None:
     """The option that lets a command replace files that this program did not write."""
-    parser.add_argument("--force", action="store_true", help="replace a file that coldspray did not write")
+    option("--force", action="store_true", help="replace a file that coldspray did not write")

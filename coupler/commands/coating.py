@@ -6,7 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
-from .arguments import Commands, add_force, path, quantity
+from .arguments import Commands, add_command, add_force, path, quantity
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -14,22 +14,16 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    parser = commands.add_parser("coating", help="measure a coating: thickness, roughness, porosity, stress over depth")
-    parser.set_defaults(command=run)
-    parser.add_argument("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
-    parser.add_argument("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
-    parser.add_argument(
-        "--window", type=quantity("--window", "length"), metavar="L",
-        help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)',
-    )  # fmt: skip
-    parser.add_argument(
-        "--section",
-        type=quantity("--section", "length", positive=False),
-        metavar="L",
-        default=0.0,
-        help="the plane y of the cut (default: 0 um)",
+    option = add_command(
+        commands, "coating", run, "measure a coating: thickness, roughness, porosity, stress over depth"
     )
-    add_force(parser)
+    option("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
+    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
+    option("--window", type=quantity("--window", "length"), metavar="L",
+           help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
+    option("--section", type=quantity("--section", "length", positive=False), metavar="L", default=0.0,
+           help="the plane y of the cut (default: 0 um)")  # fmt: skip
+    add_force(option)
 
 
 def run(arguments: argparse.Namespace) -> int:

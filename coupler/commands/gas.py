@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_force, path
+from .arguments import Commands, add_command, add_force, path
 
 if TYPE_CHECKING:
     from ..scene.model import GasConditions
@@ -20,9 +20,7 @@ _FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    parser = commands.add_parser("gas", help="impact velocity and temperature from gas, nozzle and particle diameter")
-    parser.set_defaults(command=run)
-    option = parser.add_argument
+    option = add_command(commands, "gas", run, "impact velocity and temperature from gas, nozzle and particle diameter")
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
@@ -37,7 +35,7 @@ def add(commands: Commands) -> None:
     option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
     option("--csv", type=path, metavar="FILE", help="write the table to a file too")
     option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
-    add_force(parser)
+    add_force(option)
     option("--list", action="store_true", help="print the nozzles with their sources and stop")
 
 

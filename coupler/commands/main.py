@@ -17,7 +17,7 @@ from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
-from .arguments import add_force, path, quantity, seconds
+from .arguments import Option, add_command, add_force, path, quantity, seconds
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -78,58 +78,51 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    check = commands.add_parser("check", help="print what a scene would compute, and its cost; run nothing")
-    check.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML)")
-    check.add_argument("--recalibrate", action="store_true", help="time this machine anew for the estimate")
-    check.set_defaults(command=_check)
-    run = commands.add_parser("run", help="compute a scene")
-    run.add_argument("scene", type=path, metavar="SCENE", help="scene file (TOML)")
-    run.add_argument("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
-    run.add_argument("--force", action="store_true", help="replace a finished run, or files of the same names")
-    accuracy_command.add_to_run(run)
-    run.set_defaults(command=_run)
-    report = commands.add_parser("report", help="write all about a run as one HTML page")
-    report.add_argument("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    report.add_argument("--out", type=path, metavar="FILE", help="the page (default: DIR/report.html)")
-    add_force(report)
-    report.set_defaults(command=_report)
-    film = commands.add_parser("animate", help="write a film of the cut through particle and target")
-    film.add_argument("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    film.add_argument("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
-    film.add_argument("--field", default="T", help="T, eps_p or von_mises (default: T)")
-    film.add_argument("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
-    add_force(film)
-    film.set_defaults(command=_animate)
-    compare = commands.add_parser("compare", help="print runs side by side and draw them")
-    compare.add_argument("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
-    compare.add_argument("--out", type=path, default=Path("comparison.png"), metavar="FILE",
-                         help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
-    add_force(compare)
-    compare.set_defaults(command=_compare)
-    resume = commands.add_parser(
-        "resume", help="go on with an unfinished run, or one that was not at rest at its time limit"
-    )
-    resume.add_argument("folder", type=path, metavar="DIR", help="folder of the run")
-    resume.add_argument(
-        "--until", type=quantity("--until", "time"), metavar="TIME",
-        help='time limit of its impact, such as "300 ns" (default: as long again as it has had)',
-    )  # fmt: skip
-    resume.set_defaults(command=_resume)
-    for computing in (run, resume):
-        computing.add_argument("--quiet", action="store_true", help="print errors only")
-        computing.add_argument("--threads", type=int, metavar="N",
-                               help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
-        computing.add_argument(
-            "--placement",
-            metavar="HOW",
-            help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
-            " particle on all ranks)",
-        )
-        computing.add_argument("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
-                               help="wall time between two checkpoints (default: 60)")  # fmt: skip
+    option = add_command(commands, "check", _check, "print what a scene would compute, and its cost; run nothing")
+    option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    option("--recalibrate", action="store_true", help="time this machine anew for the estimate")
+    option = add_command(commands, "run", _run, "compute a scene")
+    option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    option("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
+    option("--force", action="store_true", help="replace a finished run, or files of the same names")
+    accuracy_command.add_to_run(option)
+    _add_running(option)
+    option = add_command(commands, "report", _report, "write all about a run as one HTML page")
+    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    option("--out", type=path, metavar="FILE", help="the page (default: DIR/report.html)")
+    add_force(option)
+    option = add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
+    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    option("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
+    option("--field", default="T", help="T, eps_p or von_mises (default: T)")
+    option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
+    add_force(option)
+    option = add_command(commands, "compare", _compare, "print runs side by side and draw them")
+    option("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
+    option("--out", type=path, default=Path("comparison.png"), metavar="FILE",
+           help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
+    add_force(option)
+    text = "go on with an unfinished run, or one that was not at rest at its time limit"
+    option = add_command(commands, "resume", _resume, text)
+    option("folder", type=path, metavar="DIR", help="folder of the run")
+    option("--until", type=quantity("--until", "time"), metavar="TIME",
+           help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
+    _add_running(option)
     for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command):
         command.add(commands)
     return parser
+
+
+def _add_running(option: Option) -> None:
+    """The options of `run` and `resume`."""
+    option("--quiet", action="store_true", help="print errors only")
+    option("--threads", type=int, metavar="N",
+           help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
+    option("--placement", metavar="HOW",
+           help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
+           " particle on all ranks)")  # fmt: skip
+    option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
+           help="wall time between two checkpoints (default: 60)")  # fmt: skip
 
 
 class _Parser(argparse.ArgumentParser):

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import MEASURES, REBOUNDS, UNDECIDED, axis_label
-from .arguments import Commands, add_force, path
+from .arguments import Commands, add_command, add_force, path
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,15 +26,13 @@ GRID = 61  # places along each side of a map
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    parser = commands.add_parser("map", help="draw maps of a sweep, or of any folder of runs")
-    parser.set_defaults(command=run)
-    option = parser.add_argument
+    option = add_command(commands, "map", run, "draw maps of a sweep, or of any folder of runs")
     option(
         "folder", type=path, metavar="DIR", help="folder of a sweep, finished or not, or any folder of runs' folders"
     )
     option("--show", nargs="+", choices=tuple(COLOURS), default=DRAWN, metavar="QUANTITY",
            help=f"what to draw, of {', '.join(COLOURS)} (default: {', '.join(DRAWN)})")  # fmt: skip
-    add_force(parser)
+    add_force(option)
     option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 

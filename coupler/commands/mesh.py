@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SplatError
-from .arguments import Commands, add_force, path, quantity
+from .arguments import Commands, add_command, add_force, path, quantity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -26,14 +26,12 @@ _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    parser = commands.add_parser("mesh", help="turn points into tetrahedra: of a run, or of any file of points")
-    parser.set_defaults(command=run)
-    option = parser.add_argument
+    option = add_command(commands, "mesh", run, "turn points into tetrahedra: of a run, or of any file of points")
     option(
         "cloud", type=path, metavar="CLOUD", help="folder of a run, or a file: .csv, .xyz, .npz, or what meshio reads"
     )
     option("--out", type=path, metavar="FILE", help=f"{', '.join(SUFFIXES)} (default: beside CLOUD, .vtu)")
-    add_force(parser)
+    add_force(option)
     option("--method", choices=METHODS, default="auto", help="where the surface comes from (default: auto)")
     for name, form, default, text in (
         ("--size", "{}", None, f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),

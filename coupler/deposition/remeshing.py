@@ -12,7 +12,6 @@ from functools import partial
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..contact.bodies import BodyContact
 from ..contact.surfaces import interface
 from ..errors import SolverError, SplatError
 from ..fe import kernels
@@ -25,7 +24,7 @@ from ..geometry import mesher
 from ..geometry.apart import apart
 from ..geometry.tetrahedra import TETS_PER_H3, volumes
 from ..impact import measure as measures
-from ..impact.bodies import NEAR, Bodies, bodies_of
+from ..impact.bodies import NEAR, Bodies
 from ..splat import quality
 from ..splat.meshing import MIN_GAMMA
 from ..splat.renew import renewed_surface
@@ -106,16 +105,8 @@ def remeshed(bodies: Bodies, gate: Gate, origin: tuple[float, float, float]) -> 
     # nodes that are gone carry neither bonds nor springs: any new node may stand for them
     number = np.where(number < 0, len(domain.mesh.points) - 1, number)
     domain, rank = merge([domain], origin)
-    new = bodies_of(domain, bodies.target, bodies.fixed, bodies.absorbing, bodies.friction)
-    if bodies.bond is not None:
-        bodies.bond.renumber(rank[number])
-    new.bond, new.buried = bodies.bond, buried
+    new = bodies.on(domain, rank[number], buried)
     new.target.sums[2] += sum(patch["warmth_J"] for patch in report["patches"] if patch["done"])
-    if bodies.contact is not None:
-        new.placed = new.target.x.copy()
-        moduli = [float(K) for K in new.target.laws["K"]]
-        new.contact = BodyContact(new.surfaces, new.placed, moduli, bodies.friction)
-        new.contact.follow(bodies.contact, rank[number])
     return new, report | {"remeshed": True, "after": _measures(new), "wall_s": clock.perf_counter() - started}
 
 

@@ -170,7 +170,7 @@ class Bodies:
         parts = [domain_now(self.target, self.body)]
         parts += [domain_of(splat, f"splat{self.count + i}") for i, splat in enumerate(fitted)]
         domain, rank = merge(parts, origin)
-        new = bodies_of(domain, self.target, self.fixed, self.absorbing, self.friction)
+        new = self.remade(domain)
         bonds = []
         if self.bond is not None:
             self.bond.renumber(rank)
@@ -192,25 +192,40 @@ class Bodies:
                     bonds.append(_taken_over(held, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
-        new.placed = x.copy()
-        new.contact = BodyContact(surfaces, new.placed, [float(K) for K in new.target.laws["K"]], self.friction)
-        if self.contact is not None:
-            new.contact.follow(self.contact, rank[: len(self.target.x)])
+        new._touch(self.contact, rank[: len(self.target.x)])
         return new
 
     def renumbered(self, origin: tuple[float, float, float]) -> "Bodies":
         """The same, numbered outwards from another point; only what is near it is active."""
         domain, rank = merge([domain_now(self.target, self.body)], origin)
-        new = bodies_of(domain, self.target, self.fixed, self.absorbing, self.friction)
+        return self.on(domain, rank, self.buried)
+
+    def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
+        """The same bodies, with their bonds and contact, on another domain, whose node rank[i] is node i of theirs. buried: its facets
+        that nothing can reach. The bond of these is renumbered."""
+        new = self.remade(domain)
         if self.bond is not None:
             self.bond.renumber(rank)
-        new.bond, new.buried = self.bond, self.buried
+        new.bond, new.buried = self.bond, buried
         if self.contact is not None:
-            new.placed = new.target.x.copy()
-            moduli = [float(K) for K in new.target.laws["K"]]
-            new.contact = BodyContact(new.surfaces, new.placed, moduli, self.friction)
-            new.contact.follow(self.contact, rank)
+            new._touch(self.contact, rank)
         return new
+
+    def remade(self, domain: Domain) -> "Bodies":
+        """Bodies from a domain, the ledger going on from that of these."""
+        target = Target(
+            domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=self.fixed, absorbing=self.absorbing,
+            conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
+        )  # fmt: skip
+        target.take(domain.nodes, domain.elements, self.target)
+        return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction)
+
+    def _touch(self, before: BodyContact | None, rank: np.ndarray) -> None:
+        """Set the contact between bodies up where they are now; it goes on from that of `before`, whose node i is rank[i] here."""
+        self.placed = self.target.x.copy()
+        self.contact = BodyContact(self.surfaces, self.placed, [float(K) for K in self.target.laws["K"]], self.friction)
+        if before is not None:
+            self.contact.follow(before, rank)
 
     def _fitted(self, splat: BodyState, size: float) -> BodyState:
         """A splat with the nodes that lie on other bodies put on their facets, as far as its tetrahedra bear it."""
@@ -258,18 +273,6 @@ class Bodies:
                 " try a finer preset, or another [splat] method"
             )
         return points
-
-
-def bodies_of(
-    domain: Domain, before: Target, fixed: tuple[str, ...], absorbing: tuple[str, ...], friction: float
-) -> Bodies:
-    """Bodies from a domain, the ledger going on from that of `before`."""
-    target = Target(
-        domain.mesh, domain.laws, domain.elements.T, law_of=domain.body, fixed=fixed, absorbing=absorbing,
-        conduction=before.conduction is not None, track_wave=bool(np.isfinite(before.reach)),
-    )  # fmt: skip
-    target.take(domain.nodes, domain.elements, before)
-    return Bodies(target, domain.body, fixed, absorbing, friction)
 
 
 def _check(state: BodiesState) -> None:
