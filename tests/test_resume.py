@@ -21,7 +21,6 @@ from coupler import Result, Scene, run
 from coupler.deposition.run import Deposition, resume
 from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
-from coupler.files.store import Store
 from coupler.impact.domains import build_target
 from coupler.impact.run import RunOptions
 from coupler.impact.summary import ImpactRecord
@@ -136,7 +135,7 @@ def test_records_that_make_no_summary_are_refused(
     """A checkpoint is whole by its types, but the tables of its finished impacts are not what an impact leaves."""
     result = shared_run(SHORT)
     deposition = object.__new__(Deposition)
-    deposition.plan, deposition.store = read_plan(result.directory), Store(tmp_path)
+    deposition.plan, deposition.folder = read_plan(result.directory), tmp_path
     deposition.options, deposition.joins = RunOptions(print, tmp_path / "log"), []
     deposition._before = deposition._started = 0.0
     bodies = build_target(deposition.plan)

@@ -205,6 +205,11 @@ class Deposition:
         if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
             raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
         bodies = restored_target(self.plan, kept)
+        self._check_records(bodies)
+        return bodies, running
+
+    def _check_records(self, bodies: Bodies) -> None:
+        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
         try:
             if self.records and (problem := problem_of(self._summary(bodies))) is not None:
                 raise ValueError(problem)
@@ -213,7 +218,6 @@ class Deposition:
                 f"the checkpoint in {self.folder} is damaged (its records: {type(error).__name__} {error}): start anew with"
                 " coldspray run --force"
             ) from error
-        return bodies, running
 
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far, whose splats are `bodies`."""
