@@ -133,18 +133,28 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     from types import SimpleNamespace
 
     nickel, steel = material("Ni"), material("SS304")
+    laws = law.law_record(nickel), np.concatenate([law.law_record(steel), law.law_record(material("Al"))])
     seen = Extremes()
     one = np.ones(200)
-    calm = SimpleNamespace(rate=0.0 * one, T=300.0 * one, J=one, active_nodes=200, active_elements=200)
+    calm = SimpleNamespace(
+        rate=0.0 * one, T=300.0 * one, J=one, active_nodes=200, active_elements=200, law=laws[0], laws=laws[1],
+        law_of=(np.arange(200) > 190).astype(int),
+    )  # fmt: skip
     seen.note(calm, calm)
     assert seen.warnings(1, {"particle": nickel, "target": steel}, True) == []
-    wild = SimpleNamespace(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one)
+    wild = SimpleNamespace(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one, law=laws[0])
     seen.note(wild, calm)
     seen.note(calm, calm)  # what was stays
     fast, hot = seen.warnings(2, {"particle": nickel, "target": steel}, True)
     assert "impact 2: in the particle strain rates went to 3.0e+07 1/s" in fast
     assert "1e+04" in fast
-    assert f"{0.9 * nickel.T_m:.0f} K" in hot
+    assert "in the particle the temperature went to 0.95 of the melting point" in hot
+    splat = Extremes()  # of aluminium on steel: its melting point counts
+    splat.note(calm, SimpleNamespace(**vars(calm) | {"T": 850.0 * one}))
+    assert (
+        "in the target the temperature went to 0.99"
+        in splat.warnings(1, {"particle": nickel, "target": steel}, True)[0]
+    )
     # a linear equation of state is 5 % short at that compression
     linear = greatest_compression(nickel, False)
     assert pressure(nickel, linear) / (nickel.K * linear) == pytest.approx(1.05, abs=0.004)

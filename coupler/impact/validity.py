@@ -18,12 +18,12 @@ from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
 LINEAR_ERROR = 0.05
-_NAMES = ("rate", "T", "compression")
+_NAMES = ("rate", "melting", "compression")
 
 
 class Extremes:
     """The largest of an impact so far, by body: 99th percentile of the plastic strain rate, 1/s, where something flows;
-    temperature, K; compression 1 - J."""
+    temperature over the melting point of the metal there; compression 1 - J."""
 
     def __init__(self) -> None:
         self.extremes: dict[str, dict[str, float]] = {
@@ -33,14 +33,15 @@ class Extremes:
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Look at the particle and the active part of the target."""
         n, m = target.active_nodes, target.active_elements
-        self._keep("particle", particle.rate, particle.T, particle.J)
-        self._keep("target", target.rate[:m], target.T[:m], target.J[:n])
+        self._keep("particle", particle.rate, particle.T / particle.law["T_m"][0], particle.J)
+        melting = target.T[:m] / target.laws["T_m"][target.law_of[:m]]
+        self._keep("target", target.rate[:m], melting, target.J[:n])
 
-    def _keep(self, body: str, rate: np.ndarray, T: np.ndarray, J: np.ndarray) -> None:
+    def _keep(self, body: str, rate: np.ndarray, melting: np.ndarray, J: np.ndarray) -> None:
         flows = rate[rate > 0.0]
         now = (
             float(np.percentile(flows, 99)) if len(flows) else 0.0,
-            float(np.max(T, initial=0.0)),
+            float(np.max(melting, initial=0.0)),
             1.0 - float(np.min(J, initial=1.0)),
         )
         kept = self.extremes[body]
@@ -69,10 +70,10 @@ class Extremes:
                     f"{where} strain rates went to {kept['rate']:.1e} 1/s (99 %), beyond the {FITTED_RATE:.0e} 1/s that"
                     " Johnson-Cook is fitted at"
                 )
-            if kept["T"] > NEAR_MELTING * metal.T_m:
+            if kept["melting"] > NEAR_MELTING:
                 texts.append(
-                    f"{where} the temperature went to {kept['T']:.0f} K, beyond {NEAR_MELTING * metal.T_m:.0f} K, {NEAR_MELTING:g} of"
-                    f" the melting point of {metal.name}: Johnson-Cook's softening is an extrapolation there"
+                    f"{where} the temperature went to {kept['melting']:.2f} of the melting point, beyond {NEAR_MELTING:g} of it:"
+                    " Johnson-Cook's softening is an extrapolation there"
                 )
             limit = greatest_compression(metal, mie_gruneisen)
             if kept["compression"] > limit:
