@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from .. import __version__
+from .. import __version__, report
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.result import Result
@@ -24,7 +24,6 @@ from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
 from ..progress import Progress
 from ..ranks import ranks as parallel
-from ..report import section_picture
 from .joining import join, splats_at_end
 from .summary import simulated, summary
 
@@ -103,7 +102,7 @@ def _complete(result: Result) -> None:
     if is_first_rank():
         checkpoint.clear(result.directory)
         if not (result.directory / PICTURE).exists():
-            section_picture(result)
+            report.section_picture(result)
 
 
 def _options(
@@ -192,7 +191,7 @@ class Deposition:
                 if not self.undecided:
                     checkpoint.clear(self.folder)
             result = Result(self.folder)
-            section_picture(result)
+            report.section_picture(result)
         return result
 
     def _restored(self) -> tuple[Bodies, RunningState | None]:
