@@ -179,8 +179,8 @@ class Deposition:
                         self.records.append(outcome.record)
                         if i + 1 == len(plan.impacts) or self.undecided:
                             break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-                        bodies, report = join(plan, i, outcome.domains, options.log, outcome.hold)
-                        self.joins.append(report)
+                        bodies, joined = join(plan, i, outcome.domains, options.log, outcome.hold)
+                        self.joins.append(joined)
                     finally:
                         if outcome is not None:
                             outcome.domains.particle.close()
