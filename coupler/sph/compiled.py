@@ -7,7 +7,7 @@ F, Q and the plastic strain of those points over fixed lists. No sum depends on 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -24,7 +24,7 @@ LEAST_POINTS, LEAST_PAIRS = (
     1200,
     6600,
 )  # in a part at the least: with less of them a second thread costs more than it gives
-PER_POINT = 19  # numbers of a point that other ranks need: F, Q, plastic strain
+RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class CompiledParticle(Particle):
     """
 
     PAIR = "pair_compiled.lmp"
-    POINTS = CompiledPoints
+    POINTS: ClassVar[type[PointState]] = CompiledPoints
     R: np.ndarray
 
     def _start_engine(self) -> None:
@@ -55,6 +55,7 @@ class CompiledParticle(Particle):
         self._all_F[:] = np.eye(3).ravel()
         self._effective = np.ones(everyone)
         self.F, self.R = self._all_F[: self.n], self._all_F[: self.n].copy()
+        self._rates = self._all_v  # velocities of the rate of deformation
         self._h = 2.0 * self.numerics.kernel_radius * self.spacing
         law = self.law[0]
         self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
@@ -63,21 +64,23 @@ class CompiledParticle(Particle):
         self._list_neighbours()
         self._list_exchange()
         self._force = np.zeros((len(self._pairs), 3))
+        self._of_points: tuple[np.ndarray, ...] = ()  # further arrays of a scheme, for the two passes
+        self._of_pairs: tuple[np.ndarray, ...] = ()
         self._strength, self._loss = np.zeros((2, len(self._pairs), 2))
         self._heat = np.zeros((self.n, 2))
 
     def _list_neighbours(self) -> None:
         """Neighbours of each point and pairs, ascending by the points' numbers in the whole particle; gradients on both."""
         n, X, tag, h, V = self.n, self._X, self._tag, self._h, self.volume_of_point
-        pairs = cKDTree(X).query_pairs(1.01 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
+        pairs = cKDTree(X).query_pairs(1.12 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
         pairs = pairs[(pairs < n).any(axis=1)]
         pairs = np.where((tag[pairs[:, 0]] < tag[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
         d = X[pairs[:, 1]] - X[pairs[:, 0]]
         r0 = np.sqrt((d * d).sum(axis=1))
         order = np.lexsort((tag[pairs[:, 1]], tag[pairs[:, 0]]))
-        order = order[r0[order] < h]
+        order = order[self._are_neighbours(pairs, r0)[order]]
         pairs, d, r0 = pairs[order], d[order], r0[order]
-        slope = KERNEL * (h - r0) ** 2 / h**6
+        slope = KERNEL * np.maximum(h - r0, 0.0) ** 2 / h**6
         W = np.float32(-THIRD * (h - r0) * slope).astype(float)
         w = np.float32(slope).astype(float) / r0  # MACHDYN keeps both in single precision
         self._pairs, self._r0, self._w, self._W = pairs.astype(np.uint32), r0, w, W
@@ -96,18 +99,24 @@ class CompiledParticle(Particle):
         inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=np.abs(V * stretch) > 1e-16)
         self._K_inverse = np.ascontiguousarray(np.einsum("nik,nk,njk->nij", axes, inverse, axes))
         self._first = np.searchsorted(point, np.arange(n + 1)).astype(np.uint32)
+        self._point, self._side_d = point, d
         self._neighbour, self._signed = other.astype(np.uint32), row.astype(np.int32)
+
+    def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
+        """Which of the pairs (k,2) of rows at the distances r0 (k,) m take part (k,)."""
+        return r0 < self._h
 
     def _list_exchange(self) -> None:
         """Which rows go to which rank between the passes, and which come from there."""
-        self._sends: list[tuple[int, np.ndarray, np.ndarray]] = []
-        self._receives: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._sends: RowsOfRanks = []
+        self._receives: RowsOfRanks = []
         if self.comm.size == 1:
             return
         needed = np.unique(self._neighbour[self._neighbour >= self.n]).astype(np.int64)
         owner = np.empty(self.total, np.int64)
         for rank, ids in enumerate(self.comm.allgather(self.ids)):
             owner[ids] = rank
+        self._owner = owner[self._tag - 1]
         wanted = [needed[owner[self._tag[needed] - 1] == rank] for rank in range(self.comm.size)]
         asked = self.comm.alltoall([self._tag[rows] - 1 for rows in wanted])
         row_of = np.empty(self.total, np.int64)
@@ -115,7 +124,7 @@ class CompiledParticle(Particle):
         for rank in range(self.comm.size):
             for lists, rows in ((self._sends, row_of[asked[rank]]), (self._receives, wanted[rank])):
                 if len(rows):
-                    lists.append((rank, rows, np.empty((len(rows), PER_POINT))))
+                    lists.append((rank, rows))
 
     def _update_stress(self) -> None:
         failed: list[int] = []
@@ -123,8 +132,8 @@ class CompiledParticle(Particle):
         def stress(lo: int, hi: int) -> None:
             point = k.stress_points(
                 lo, hi, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
-                self._K_inverse, self._X, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
-                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
+                self._K_inverse, self._X, self._all_x, self._rates, self.R, self._all_F, self._all_Q, self._stress, self._effective,
+                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, *self._of_points,
             )  # fmt: skip
             if point >= 0:
                 failed.append(point)
@@ -155,6 +164,7 @@ class CompiledParticle(Particle):
             lo, hi, self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
             self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
             self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force,
+            *self._of_pairs,
         )  # fmt: skip
 
     def _end_window(self) -> None:
@@ -167,16 +177,20 @@ class CompiledParticle(Particle):
 
     def _skip_step(self) -> None:
         """Exchange what pass 2 needs of points of other ranks."""
-        if not self._sends and not self._receives:
-            return
-        requests = [self.comm.Irecv(buffer, source=rank, tag=8) for rank, _, buffer in self._receives]
-        for rank, rows, buffer in self._sends:
-            buffer[:, :9], buffer[:, 9:18], buffer[:, 18] = self._all_F[rows], self._all_Q[rows], self._effective[rows]
-            requests.append(self.comm.Isend(buffer, dest=rank, tag=8))
+        self._swap(self._sends, self._receives, self._all_F, self._all_Q, self._effective[:, None])
+
+    def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
+        """Send rows of arrays (k, ...) to other ranks, and write those that come from there."""
+        widths = np.cumsum([0] + [array.shape[1] for array in arrays])
+        inbox = [np.empty((len(rows), widths[-1])) for _, rows in receives]
+        requests = [self.comm.Irecv(box, source=rank, tag=8) for box, (rank, _) in zip(inbox, receives, strict=True)]
+        outbox = [np.concatenate([array[rows] for array in arrays], axis=1) for _, rows in sends]
+        requests += [self.comm.Isend(box, dest=rank, tag=8) for box, (rank, _) in zip(outbox, sends, strict=True)]
         for request in requests:
             request.Wait()
-        for _, rows, buffer in self._receives:
-            self._all_F[rows], self._all_Q[rows], self._effective[rows] = buffer[:, :9], buffer[:, 9:18], buffer[:, 18]
+        for box, (_, rows) in zip(inbox, receives, strict=True):
+            for i, array in enumerate(arrays):
+                array[rows] = box[:, widths[i] : widths[i + 1]]
 
     def _refuse(self, point: int) -> None:
         if np.isfinite(self.J[point]):

@@ -22,6 +22,7 @@ FAR = 0.3  # rad: a rotation farther from the last one is sought by Newton's ite
 J_MIN, J_MAX = 0.2, 2.0  # volume ratios that MACHDYN accepts
 PLASTIC = 1e-3  # effective plastic strain of LAMMPS beyond which MACHDYN's hourglass control is viscous
 LEAST_ERROR = 0.05  # hourglass error that the viscous control assumes at the least
+ACROSS = 10.0 / 9.0  # shear stiffness of a residual over G: 1 across a pair, 4/3 along it, in the mean over directions
 SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at the most
 
 
@@ -113,10 +114,79 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _residuals(
+    i: int, lo: int, hi: int, neighbour: Ints, w: Floats, X: Floats, x: Floats, F: Matrix, R: Matrix, plastic: Floats, residual:
+    Floats,
+) -> tuple[float, float]:  # fmt: skip
+    """The elastic residuals e = R^T (x_j - x_i - F (X_j - X_i)) - e_p of a point: what its F does not see of its neighbours.
+
+    residual (m,3) m is written in rows [lo, hi); plastic (m,3) m: e_p. Returns sum w e^2 / sum w r^2, and sum w r^2 (1/m3).
+    """
+    total = span = 0.0
+    for k in range(lo, hi):
+        j = neighbour[k]
+        X0, X1, X2 = X[j, 0] - X[i, 0], X[j, 1] - X[i, 1], X[j, 2] - X[i, 2]
+        d0 = x[j, 0] - x[i, 0] - F[0] * X0 - F[1] * X1 - F[2] * X2
+        d1 = x[j, 1] - x[i, 1] - F[3] * X0 - F[4] * X1 - F[5] * X2
+        d2 = x[j, 2] - x[i, 2] - F[6] * X0 - F[7] * X1 - F[8] * X2
+        e0 = R[0] * d0 + R[3] * d1 + R[6] * d2 - plastic[k, 0]
+        e1 = R[1] * d0 + R[4] * d1 + R[7] * d2 - plastic[k, 1]
+        e2 = R[2] * d0 + R[5] * d1 + R[8] * d2 - plastic[k, 2]
+        residual[k, 0], residual[k, 1], residual[k, 2] = e0, e1, e2
+        total += w[k] * (e0 * e0 + e1 * e1 + e2 * e2)
+        span += w[k] * (X0 * X0 + X1 * X1 + X2 * X2)
+    return total / span, span
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def _residual_forces(
+    i: int, lo: int, hi: int, back: float, stiffness: float, neighbour: Ints, w: Floats, X: Floats, R: Matrix, plastic: Floats,
+    residual: Floats,
+) -> tuple[Matrix, float, float, float]:  # fmt: skip
+    """Return elastic residuals by the factor `back` of the deviator, and turn them into forces.
+
+    plastic (m,3) m grows; residual (m,3): elastic residuals of the trial in m, on return forces stiffness w R e in N. Returns
+    sum f (x) (X_j - X_i), minus the derivative of their energy by F, and the moment sum e_p x f of the unrotated forces.
+    """
+    h00 = h01 = h02 = h10 = h11 = h12 = h20 = h21 = h22 = 0.0
+    t0 = t1 = t2 = 0.0
+    for k in range(lo, hi):
+        j = neighbour[k]
+        e0, e1, e2 = residual[k, 0], residual[k, 1], residual[k, 2]
+        p0, p1, p2 = (
+            plastic[k, 0] + (1.0 - back) * e0,
+            plastic[k, 1] + (1.0 - back) * e1,
+            plastic[k, 2] + (1.0 - back) * e2,
+        )
+        plastic[k, 0], plastic[k, 1], plastic[k, 2] = p0, p1, p2
+        c = stiffness * w[k] * back
+        e0, e1, e2 = c * e0, c * e1, c * e2
+        t0 += p1 * e2 - p2 * e1
+        t1 += p2 * e0 - p0 * e2
+        t2 += p0 * e1 - p1 * e0
+        f0 = R[0] * e0 + R[1] * e1 + R[2] * e2
+        f1 = R[3] * e0 + R[4] * e1 + R[5] * e2
+        f2 = R[6] * e0 + R[7] * e1 + R[8] * e2
+        residual[k, 0], residual[k, 1], residual[k, 2] = f0, f1, f2
+        X0, X1, X2 = X[j, 0] - X[i, 0], X[j, 1] - X[i, 1], X[j, 2] - X[i, 2]
+        h00 += f0 * X0
+        h01 += f0 * X1
+        h02 += f0 * X2
+        h10 += f1 * X0
+        h11 += f1 * X1
+        h12 += f1 * X2
+        h20 += f2 * X0
+        h21 += f2 * X1
+        h22 += f2 * X2
+    return (h00, h01, h02, h10, h11, h12, h20, h21, h22), t0, t1, t2
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def stress_points(
     lo: int, hi: int, dt: float, laws: Laws, V: float, H: float, start: Ints, neighbour: Ints, w: Floats, K_inverse: Floats,
     X: Floats, x: Floats, v: Floats, R: Floats, F: Floats, Q: Floats, stress: Floats, effective: Floats, sigma_y: Floats,
     eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, work: Floats,
+    gradient: Floats = None, plastic: Floats = None, residual: Floats = None, unseen: Floats = None,  # type: ignore[assignment]
 ) -> int:  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
 
@@ -127,6 +197,11 @@ def stress_points(
     the plastic work. A point fails where J leaves [J_MIN, J_MAX].
 
     As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
+
+    The enriched scheme (`sph.enriched`) has four arrays more, and v of n+1/2: gradient (m,3) 1/m in place of w (X_j - X_i) K^-1;
+    plastic and residual (m,3) of `_residuals` and `_residual_forces`; unseen (n,) J/m3
+    receives the elastic energy of the residuals. Q then
+    is -V J R sigma B, and what balances the residuals' forces.
     """
     failed = -1
     for i in range(lo, hi):
@@ -138,7 +213,10 @@ def stress_points(
         r00 = r01 = r02 = r10 = r11 = r12 = r20 = r21 = r22 = 0.0
         for k in range(start[i], start[i + 1]):
             j = neighbour[k]
-            g0, g1, g2 = w[k] * (X[j, 0] - X0), w[k] * (X[j, 1] - X1), w[k] * (X[j, 2] - X2)
+            if gradient is not None:
+                g0, g1, g2 = gradient[k, 0], gradient[k, 1], gradient[k, 2]
+            else:
+                g0, g1, g2 = w[k] * (X[j, 0] - X0), w[k] * (X[j, 1] - X1), w[k] * (X[j, 2] - X2)
             d0, d1, d2 = x[j, 0] - x0, x[j, 1] - x1, x[j, 2] - x2
             f00 += d0 * g0
             f01 += d0 * g1
@@ -161,8 +239,9 @@ def stress_points(
             r22 += d2 * g2
         M = K_inverse[i]
         K1 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
-        Fi = _product((f00, f01, f02, f10, f11, f12, f20, f21, f22), K1)
-        Fdot = _product((r00, r01, r02, r10, r11, r12, r20, r21, r22), K1)
+        Fi, Fdot = (f00, f01, f02, f10, f11, f12, f20, f21, f22), (r00, r01, r02, r10, r11, r12, r20, r21, r22)
+        if gradient is None:
+            Fi, Fdot = _product(Fi, K1), _product(Fdot, K1)
         Ri, U = rotation(Fi, (R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]))
         B, Ji = _inverse(U)
         if not J_MIN <= Ji <= J_MAX and failed < 0:
@@ -182,9 +261,14 @@ def stress_points(
         sxy = stress[i, 1] + 0.5 * c * (L[1] + L[3])
         sxz = stress[i, 2] + 0.5 * c * (L[2] + L[6])
         syz = stress[i, 4] + 0.5 * c * (L[5] + L[7])
-        q = sqrt(1.5 * (sxx * sxx + syy * syy + szz * szz + 2.0 * (sxy * sxy + sxz * sxz + syz * syz)))
+        squared = sxx * sxx + syy * syy + szz * szz + 2.0 * (sxy * sxy + sxz * sxz + syz * syz)
+        span = 1.0
+        if gradient is not None:
+            unseen[i], span = _residuals(i, start[i], start[i + 1], neighbour, w, X, x, Fi, Ri, plastic, residual)
+            squared += 2.0 * ACROSS * law.G * law.G * unseen[i]
+        q = sqrt(1.5 * squared)
         sy = sigma_y[i]
-        deps = 0.0
+        deps, back = 0.0, 1.0
         if q > sy:
             deps = (q - sy) / (3.0 * law.G)
             back = sy / q
@@ -206,11 +290,23 @@ def stress_points(
         sxx, syy, szz = sxx + mean, syy + mean, szz + mean
         stress[i, 0], stress[i, 1], stress[i, 2] = sxx, sxy, sxz
         stress[i, 3], stress[i, 4], stress[i, 5] = syy, syz, szz
-        P = _product(_product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
-        P = _product(P, K1)
         c = -V * Ji
-        for k in range(9):
-            Q[i, k] = c * P[k]
+        if gradient is not None:
+            unseen[i] *= 0.5 * ACROSS * law.G * back * back
+            stiffness = V * ACROSS * law.G / span
+            balance, t0, t1, t2 = _residual_forces(
+                i, start[i], start[i + 1], back, stiffness, neighbour, w, X, Ri, plastic, residual
+            )
+            t0, t1, t2 = 0.5 * t0 / c, 0.5 * t1 / c, 0.5 * t2 / c  # a skew stress that balances their moment
+            P = _product(Ri, (sxx, sxy - t2, sxz + t1, sxy + t2, syy, syz - t0, sxz - t1, syz + t0, szz))
+            P = _product(P, B)
+            for k in range(9):
+                Q[i, k] = c * P[k] + balance[k]
+        else:
+            P = _product(_product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
+            P = _product(P, K1)
+            for k in range(9):
+                Q[i, k] = c * P[k]
     return failed
 
 
@@ -219,6 +315,7 @@ def pair_forces(
     lo: int, hi: int, pairs: Ints, r0: Floats, w: Floats, W: Floats, X: Floats, x: Floats, v: Floats, F: Floats, Q: Floats,
     effective: Floats, h: float, c: float, E: float, V: float, rho: float, Q1: float, Q2: float, hourglass: float, dt: float,
     is_last: bool, v_half: Floats, strength: Floats, loss: Floats, force: Floats,
+    gradients: Floats = None, residual: Floats = None, rows: Ints = None,  # type: ignore[assignment]
 ) -> None:  # fmt: skip
     """Pass 2: the force (N) on the first point of each pair; on the second it is the opposite.
 
@@ -231,6 +328,9 @@ def pair_forces(
     loss (m,2) J grows by the work that viscosity and hourglass control take from the motion: dt (f_n + f_n+1) / 2 . v_n+1/2, as the
     leapfrog exchanges energy. v_half (N,3): v_n+1/2; strength (m,2) N/m: both forces over x_j - x_i, of n on entry (zero in the first
     step of a window), of n+1 on return. is_last: of a window, whose last forces act on with v for the half step that follows.
+
+    The enriched scheme: gradients (m,6) of both points of the pair, and in place of the hourglass control the forces residual
+    (sides,3) N; rows (m,2): of the first point's side and of the second's.
     """
     m2 = (rho * V) ** 2 / rho
     for k in range(lo, hi):
@@ -239,28 +339,41 @@ def pair_forces(
         x0, x1, x2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
         v0, v1, v2 = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
         r = sqrt(x0 * x0 + x1 * x1 + x2 * x2)
-        g0, g1, g2 = w[k] * X0, w[k] * X1, w[k] * X2
-        f0 = -((Q[i, 0] + Q[j, 0]) * g0 + (Q[i, 1] + Q[j, 1]) * g1 + (Q[i, 2] + Q[j, 2]) * g2)
-        f1 = -((Q[i, 3] + Q[j, 3]) * g0 + (Q[i, 4] + Q[j, 4]) * g1 + (Q[i, 5] + Q[j, 5]) * g2)
-        f2 = -((Q[i, 6] + Q[j, 6]) * g0 + (Q[i, 7] + Q[j, 7]) * g1 + (Q[i, 8] + Q[j, 8]) * g2)
+        if gradients is not None:
+            a0, a1, a2, b0, b1, b2 = (
+                gradients[k, 0], gradients[k, 1], gradients[k, 2], gradients[k, 3], gradients[k, 4], gradients[k, 5],
+            )  # fmt: skip
+            p, q = rows[k, 0], rows[k, 1]
+            f0 = residual[p, 0] - residual[q, 0] + Q[j, 0] * b0 + Q[j, 1] * b1 + Q[j, 2] * b2
+            f1 = residual[p, 1] - residual[q, 1] + Q[j, 3] * b0 + Q[j, 4] * b1 + Q[j, 5] * b2
+            f2 = residual[p, 2] - residual[q, 2] + Q[j, 6] * b0 + Q[j, 7] * b1 + Q[j, 8] * b2
+            f0 -= Q[i, 0] * a0 + Q[i, 1] * a1 + Q[i, 2] * a2
+            f1 -= Q[i, 3] * a0 + Q[i, 4] * a1 + Q[i, 5] * a2
+            f2 -= Q[i, 6] * a0 + Q[i, 7] * a1 + Q[i, 8] * a2
+        else:
+            g0, g1, g2 = w[k] * X0, w[k] * X1, w[k] * X2
+            f0 = -((Q[i, 0] + Q[j, 0]) * g0 + (Q[i, 1] + Q[j, 1]) * g1 + (Q[i, 2] + Q[j, 2]) * g2)
+            f1 = -((Q[i, 3] + Q[j, 3]) * g0 + (Q[i, 4] + Q[j, 4]) * g1 + (Q[i, 5] + Q[j, 5]) * g2)
+            f2 = -((Q[i, 6] + Q[j, 6]) * g0 + (Q[i, 7] + Q[j, 7]) * g1 + (Q[i, 8] + Q[j, 8]) * g2)
 
         soft = 1.0 / (r + 0.1 * h)
         closing = min(max((x0 * v0 + x1 * v1 + x2 * v2) * soft, -SLOW * c), SLOW * c)
         mu = h * closing * soft
-        e0 = 0.5 * ((F[i, 0] + F[j, 0]) * X0 + (F[i, 1] + F[j, 1]) * X1 + (F[i, 2] + F[j, 2]) * X2) - x0
-        e1 = 0.5 * ((F[i, 3] + F[j, 3]) * X0 + (F[i, 4] + F[j, 4]) * X1 + (F[i, 5] + F[j, 5]) * X2) - x1
-        e2 = 0.5 * ((F[i, 6] + F[j, 6]) * X0 + (F[i, 7] + F[j, 7]) * X1 + (F[i, 8] + F[j, 8]) * X2) - x2
-        along = e0 * x0 + e1 * x1 + e2 * x2  # gamma . dx
         gradient = m2 * w[k] * r0[k]
         viscous = gradient * (Q2 * mu - Q1 * c) * mu  # times the unit vector: the viscous force
         control = 0.0
-        if max(effective[i], effective[j]) > PLASTIC:
-            if closing * along < 0.0:
-                error = max(sqrt(e0 * e0 + e1 * e1 + e2 * e2) / r0[k], LEAST_ERROR)
-                control = -gradient * error * hourglass * c * mu
-        else:
-            along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) * soft
-            control = -V * V * W[k] * E * hourglass * along / (r0[k] * r0[k] + 0.01 * h * h)
+        if gradients is None:
+            e0 = 0.5 * ((F[i, 0] + F[j, 0]) * X0 + (F[i, 1] + F[j, 1]) * X1 + (F[i, 2] + F[j, 2]) * X2) - x0
+            e1 = 0.5 * ((F[i, 3] + F[j, 3]) * X0 + (F[i, 4] + F[j, 4]) * X1 + (F[i, 5] + F[j, 5]) * X2) - x1
+            e2 = 0.5 * ((F[i, 6] + F[j, 6]) * X0 + (F[i, 7] + F[j, 7]) * X1 + (F[i, 8] + F[j, 8]) * X2) - x2
+            along = e0 * x0 + e1 * x1 + e2 * x2  # gamma . dx
+            if max(effective[i], effective[j]) > PLASTIC:
+                if closing * along < 0.0:
+                    error = max(sqrt(e0 * e0 + e1 * e1 + e2 * e2) / r0[k], LEAST_ERROR)
+                    control = -gradient * error * hourglass * c * mu
+            else:
+                along = 0.5 * min(max(along, -0.1 * r), 0.1 * r) * soft
+                control = -V * V * W[k] * E * hourglass * along / (r0[k] * r0[k] + 0.01 * h * h)
         viscous, control = viscous / (r + 0.01 * h), control / (r + 0.01 * h)
         a = viscous + control
 

@@ -205,7 +205,7 @@ class Particle(ABC):
         self.lmp.command("run 0 post no")  # builds the reference neighbours
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
-        self.X = self.X[self.ids]
+        self._whole, self.X = self.X, self.X[self.ids]
         self._own(temperature)
         self._views()
         velocity = np.asarray(velocity, float)
