@@ -89,11 +89,8 @@ class PointContact:
 
     def restore(self, state: ContactState) -> None:
         """Put a `state` into a contact of the same surfaces. Raises CheckpointError where it does not fit."""
-        if (
-            len(state.depth) != len(self.depth)
-            or len(state.spring) != len(self.depth)
-            or len(state.heat_facet) != len(self.facets)
-        ):
+        points = len(self.depth)
+        if not len(state.depth) == len(state.spring) == points or len(state.heat_facet) != len(self.facets):
             raise CheckpointError("a state does not fit: the contact has other surfaces")
         assign(self, state)
 

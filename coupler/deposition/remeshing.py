@@ -215,11 +215,9 @@ def _seamed(points: np.ndarray, tets: np.ndarray, cut: np.ndarray, near: float) 
     if distance.max() > near or len(np.unique(nearest)) < len(cut):
         raise SplatError("the mesher has moved nodes of the cut")
     order = np.concatenate([nearest, np.setdiff1d(np.arange(len(points)), nearest)])
-    rank = np.empty(len(points), np.int64)
-    rank[order] = np.arange(len(points))
     ordered = points[order]
     ordered[: len(cut)] = cut
-    return ordered, rank[tets]
+    return ordered, np.argsort(order)[tets]
 
 
 def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray, edge: float) -> Renewal:

@@ -92,13 +92,13 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
     x = np.concatenate([d.nodes.x for d in domains])
     distance = np.linalg.norm(x - np.asarray(origin), axis=1)
     by_node = np.argsort(distance, kind="stable")
-    rank = np.empty(len(by_node), np.int64)
-    rank[by_node] = np.arange(len(by_node))
+    rank = np.argsort(by_node)
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
     reach = distance[by_node][conn].min(axis=1)
     by_element = np.argsort(reach, kind="stable")
-    element_rank = np.empty(len(by_element), np.int64)
-    element_rank[by_element] = np.arange(len(by_element))
+    element_rank = np.argsort(by_element)
+    facet_nodes = np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)])
+    behind = np.concatenate([element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)])
 
     mesh = TetMesh(
         points=put([d.mesh.points for d in domains], by_node),
@@ -106,12 +106,8 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
         B=put([d.mesh.B for d in domains], by_element),
         V0=put([d.mesh.V0 for d in domains], by_element),
         node_volume=put([d.mesh.node_volume for d in domains], by_node),
-        facets=np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)]).astype(
-            np.int32
-        ),
-        facet_element=np.concatenate(
-            [element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)]
-        ).astype(np.int32),
+        facets=facet_nodes.astype(np.int32),
+        facet_element=behind.astype(np.int32),
         sets={name: ids + at for d, at in zip(domains, facets, strict=False) for name, ids in d.mesh.sets.items()},
         reach_node=distance[by_node],
         reach_element=reach[by_element],

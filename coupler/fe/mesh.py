@@ -96,8 +96,7 @@ def prepare_ordered(
     """`prepare`, and which of the points (n,) and tetrahedra (m,) given each node and element is."""
     distance = np.linalg.norm(points - np.asarray(origin), axis=1)
     order = np.argsort(distance, kind="stable")
-    rank = np.empty(len(order), np.int64)
-    rank[order] = np.arange(len(order))
+    rank = np.argsort(order)
     points, reach_node = np.ascontiguousarray(points[order]), distance[order]
     tets = rank[tets]
     reach = reach_node[tets].min(axis=1)
@@ -125,18 +124,9 @@ def prepare_ordered(
     flip = np.einsum("ij,ij->i", area_vectors(points, corners), points[corners[:, 0]] - inside) < 0
     corners[flip] = corners[flip][:, [0, 2, 1]]
     sets = name_sides(points, corners)
-    prepared = TetMesh(
-        points,
-        np.ascontiguousarray(tets, np.int32),
-        np.ascontiguousarray(gradients),
-        np.ascontiguousarray(V0),
-        np.ascontiguousarray(node_volume),
-        np.ascontiguousarray(corners, np.int32),
-        np.ascontiguousarray(element, np.int32),
-        sets,
-        reach_node,
-        reach,
-    )
+    gradients, V0, node_volume = (np.ascontiguousarray(values) for values in (gradients, V0, node_volume))
+    conn, facets, behind = (np.ascontiguousarray(ids, np.int32) for ids in (tets, corners, element))
+    prepared = TetMesh(points, conn, gradients, V0, node_volume, facets, behind, sets, reach_node, reach)
     return prepared, order, by_reach
 
 

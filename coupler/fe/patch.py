@@ -196,12 +196,8 @@ def renewed(domain: Domain, patch: Patch, new: Renewal) -> tuple[Domain, np.ndar
     now = np.bincount(conn.ravel(), np.repeat(0.25 * elements.volume, 4), many)
     nodes.J[touched] = (now / share)[touched]
     nodes.p[touched] = pressures(law, nodes.J[touched], nodes.energy[touched])
-    return (
-        replace(domain, mesh=renewed_mesh, nodes=nodes, elements=elements, body=body),
-        node,
-        facet,
-        np.array([lost, warmth]),
-    )
+    domain = replace(domain, mesh=renewed_mesh, nodes=nodes, elements=elements, body=body)
+    return domain, node, facet, np.array([lost, warmth])
 
 
 def _made_up(domain: Domain, patch: Patch, new: ElementState, V0: np.ndarray) -> tuple[ElementState, float, float]:

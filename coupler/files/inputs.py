@@ -216,14 +216,12 @@ def _check_own_limits() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
         if wanted < _LEAST_DESCRIPTORS:
             raise LimitError(f"only {hard} open files are allowed, {_LEAST_DESCRIPTORS} are needed: raise ulimit -n")
-    longest = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
-    if 0 <= longest < _LEAST_FILE:
-        raise LimitError(f"files are limited to {_bytes(longest)}, {_bytes(_LEAST_FILE)} are needed: raise ulimit -f")
-    space = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if 0 <= space < _LEAST_ADDRESS_SPACE:
-        raise LimitError(
-            f"the address space is limited to {_bytes(space)}, {_bytes(_LEAST_ADDRESS_SPACE)} are needed: raise ulimit -v"
-        )
+    for limit, least, words, option in (
+        (resource.RLIMIT_FSIZE, _LEAST_FILE, "files are limited", "-f"),
+        (resource.RLIMIT_AS, _LEAST_ADDRESS_SPACE, "the address space is limited", "-v"),
+    ):
+        if 0 <= (bound := resource.getrlimit(limit)[0]) < least:
+            raise LimitError(f"{words} to {_bytes(bound)}, {_bytes(least)} are needed: raise ulimit {option}")
 
 
 def _available() -> int:

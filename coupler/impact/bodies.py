@@ -130,15 +130,8 @@ class Bodies:
         """Bodies as a `state` has them. Raises CheckpointError where its parts do not fit each other."""
         mesh = state.mesh
         _check(state)
-        target = Target(
-            mesh,
-            state.laws,
-            state.target.elements.T,
-            law_of=state.body,
-            fixed=fixed,
-            absorbing=absorbing,
-            conduction=conduction,
-        )
+        T = state.target.elements.T
+        target = Target(mesh, state.laws, T, state.body, fixed, absorbing, conduction=conduction)
         target.restore(state.target)
         bodies = cls(target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed)
         if state.placed is not None and state.contact is not None:
@@ -278,31 +271,19 @@ class Bodies:
 def _check(state: BodiesState) -> None:
     """Raise CheckpointError where arrays have other lengths than the mesh, or point at what is not there."""
     mesh, n, m = state.mesh, len(state.mesh.points), len(state.mesh.conn)
-    by_node = (
-        mesh.node_volume,
-        mesh.reach_node,
-        state.target.nodes.x,
-        *([] if state.placed is None else [state.placed]),
-    )
+    facets, placed = len(mesh.facets), [] if state.placed is None else [state.placed]
+    by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
     by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
-    if (
-        any(len(a) != n for a in by_node)
-        or any(len(a) != m for a in by_element)
-        or len(mesh.facet_element) != len(mesh.facets)
-    ):
+    fits = all(len(a) == n for a in by_node) and all(len(a) == m for a in by_element)
+    if not fits or len(mesh.facet_element) != facets:
         raise CheckpointError("a state does not fit: mesh and fields of the target have different lengths")
     if not {"top", "bottom", "sides"} <= set(mesh.sets):
         raise CheckpointError("a state does not fit: the mesh lacks the faces of the substrate")
-    counts = {"nodes": n, "elements": m, "facets": len(mesh.facets), "laws": len(state.laws)}
     for ids in mesh.sets.values():
-        if (
-            ids.dtype.kind != "i"
-            or ids.ndim != 1
-            or (ids.size and not (ids.min() >= 0 and ids.max() < counts["facets"]))
-        ):
+        if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
             raise CheckpointError("a state does not fit: a face of the mesh points at facets that are not there")
     for record in (mesh, state, *([] if state.bond is None else [state.bond.rows])):
-        check_indices(record, **counts)
+        check_indices(record, nodes=n, elements=m, facets=facets, laws=len(state.laws))
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: float) -> float:

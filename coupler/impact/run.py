@@ -201,12 +201,6 @@ class _Keeper:
 
     def state(self) -> RunningState:
         """Everything from which the impact goes on as if nothing had happened."""
-        return RunningState(
-            self.impact.state(),
-            self.ending.state(),
-            self.recorder.state(),
-            list(self.retries.applied),
-            self.impact.domains.level,
-            self.watch.wall,
-            self.watch.looped,
-        )
+        impact, retries, watch = self.impact, list(self.retries.applied), self.watch
+        states = impact.state(), self.ending.state(), self.recorder.state()
+        return RunningState(*states, retries, impact.domains.level, watch.wall, watch.looped)

@@ -150,15 +150,9 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     if memory > there:
         joined = f", {splats:.3g} of them in {len(scene.particles) - 1} splats," if splats else ""
         offsets = _fields(scene, "offset") if len(scene.particles) > 1 else ()
+        sizes = ("resolution.element_size", "splat.element_size", "substrate.diameter", "substrate.height")
         yield (
-            (
-                *needs,
-                *offsets,
-                "resolution.element_size",
-                "splat.element_size",
-                "substrate.diameter",
-                "substrate.height",
-            ),
+            (*needs, *offsets, *sizes),
             f"resolution: {d.points:.3g} points and {d.elements + splats:.3g} elements{joined} need about"
             f" {memory / 1e9:.3g} GB of memory, this machine has {there / 1e9:.3g} GB;"
             " take a larger spacing and element_size, or a coarser preset",

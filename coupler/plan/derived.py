@@ -51,11 +51,8 @@ class Derived:
         It holds the widest particle at the farthest offset.
         """
         least = estimates.REFINED_RADIUS_OVER_DIAMETER
-        middle, own = (
-            self.centre,
-            max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles),
-        )
-        return own + max(math.dist(p.offset, middle) for p in self.scene.particles)
+        own = max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
+        return own + max(math.dist(p.offset, self.centre) for p in self.scene.particles)
 
     @property
     def element_size(self) -> float:
@@ -74,13 +71,8 @@ class Derived:
     @property
     def elements(self) -> int:
         """Elements of the target before the first impact, an estimate."""
-        return estimates.elements(
-            self.scene.substrate.diameter,
-            self.scene.substrate.height,
-            self.element_size,
-            self.refined_radius,
-            self.scene.resolution.growth,
-        )
+        body, growth = self.scene.substrate, self.scene.resolution.growth
+        return estimates.elements(body.diameter, body.height, self.element_size, self.refined_radius, growth)
 
     @property
     def splat_element_size(self) -> float:

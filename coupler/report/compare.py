@@ -14,23 +14,8 @@ from ..errors import StoreError
 from ..files.outputs import write_text
 from ..files.result import Result
 from ..measures import BALANCE
-from . import charts, parts
+from . import charts, parts, picture
 from .page import Page, embedded
-from .picture import (
-    Cut,
-    axes_at,
-    blank,
-    colour_bar,
-    colour_range,
-    cut,
-    draw,
-    drawable,
-    save,
-    scale_bar,
-    stage,
-    stored_steps,
-    window,
-)
 from .words import Block, fill_table, plain, table_lines, title
 
 MOST = 12  # runs: more do not stand beside each other
@@ -103,8 +88,8 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
     Raises StoreError if a run has nothing that can be drawn.
     """
     check_count(len(results))
-    names = [name for name in ("T", "eps_p") if all(name in drawable(result) for result in results)]
-    empty = [str(result.directory) for result in results if not drawable(result)]
+    names = [name for name in ("T", "eps_p") if all(name in picture.drawable(result) for result in results)]
+    empty = [str(result.directory) for result in results if not picture.drawable(result)]
     if empty or not names:
         raise StoreError(f"{', '.join(empty) or 'the runs'}: no stored step with temperature or plastic strain to draw")
     cuts, (half, low, high) = _cuts(results, names)
@@ -112,16 +97,16 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
     wide, margin, bar = 3.6, 0.12, 1.0  # inches
     tall = wide * (high - low) / (2 * half)
     width, height = len(cuts) * (wide + margin) + margin + bar, len(names) * (tall + margin) + 0.75
-    figure = blank(width, height, dpi=150)
+    figure = picture.blank(width, height, dpi=150)
     for row, name in enumerate(names):
-        ends = colour_range(cuts, name)
+        ends = picture.colour_range(cuts, name)
         bottom = height - 0.7 - (row + 1) * tall - row * margin
         for k, section in enumerate(cuts):
-            axis = axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
-            draw(axis, section, name, ends)
+            axis = picture.axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
+            picture.draw(axis, section, name, ends)
             if row == 0:
-                scale_bar(axis, section.window, 10)
-        colour_bar(axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall), name, ends)
+                picture.scale_bar(axis, section.window, 10)
+        picture.colour_bar(picture.axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall), name, ends)
     for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
         left = (margin + k * (wide + margin)) / width
         figure.text(left, 1 - 0.25 / height, name, fontsize=11, weight="bold", va="center", parse_math=False)
@@ -137,7 +122,7 @@ def compare(results: Sequence[Result], path: str | Path) -> Path:
     """
     path = Path(path)
     if path.suffix.lower() == ".png":
-        save(comparison_picture(results), path)
+        picture.save(comparison_picture(results), path)
     elif path.suffix.lower() in (".html", ".htm"):
         write_text(path, comparison_page(results))
     else:
@@ -172,11 +157,11 @@ def check_count(runs: int) -> None:
         raise StoreError(f"a comparison needs 2 to {MOST} folders of results, got {runs}")
 
 
-def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[Cut], tuple[float, float, float]]:
+def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture.Cut], tuple[float, float, float]]:
     """The last cut of each run in windows of one size, and half its width, its bottom and top over the surface, um."""
-    stages = [stage(result) for result in results]
-    steps = [stored_steps(result) - 1 for result in results]
-    own = [window(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]
+    stages = [picture.stage(result) for result in results]
+    steps = [picture.stored_steps(result) - 1 for result in results]
+    own = [picture.window(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]
     half = max((right - left) / 2 for left, right, _, _ in own)
     low = min(bottom - at.level for (_, _, bottom, _), at in zip(own, stages, strict=True))
     high = max(top - at.level for (_, _, _, top), at in zip(own, stages, strict=True))
@@ -184,7 +169,7 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[Cut], t
     for result, step, at, (left, right, _, _) in zip(results, steps, stages, own, strict=True):
         middle = (left + right) / 2
         seen = (middle - half, middle + half, at.level + low, at.level + high)
-        cuts.append(cut(result, step, names, at, seen))
+        cuts.append(picture.cut(result, step, names, at, seen))
     return cuts, (half, low, high)
 
 

@@ -22,25 +22,8 @@ from ..files.outputs import write_text
 from ..files.result import Result
 from ..files.summary import Summary
 from ..measures import measure
-from . import charts, parts
+from . import charts, parts, picture
 from .fields import FIELDS
-from .picture import (
-    MICRO,
-    Cut,
-    Range,
-    Stage,
-    axes_at,
-    blank,
-    colour_bar,
-    colour_range,
-    cut,
-    draw,
-    drawable,
-    scale_bar,
-    stage,
-    stored_steps,
-    window,
-)
 from .profiles import profiles
 from .solid import frames, solid
 from .words import alerts, title, verdict
@@ -109,13 +92,13 @@ def report(result: Result) -> str:
     page.section("computed", "What was computed", computed)
     page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
     page.section("impacts", "Impacts", parts.each_impact(summary))
-    names = drawable(result)
+    names = picture.drawable(result)
     if names:
-        at, picked = stage(result), picks(result)
-        seen = window(result, picked, at)
-        cuts = [cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
-        ranges = {name: colour_range(cuts, name) for name in names}
-        page.solid = solid(result, frames(stored_steps(result)), ranges, at)
+        at, picked = picture.stage(result), picks(result)
+        seen = picture.window(result, picked, at)
+        cuts = [picture.cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
+        ranges = {name: picture.colour_range(cuts, name) for name in names}
+        page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
@@ -135,7 +118,7 @@ def picks(result: Result, most: int = PICTURES) -> list[int]:
 
     Of several impacts their greatest deformations, as many as there is room for, and the last step.
     """
-    times = result.times("surface")[: stored_steps(result)]
+    times = result.times("surface")[: picture.stored_steps(result)]
     last = len(times) - 1
     peaks = list(_named_times(result.summary).values())
     if not peaks:
@@ -226,35 +209,38 @@ def _so_far(history: Mapping[str, NDArray]) -> str:
     return parts.table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
 
 
-def _cuts(cuts: Sequence[Cut], ranges: Mapping[str, Range], named: Mapping[str, float]) -> str:
+def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
     """Pictures of the cut at several times, a row for each, and the colours above."""
     left, right, bottom, top = cuts[0].window
     wide, gap = 4.0, 0.06  # inches
     tall, whole = wide * (top - bottom) / (right - left), len(ranges) * (wide + gap) - gap
-    bars = blank(whole, 0.62, 150)
+    bars = picture.blank(whole, 0.62, 150)
     for k, (name, ends) in enumerate(ranges.items()):
-        colour_bar(
-            axes_at(bars, k * (wide + gap) + 0.25, 0.72 * 0.62, wide - 0.5, 0.24 * 0.62), name, ends, across=True
+        picture.colour_bar(
+            picture.axes_at(bars, k * (wide + gap) + 0.25, 0.72 * 0.62, wide - 0.5, 0.24 * 0.62),
+            name,
+            ends,
+            across=True,
         )
     labels = ", ".join(FIELDS[name].label for name in ranges)
     pictures = [f'<figure><img src="{embedded(bars)}" alt="colours: {labels}"></figure>']
     for section in cuts:
-        figure, time = blank(whole, tall, 150), f"{section.time * 1e9:.1f} ns"
+        figure, time = picture.blank(whole, tall, 150), f"{section.time * 1e9:.1f} ns"
         for k, (name, ends) in enumerate(ranges.items()):
-            axis = axes_at(figure, k * (wide + gap), 0, wide, tall)
-            draw(axis, section, name, ends)
-            scale_bar(axis, section.window, 10)
+            axis = picture.axes_at(figure, k * (wide + gap), 0, wide, tall)
+            picture.draw(axis, section, name, ends)
+            picture.scale_bar(axis, section.window, 10)
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
         caption = f"<figcaption><b>t = {time}</b>{words}</figcaption>"
         pictures.append(f'<figure>{caption}<img src="{embedded(figure)}" alt="cut at {time}"></figure>')
     return "".join(pictures)
 
 
-def _depth(page: Page, result: Result, steps: Sequence[int], at: Stage) -> str:
-    reach, names = 1.5 * at.diameter / MICRO, ("T", "eps_p", "von_mises", "stress")
+def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) -> str:
+    reach, names = 1.5 * at.diameter / picture.MICRO, ("T", "eps_p", "von_mises", "stress")
     lines = [profile for step in steps for profile in profiles(result, step, names, at, reach)]
     last = [profile for profile in lines if profile.time == max(line.time for line in lines)]
-    span = (min(float(profile.depth[0]) for profile in lines) * MICRO, reach * MICRO)
+    span = (min(float(profile.depth[0]) for profile in lines) * picture.MICRO, reach * picture.MICRO)
     figures = {
         f"depth-{k}": charts.with_depth(lines, k, field.words, field.factor, span) for k, field in FIELDS.items()
     }

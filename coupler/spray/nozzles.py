@@ -66,9 +66,10 @@ class Nozzle:
         return (d / self.throat) ** 2
 
 
+@cache
 def library() -> dict[str, Nozzle]:
-    """The nozzles that come with the program, by name."""
-    return dict(_library())
+    """The nozzles that come with the program, by name; not to be changed."""
+    return records.load(__package__, "nozzles.toml", from_table)
 
 
 def unknown(name: str, known: Mapping[str, object]) -> str:
@@ -78,7 +79,7 @@ def unknown(name: str, known: Mapping[str, object]) -> str:
 
 def from_tables(tables: Mapping[str, object]) -> tuple[dict[str, Nozzle], list[str]]:
     """The library with the nozzles of [nozzles.NAME] tables added. Returns (nozzles by name, problems)."""
-    known, problems = library(), []
+    known, problems = dict(library()), []
     for name, table in tables.items():
         try:
             known[name] = from_table(name, table)
@@ -104,8 +105,3 @@ def from_table(name: str, table: object) -> Nozzle:
 
 def _read(key: str, value: object) -> float | str:
     return records.read_number(value, "mm", *_LIMITS[key]) if key in _LIMITS else records.read_text(value)
-
-
-@cache
-def _library() -> dict[str, Nozzle]:
-    return records.load(__package__, "nozzles.toml", from_table)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import units
 from ..errors import StoreError
-from ..files.inputs import read_json_object, read_toml, reading
+from ..files.inputs import read_toml, reading
 from ..files.result import Result
 from ..plan.record import read_plan
+from .sweep import how_ended
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
@@ -68,7 +69,7 @@ def _row(folder: Path, name: str) -> Row:
     scene, run = folder / f"{name}.toml", folder / name
     row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": ""}
     row |= _as_written(scene if scene.is_file() else run / "scene.toml")
-    ended = _ended(folder / f"{name}.json")
+    ended = how_ended(folder / f"{name}.json") or {}
     if ended.get("status") == "failed":
         return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}
     result = Result(run) if (run / "scene.toml").is_file() else None
@@ -108,13 +109,6 @@ def _as_written(path: Path) -> Row:
         for axis, dimension in zip(AXES, ("velocity", "length", "temperature"), strict=True):
             row[axis] = units.parse(data["particle"][axis.split("_")[0]], dimension)
     return row
-
-
-def _ended(path: Path) -> Mapping[str, object]:
-    try:
-        return read_json_object(path)
-    except StoreError:
-        return {}
 
 
 def write_table(rows: Iterable[Row], path: Path, about: str = "") -> None:

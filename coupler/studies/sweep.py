@@ -130,7 +130,7 @@ class Sweep:
         def run_point(point: str) -> None:
             known, scene = folder / f"{point}.json", self.write(folder, point)
             fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
-            ended = _ended(known) if fresh else None
+            ended = how_ended(known) if fresh else None
             ended = compute(scene, known) if ended is None else ended
             log(f"{next(done)}/{len(self.points)} {point}: {_status(ended)}")
 
@@ -296,7 +296,7 @@ def _reason(code: int, errors: str) -> str:
     return " ".join(text.split())
 
 
-def _ended(path: Path) -> dict[str, object] | None:
+def how_ended(path: Path) -> dict[str, object] | None:
     """How a point ended; None if its file is damaged."""
     try:
         ended = read_json_object(path)
