@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .arguments import Commands, add_command, add_force, path
 
 if TYPE_CHECKING:
-    from ..scene.model import GasConditions
+    from ..scene.tables import GasConditions
     from ..spray.flight import Flight
     from ..spray.gas import Flow
     from ..spray.nozzles import Nozzle

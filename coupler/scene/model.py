@@ -9,42 +9,30 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
+from . import tables
 from .effects import check_request
 from .tables import SHAPES as SHAPES
-from .tables import (
-    AdhesionTable,
-    Coating,
-    Contact,
-    End,
-    GasConditions,
-    Output,
-    Particle,
-    Resolution,
-    Section,
-    SplatTable,
-    Substrate,
-)
 from .tables import Shape as Shape
 
 MOST_IMPACTS = 500
 
 
-class SceneData(Section):
+class SceneData(tables.Section):
     """All tables of a scene, complete: what a person asks for, in SI units. `coupler.plan.reading.Scene` reads and checks it."""
 
     name: str = Field("scene", pattern=r"^[A-Za-z0-9][A-Za-z0-9_. -]{0,63}$")
     preset: Literal["draft", "standard", "fine"] = "standard"
     effects: str | list[str] = "auto"
-    particles: list[Particle] = Field(alias="particle")
-    coating: Coating | None = None
-    gas: GasConditions | None = None
-    substrate: Substrate
-    contact: Contact = Contact(friction=0.5)
-    adhesion: AdhesionTable = AdhesionTable()
-    splat: SplatTable = SplatTable()
-    resolution: Resolution = Resolution()
-    end: End = End(at="rest")
-    output: Output = Output()
+    particles: list[tables.Particle] = Field(alias="particle")
+    coating: tables.Coating | None = None
+    gas: tables.GasConditions | None = None
+    substrate: tables.Substrate
+    contact: tables.Contact = tables.Contact(friction=0.5)
+    adhesion: tables.AdhesionTable = tables.AdhesionTable()
+    splat: tables.SplatTable = tables.SplatTable()
+    resolution: tables.Resolution = tables.Resolution()
+    end: tables.End = tables.End(at="rest")
+    output: tables.Output = tables.Output()
     materials: dict[str, dict[str, object]] = Field(default_factory=dict)
     nozzles: dict[str, dict[str, object]] = Field(default_factory=dict)
 
@@ -71,7 +59,7 @@ class SceneData(Section):
         return value
 
     @property
-    def particle(self) -> Particle:
+    def particle(self) -> tables.Particle:
         """The first particle."""
         return self.particles[0]
 
