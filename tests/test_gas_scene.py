@@ -13,7 +13,7 @@ from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.text import describe
-from coupler.scene.model import GasConditions
+from coupler.scene.tables import GasConditions
 from coupler.spray import nozzles
 from coupler.spray.flight import DRAG_LAWS, fly
 from coupler.spray.gas import GASES, Flow
