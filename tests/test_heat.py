@@ -266,10 +266,14 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     for i, t in enumerate(alone):
         elements = np.flatnonzero(body == i)
         nodes = np.flatnonzero(joined.law_of_node == i)
-        for name in ("s", "T", "eps_p", "sigma_y", "heat", "volume"):
-            assert np.array_equal(getattr(joined, name)[elements], getattr(t, name)), name
-        for name in ("x", "v", "f", "p", "energy", "J"):
-            assert np.array_equal(getattr(joined, name)[nodes], getattr(t, name)), name
+        for of_kind, fields in (
+            (elements, ("s", "T", "eps_p", "sigma_y", "heat", "volume")),
+            (nodes, ("x", "v", "f", "p", "energy", "J")),
+        ):
+            for name in fields:
+                expected = getattr(t, name)
+                least = 1e-12 * abs(expected).max()  # kernels are compiled for the laws of a domain: another rounding
+                assert getattr(joined, name)[of_kind] == pytest.approx(expected, rel=1e-12, abs=least), name
     assert all(t.eps_p.max() > 0.01 for t in alone)
     for what in ("kinetic", "elastic"):
         assert getattr(joined, what)() == pytest.approx(sum(getattr(t, what)() for t in alone), rel=1e-11)
