@@ -37,8 +37,8 @@ THRESHOLDS = {
         "the coefficient is above zero", "the coefficient is zero"),
     "friction_heat": Criterion("friction x heating / (T_m - T)", 0.009,
         "rubbing warms the surfaces", "what rubbing could heat is too little"),
-    "dissipation_heat": Criterion("heating / T", 0.01,
-        "the scheme's dissipation becomes heat", "what the scheme dissipates heats too little"),
+    "dissipation_heat": Criterion("heating / T, 0 if it could melt", 0.01,
+        "the scheme's dissipation becomes heat", "what the scheme dissipates heats too little, or would melt the metal"),
     "mie_gruneisen": Criterion("v / c0", 0.02,
         "pressures are in the shock range", "compression is small: linear is enough"),
     "thermal_expansion": Criterion("Gamma0 rho cp heating / K", 0.005,
@@ -141,6 +141,7 @@ def numbers(situation: Situation) -> dict[str, float]:
     in_particle = math.sqrt(diffusivity(*bodies[0]) * situation.duration) / situation.spacing
     across = math.sqrt(diffusivity(*bodies[1]) * situation.duration) / situation.element_size
     warm = max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies)
+    melts = any(T + heating(m, T, v) >= m.T_m for m, T in bodies)  # molten, its heat drives the points without end
     k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
         "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
@@ -150,7 +151,7 @@ def numbers(situation: Situation) -> dict[str, float]:
         "temperature_dependent_k": k_change * max(in_target, in_particle),
         "friction": situation.friction,
         "friction_heat": situation.friction * warm,
-        "dissipation_heat": max(heating(m, T, v) / T for m, T in bodies),
+        "dissipation_heat": 0.0 if melts else max(heating(m, T, v) / T for m, T in bodies),
         "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
         "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
