@@ -122,6 +122,7 @@ def scene(seed: int) -> dict[str, Any]:
             {"kind": "tied", "criterion": "pressure", "threshold": f"{dice.uniform(0, 5000):.4g} MPa"},
             {"kind": "tied", "criterion": "velocity", "threshold": round(dice.uniform(0, 2), 2)},
         ))  # fmt: skip
+    resolution["engine"] = ("compiled", "compiled", "enriched", "enriched", "machdyn")[seed % 5]
     if count > 1 and dice.random() < 0.5:
         said["splat"] = {"method": dice.choice(("auto", "carried", "density", "stuffing", "paper"))}
     return said
