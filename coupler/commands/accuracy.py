@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import Commands, Option, add_command, add_force, path
+from .arguments import Commands, Option, add_command, add_force, add_scene, path, scene_of
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -22,8 +22,8 @@ _SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "accuracy", run, "compute a scene at many settings: what accuracy costs in time")
-    option("scene", type=path, metavar="SCENE", help="scene file (TOML); its own resolution is not used")
+    option = add_command(commands, "accuracy", run, "compute a scene at many resolutions: what accuracy costs in time")
+    add_scene(option)
     option("--out", type=path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
     option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
     option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
@@ -44,11 +44,10 @@ def add_to_run(option: Option) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
     from ..files.outputs import claim_folder
-    from ..plan.reading import Scene
     from ..studies import ladder, ladder_runs
     from ..studies.accuracy_figures import write
 
-    scene = Scene.load(arguments.scene)
+    scene = scene_of(arguments)
     out = arguments.out or Path("runs") / f"accuracy-{scene.name}"
     knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
     for name, numbers in {"points": arguments.points or [], "knobs-at": [knobs] if knobs else []}.items():

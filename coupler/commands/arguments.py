@@ -4,9 +4,12 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from ..errors import ColdsprayError
+
+if TYPE_CHECKING:
+    from ..plan.reading import Scene
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
 Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a command
@@ -55,6 +58,40 @@ def add_command(commands: Commands, name: str, run: Callable[[argparse.Namespace
     parser = commands.add_parser(name, help=text)
     parser.set_defaults(command=run)
     return parser.add_argument
+
+
+def add_scene(option: Option) -> None:
+    """The argument and options of a command that reads a scene; `scene_of` reads it."""
+    option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
+           help="a key of the scene in place of the file's, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
+           " 'particle[2].material=Ti'; KEY= takes the key out")  # fmt: skip
+    option(
+        "--preset",
+        metavar="NAME",
+        help="draft, standard or fine, in place of the scene's preset, spacing and element_size",
+    )
+
+
+def scene_of(arguments: argparse.Namespace) -> "Scene":
+    """The scene of a command with what its options set. Raises SceneError with every problem of it, as for a file."""
+    from ..plan.reading import Scene
+
+    settings = list(arguments.settings)
+    if arguments.preset is not None:
+        finer = ("resolution.spacing", "resolution.element_size")
+        settings = [("preset", arguments.preset), *((key, None) for key in finer), *settings]
+    return Scene.load(arguments.scene, settings)
+
+
+def _setting(text: str) -> tuple[str, str | None]:
+    """The key and the value of `--set`; None for an empty value."""
+    key, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} has no '=': expected KEY=VALUE, such as particle.velocity='600 m/s'"
+        )
+    return key.strip(), value.strip() or None
 
 
 def add_force(option: Option) -> None:

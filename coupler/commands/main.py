@@ -17,7 +17,7 @@ from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
-from .arguments import Option, add_command, add_force, path, quantity, seconds
+from .arguments import Option, add_command, add_force, add_scene, path, quantity, scene_of, seconds
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -79,10 +79,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     option = add_command(commands, "check", _check, "print what a scene would compute, and its cost; run nothing")
-    option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    add_scene(option)
     option("--recalibrate", action="store_true", help="time this machine anew for the estimate")
     option = add_command(commands, "run", _run, "compute a scene")
-    option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
+    add_scene(option)
     option("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     option("--force", action="store_true", help="replace a finished run, or files of the same names")
     accuracy_command.add_to_run(option)
@@ -110,6 +110,8 @@ def _parser() -> argparse.ArgumentParser:
     _add_running(option)
     for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command):
         command.add(commands)
+    option = add_command(commands, "completion", _completion, "print the completion script of a shell")
+    option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
     return parser
 
 
@@ -144,10 +146,9 @@ class _Version(argparse.Action):
 
 def _check(arguments: argparse.Namespace) -> int:
     from ..plan.planning import plan
-    from ..plan.reading import Scene
     from ..plan.text import describe
 
-    planned = plan(Scene.load(arguments.scene))
+    planned = plan(scene_of(arguments))
     forecast = accuracy_command.forecast(planned, accuracy_command.here(arguments.recalibrate))
     print(describe(planned, forecast))
     return 0
@@ -155,9 +156,8 @@ def _check(arguments: argparse.Namespace) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     from ..files.outputs import RUN_FILES, check_folder, keep_inputs
-    from ..plan.reading import Scene
 
-    scene = Scene.load(arguments.scene)
+    scene = scene_of(arguments)
     out = arguments.out or Path("runs") / scene.name
     check_folder(out)
     keep_inputs(out, RUN_FILES, [arguments.scene])
@@ -270,6 +270,19 @@ def _compare(arguments: argparse.Namespace) -> int:
         print(*(f"left out: {problem}" for problem in dict.fromkeys(problems)), sep="\n", file=sys.stderr)
     Console().print(table)
     print(f"comparison in {arguments.out}")
+    return 0
+
+
+def _completion(arguments: argparse.Namespace) -> int:
+    import shtab
+
+    parser = _parser()
+    commands = next(action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    for command in commands.choices.values():
+        for action in command._actions:
+            if action.type is path:
+                action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE
+    print(shtab.complete(parser, arguments.shell))
     return 0
 
 

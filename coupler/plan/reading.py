@@ -11,7 +11,7 @@ from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, safe_name
 from ..scene.tables import Particle, Section, read_table
-from ..scene.toml import to_toml
+from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
 from .check import problems_of
 from .coating import expand
 from .derived import Derived
@@ -26,26 +26,39 @@ class Scene(SceneData):
         """The numbers that follow from it."""
         return Derived(self)
 
+    @cached_property
+    def text(self) -> str:
+        """The text that it was read from, "" where there is none."""
+        return ""
+
     @classmethod
-    def load(cls, path: str | Path) -> "Scene":
-        """Read a scene file. Raises SceneError with every problem of it."""
+    def load(cls, path: str | Path, settings: Settings = ()) -> "Scene":
+        """Read a scene file. Raises SceneError with every problem of it. settings: keys in place of the file's, as `--set` has them."""
         try:
             text = read_text(path, SCENE_LIMIT)
         except InputError as error:
             raise SceneError([error.reason], str(path)) from None
-        return cls.from_text(text, str(path))
+        return cls.from_text(text, str(path), settings)
 
     @classmethod
-    def from_text(cls, text: str, source: str = "scene") -> "Scene":
+    def from_text(cls, text: str, source: str = "scene", settings: Settings = ()) -> "Scene":
         """Read a scene from TOML. Raises SceneError with every problem of it.
 
-        source: what to call it in messages; its stem is the scene's name unless the scene has one.
+        source: what to call it in messages; its stem is the scene's name unless the scene has one. settings: as for `load`.
         """
         try:
             data = parse_toml(text)
         except ValueError as error:  # also a number of thousands of digits
             raise SceneError([f"is not valid TOML: {error}"], source) from None
-        return cls.from_dict(data, source)
+        if settings:
+            try:
+                text = changed(text, settings)
+                data = parse_toml(text)
+            except ValueError as error:
+                raise SceneError([str(error)], source) from None
+        scene = cls.from_dict(data, source)
+        vars(scene)["text"] = text  # beside the fields, as cached properties are: equal scenes may have other comments
+        return scene
 
     @classmethod
     def from_dict(cls, data: Mapping[str, object], source: str = "scene") -> "Scene":
@@ -53,8 +66,13 @@ class Scene(SceneData):
         return _checked(data, source)
 
     def to_toml(self) -> str:
-        """The scene with its defaults written out. Reading it gives an equal scene."""
-        return to_toml(self, lambda head, table: defaults(self, head, table))
+        """The scene with its defaults written out, and with the comments of its file. Reading it gives an equal scene."""
+        full = to_toml(self, lambda head, table: defaults(self, head, table))
+        try:
+            text = completed(self.text, full) if self.text else full
+            return text if Scene.from_text(text, self.name) == self else full
+        except (TOMLKitError, SceneError, ValueError):  # a way to write TOML that cannot be added to
+            return full
 
 
 def _checked(data: Mapping[str, object], source: str) -> Scene:
@@ -101,7 +119,7 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
     return {
         "[adhesion]": {
             "kind": f'"{d.adhesion_law.kind}"  (from: the critical velocity, where all metals have one)',
-            "criterion": f'"{d.adhesion_law.criterion}"',
+            "criterion": f'"{d.adhesion_law.criterion}"  (from: kind)',
         },
         "[splat]": {"element_size": f"{text_of(d.splat_element_size, 'um')}  (from: the target's)"},
         "[resolution]": {

@@ -1,12 +1,25 @@
-"""A scene as TOML, with its defaults written out."""
+"""A scene as TOML: with its defaults written out, with the comments of its file, with keys set on the command line."""
 
 import json
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+
+import tomlkit
+from tomlkit.container import Container
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT, Comment, Table, Whitespace
 
 from .. import units
 from .model import SceneData
 from .tables import BySize, Quantity, Section
+
+Settings = Sequence[
+    tuple[str, str | None]
+]  # (key such as "particle[2].velocity", its value as text; None takes the key out)
+
+_STEP = re.compile(r'("[^"]+"|[A-Za-z0-9_-]+)(?:\[(\d+)\])?(?:\.|$)')
+_DERIVED = re.compile(r"^# \w+ = .*\(from: .*\)\n", re.MULTILINE)  # written by `to_toml` below
 
 
 def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str]]) -> str:
@@ -24,9 +37,9 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
             continue
         lines += ["", head]
         if head == "[gas]":
-            lines.append("# takes effect again once the particle's velocity and temperature above are deleted")
+            lines.append("# takes effect again once the particle's velocity and temperature are deleted")
         if head == "[coating]":
-            lines.append("# takes effect again once the tables [[particle]] above are deleted: they are made of it")
+            lines.append("# takes effect again once the tables [[particle]] are deleted: they are made of it")
         defaults = derived(head, table)
         for field in type(table).model_fields:
             value = getattr(table, field)
@@ -39,6 +52,85 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
             lines += ["", f"[{kind}.{json.dumps(name)}]"]
             lines += [f"{json.dumps(field)} = {json.dumps(value)}" for field, value in fields.items()]
     return "\n".join(lines) + "\n"
+
+
+def completed(text: str, full: str) -> str:
+    """The text of a scene with its own order and comments, and all keys and comments of `full` that it lacks."""
+    document = tomlkit.parse(_DERIVED.sub("", text))
+    _fill(document, tomlkit.parse(full))
+    return re.sub(r"\n{3,}", "\n\n", document.as_string())
+
+
+def _fill(own: Container, full: Container) -> None:
+    """Add what a table lacks, before the empty lines at its end."""
+    spaces = []
+    while own.body and isinstance(own.body[-1][1], Whitespace):
+        spaces.append(own.body.pop())
+    said = {item.as_string().strip() for _, item in own.body if isinstance(item, Comment)}
+    for key, item in full.body:
+        if key is None:
+            if isinstance(item, Comment) and item.as_string().strip() not in said:
+                own.add(tomlkit.comment(item.as_string().strip().removeprefix("# ")))
+        elif key.key not in own:
+            if isinstance(item, Table | AoT):
+                own.add(tomlkit.nl())
+            own.append(key.key, item)
+        elif isinstance(item, Table) and isinstance(own[key.key], Table):
+            _fill(own[key.key].value, item.value)
+        elif isinstance(item, AoT) and isinstance(own[key.key], AoT):
+            for each, whole in zip(own[key.key].body, item.body, strict=True):
+                _fill(each.value, whole.value)
+    own.body.extend(reversed(spaces))
+
+
+def changed(text: str, settings: Settings) -> str:
+    """The text of a scene with keys set as `--set` says; all else, comments too, as it is. The text is valid TOML.
+
+    Raises ValueError for a key that cannot be set, with the reason.
+    """
+    document = tomlkit.parse(text)
+    for key, value in settings:
+        _set(document, key, value)
+    return document.as_string()
+
+
+def _set(document: tomlkit.TOMLDocument, key: str, value: str | None) -> None:
+    steps = _STEP.findall(key)
+    if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith(".") or steps[-1][1]:
+        raise ValueError(f'--set {key}: is not a key of a scene, such as particle.velocity or "particle[2].velocity"')
+    table: Any = document
+    for name, number in steps[:-1]:
+        name = name.strip('"')
+        if name not in table:
+            if value is None:
+                return
+            table.append(name, tomlkit.table())
+        table = table[name]
+        several = isinstance(table, list)
+        if several and not (number and 1 <= int(number) <= len(table)):
+            raise ValueError(f'--set {key}: the scene has {len(table)} tables [[{name}]]: say which, as "{name}[1]"')
+        if (not several and number and number != "1") or not isinstance(table, dict | list):
+            raise ValueError(
+                f"--set {key}: the scene has no table {name}[{number}]"
+                if number
+                else f"--set {key}: {name} is no table"
+            )
+        table = table[int(number) - 1] if several else table
+    name = steps[-1][0].strip('"')
+    if value is None:
+        table.pop(name, None)
+    elif name in table:
+        table[name] = _value(value)
+    else:
+        table.append(name, _value(value))
+
+
+def _value(text: str) -> Any:
+    """A value as TOML has it; other text is a string, as a shell takes the quotation marks away."""
+    try:
+        return tomlkit.value(text.strip())
+    except (TOMLKitError, ValueError, RecursionError):
+        return tomlkit.string(text)
 
 
 def _written(table: Section, field: str, value: Any) -> str:
