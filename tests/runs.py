@@ -16,6 +16,7 @@ from coupler import Result, Scene, run
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
 OF_THE_MACHINE = {
     "wall_s", "wall_loop_s", "cpu_s", "seconds", "meshing_s", "joining_s", "placement", "ranks", "idle_share", "memory_peak_bytes",
+    "provenance",
 }  # fmt: skip
 
 

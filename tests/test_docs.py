@@ -4,11 +4,14 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 from matplotlib.mathtext import MathTextParser
+
+from coupler import __version__
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -30,6 +33,12 @@ def test_the_page_of_the_scene_is_that_of_the_models() -> None:
     assert (DOCS / "guide" / "scene.md").read_text() == scene_page.page(), (
         "docs/guide/scene.md is old: python workflows/scene_page.py"
     )
+
+
+def test_the_version_stands_once_in_each_file() -> None:
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        assert tomllib.load(file)["project"]["version"] == __version__
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 def test_the_page_knows_units_limits_and_defaults() -> None:

@@ -34,7 +34,7 @@ ONE_PLACE = {
     "skfem": ("fe/",),
     "pydantic": ("scene/", "units.py", "plan/record.py"),
     "sklearn": ("studies/",),
-    "tomlkit": ("scene/toml.py", "plan/reading.py"),
+    "tomlkit": ("scene/toml.py",),
     "mpi4py": ("ranks/", "sph/particle.py"),  # LAMMPS wants its communicator
 }
 KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py")  # how their files end

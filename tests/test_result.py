@@ -2,17 +2,25 @@
 
 import ast
 import contextlib
+import hashlib
+import importlib.metadata
 import json
 import os
+import platform
+import re
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from made_up_run import summary_of
+from scenes import SHORT
 
 import coupler.files.result
 from coupler.errors import StoreError
+from coupler.files.provenance import provenance
 from coupler.files.result import Result
 from coupler.files.store import Store
 
@@ -284,3 +292,19 @@ def test_reading_imports_no_solver():
             "contact",
             "splat",
         }
+
+
+def test_a_result_says_where_it_comes_from(shared_run: Any) -> None:
+    result = shared_run(SHORT)
+    origin = result.summary["provenance"]
+    assert origin["scene_sha256"] == hashlib.sha256(result.scene_text.encode()).hexdigest()
+    assert origin["versions"]["numba"] == importlib.metadata.version("numba")
+    assert origin["engine"] == result.engine
+    assert (origin["seed"], origin["host"]) == (None, platform.node())
+    assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", origin["commit"] or 40 * "0")
+    assert abs(datetime.now(UTC) - datetime.fromisoformat(origin["date"])) < timedelta(days=1)
+    assert "pytest" in origin["command"]
+
+
+def test_a_coating_s_result_has_its_seed() -> None:
+    assert provenance("[coating]\nseed = 7\n", "compiled")["seed"] == 7

@@ -11,6 +11,7 @@ from pathlib import Path
 from .. import __version__, report
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
+from ..files.provenance import provenance
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
@@ -187,7 +188,8 @@ class Deposition:
                         if options.progress is not None:
                             options.progress.stop()
                     self._save(None, bodies.state())
-                self.store.finish(self._summary(bodies))
+                origin = provenance(Result(self.folder).scene_text, plan.engine)
+                self.store.finish({**self._summary(bodies), "provenance": origin})
                 if not self.undecided:
                     checkpoint.clear(self.folder)
             result = Result(self.folder)

