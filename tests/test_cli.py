@@ -31,7 +31,7 @@ def command(*arguments):
 def test_check(name):
     done = command("check", WORKFLOWS / f"{name}.toml")
     assert (done.returncode, done.stderr) == (0, "")
-    for word in (name, "points", "elements", "dt", "steps", "memory", "wall time", "thermal_softening"):
+    for word in (name, "points", "elements", "dt", "steps", "memory", "wall time", "effects"):
         assert word in done.stdout
 
 

@@ -1,6 +1,7 @@
 """Each effect has its own switch and closed form; the numbers that decide; the range of the models."""
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -341,10 +342,8 @@ def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path)
     summary = run(scene, tmp_path / "run", threads=1).values
     assert summary["effects"] == plan(scene).effects.active
     rates = [text for text in summary["warnings"] if "strain rates went to" in text]
-    assert [text.split(":")[0] + text.split("in the")[1].split()[0] for text in rates] == [
-        "impact 1particle",
-        "impact 1target",
-    ]
+    assert len(rates) == 1  # of particle and target the larger one
+    assert re.fullmatch(r"impact 1: in the (particle|target) .* \(and less in the (particle|target)\)", rates[0])
     assert all("beyond the 1e+04 1/s" in text for text in rates)
 
 

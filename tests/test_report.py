@@ -12,11 +12,12 @@ from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.geometry.sections import crossing, cut_tets, section_loops
-from coupler.report import alerts, section_picture, summary_table
+from coupler.report import screen, section_picture
 from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.page import report
 from coupler.report.picture import cut, stage, window
 from coupler.report.profiles import on_vertical, profiles
+from coupler.report.words import alerts, notes, summary_table
 
 
 @pytest.fixture(scope="module")
@@ -142,8 +143,8 @@ def test_summary_table(tmp_path):
     assert rows["wall time"] == ["", "28.4", "s"]
     assert rows["unheard of"] == ["", "1", "K"]
     # Text is text, not markup.
-    caption = summary_table(Result(tmp_path)).caption
-    assert str(caption) == "effects: friction, [bold]mine\nwarnings: strain rates beyond the fit"
+    text = screen(Result(tmp_path), verbose=True)
+    assert text.endswith("\neffects: friction, [bold]mine\nwarning: strain rates beyond the fit")
 
 
 def test_summary_table_of_several_impacts(tmp_path):
@@ -213,7 +214,7 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     result = Result(tmp_path)
     rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1}
     assert rows["greatest plastic strain"] == ["-", "-", ""]
-    assert str(summary_table(result).caption).splitlines()[:3] == [
+    assert notes(result)[0][:3] == [
         "impact 1: no value of greatest plastic strain at the end: 85 is above 20",
         "impact 1: at the end, flattening, above surface is 1.2: the top lies below the surface: the particle is embedded",
         "impact 2: no value of all measures of the end, rebound velocity / impact velocity: not at rest",
@@ -325,3 +326,21 @@ def test_a_hollow_particle_is_not_painted_inside(folder, tmp_path):
     values = profiles(result, 0, ("T",), at, 20e-6)[0].values["T"]
     assert np.isnan(values).any()
     assert np.isfinite(values[[0, -1]]).all()
+
+
+def test_the_first_screen_has_verdict_measures_and_each_warning_once(tmp_path):
+    warnings = ["viscosity and hourglass control took 31%", *(f"warning {k}" for k in range(3))]
+    end = {"flattening_ratio": 0.5, "T_mean_K": 400.0, "von_mises_max_Pa": 1e9}
+    record = {"verdict": "sticks", "diameter_m": 25e-6, "material": "Ni", "numerical_dissipation": 0.31, "end": end}
+    for number, head in ((1, "verdict: sticks\n"), (40, "verdict: of 40 particles 40 stick\n")):
+        with Store.create(tmp_path / str(number), "") as store:
+            store.finish(summary_of(*[record] * number, warnings=warnings))
+        text = screen(Result(tmp_path / str(number)))
+        assert text.startswith(f"{head}doubtful: viscosity")
+        assert text.count("\n") < 29
+        assert all(text.count(warning) == 1 for warning in warnings)
+        assert "flattening" in text
+        assert "von Mises" not in text
+        whole = screen(Result(tmp_path / str(number)), verbose=True)
+        assert ("highest von Mises stress" if number == 1 else "\n40  25 µm Ni") in whole.replace("\n ", "\n")
+    assert "... and 30 more" in text

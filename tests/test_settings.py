@@ -99,3 +99,15 @@ def test_completion_knows_commands_and_files(capsys: pytest.CaptureFixture[str],
     assert "--preset" in text
     if shell == "bash":
         assert "_run_pos_0_COMPGEN=_shtab_compgen_files" in text
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_check_fits_on_one_screen(capsys: pytest.CaptureFixture[str], path: Path) -> None:
+    assert main(["check", str(path)]) == 0
+    brief = capsys.readouterr().out.splitlines()
+    assert len(brief) <= 30
+    assert max(map(len, brief)) <= 125
+    assert main(["check", str(path), "-v"]) == 0
+    assert set(line for line in brief if "effects  " not in line and "..." not in line) <= set(
+        capsys.readouterr().out.splitlines()
+    )

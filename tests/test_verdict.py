@@ -11,7 +11,7 @@ from coupler.impact.verdict import judge
 from coupler.physics.adhesion import Adhesion, critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from coupler.report import verdict as in_words
+from coupler.report.words import verdict as in_words
 
 COHESIVE = Adhesion(kind="cohesive", strength=4e8, energy=ENERGY)
 WHOLE = ENERGY * SIDE**2  # J

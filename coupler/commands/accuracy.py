@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import Commands, Option, add_command, add_force, add_scene, path, scene_of
+from .arguments import Commands, Option, add_command, add_force, add_quiet, add_scene, path, scene_of
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
     option("--knobs-at", type=int, metavar="N",
            help="points at which the other settings are tried; 0: not at all (default: 1000)")  # fmt: skip
     add_force(option)
-    option("--quiet", action="store_true", help="print errors only")
+    add_quiet(option)
 
 
 def add_to_run(option: Option) -> None:
@@ -117,8 +117,8 @@ def kind_of(plan: "Plan") -> "Kind":
     return Kind(last.points, math.hypot(*last.velocity), len(plan.impacts), plain)
 
 
-def forecast(plan: "Plan", pace: "Pace") -> str:
-    """Wall time of a plan on this machine and its error bands, as lines for `check`."""
+def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
+    """Wall time of a plan on this machine and its error bands, as lines for `check`. verbose: with their causes."""
     from ..measures import BANDED, MEASURES
     from ..plan.bands import band
     from ..plan.text import duration
@@ -131,10 +131,11 @@ def forecast(plan: "Plan", pace: "Pace") -> str:
         half = -(-len(cells) // 2)
         lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
         widest = max(bands.values(), key=lambda width: width.share)
-        lines.append(f"             the widest by {widest.why}")
-        lines.append(
-            "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
-        )
+        if verbose:
+            lines.append(f"             the widest by {widest.why}")
+            lines.append(
+                "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
+            )
     return "\n".join(lines)
 
 

@@ -94,6 +94,16 @@ def _setting(text: str) -> tuple[str, str | None]:
     return key.strip(), value.strip() or None
 
 
+def add_quiet(option: Option) -> None:
+    """The option that leaves nothing but errors."""
+    option("-q", "--quiet", action="store_true", help="print errors only")
+
+
+def add_verbose(option: Option, text: str) -> None:
+    """The option for more than the first screen. text: of its help."""
+    option("-v", "--verbose", action="store_true", help=text)
+
+
 def add_force(option: Option) -> None:
     """The option that lets a command replace files that this program did not write."""
     option("--force", action="store_true", help="replace a file that coldspray did not write")

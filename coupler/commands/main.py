@@ -17,7 +17,18 @@ from . import coating as coating_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
-from .arguments import Option, add_command, add_force, add_scene, path, quantity, scene_of, seconds
+from .arguments import (
+    Option,
+    add_command,
+    add_force,
+    add_quiet,
+    add_scene,
+    add_verbose,
+    path,
+    quantity,
+    scene_of,
+    seconds,
+)
 
 if TYPE_CHECKING:
     from ..files.result import Result
@@ -80,6 +91,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     option = add_command(commands, "check", _check, "print what a scene would compute, and its cost; run nothing")
     add_scene(option)
+    add_verbose(option, "the number that decides each effect, and what leaving it out would change")
     option("--recalibrate", action="store_true", help="time this machine anew for the estimate")
     option = add_command(commands, "run", _run, "compute a scene")
     add_scene(option)
@@ -117,7 +129,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_running(option: Option) -> None:
     """The options of `run` and `resume`."""
-    option("--quiet", action="store_true", help="print errors only")
+    add_quiet(option)
+    add_verbose(option, "all measures at the end, not only those that converge")
     option("--threads", type=int, metavar="N",
            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
     option("--placement", metavar="HOW",
@@ -149,8 +162,8 @@ def _check(arguments: argparse.Namespace) -> int:
     from ..plan.text import describe
 
     planned = plan(scene_of(arguments))
-    forecast = accuracy_command.forecast(planned, accuracy_command.here(arguments.recalibrate))
-    print(describe(planned, forecast))
+    pace = accuracy_command.here(arguments.recalibrate)
+    print(describe(planned, accuracy_command.forecast(planned, pace, arguments.verbose), brief=not arguments.verbose))
     return 0
 
 
@@ -199,16 +212,10 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         hint = f"; go on with coldspray resume {out}" if result.at_limit else ""
         print(f"undecided: {result.undecided}{hint}", file=sys.stderr if arguments.quiet else sys.stdout)
     if not arguments.quiet and is_first_rank():
-        from rich.console import Console
+        from ..report import screen
 
-        from ..report import alerts, summary_table, verdict
-
-        if text := verdict(result.summary):
-            print(f"verdict: {text}")
-        for text in alerts(result.summary):
-            print(f"doubtful: {text}")
-        Console().print(summary_table(result))
-        print(f"results in {out}")
+        print(screen(result, arguments.verbose))
+        print(f"results in {out}{'' if arguments.verbose else f'; all measures: coldspray report {out}'}")
     return 0 if result.undecided is None else _UNDECIDED
 
 

@@ -9,7 +9,7 @@ from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
 from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
-from ..plan.planning import Plan
+from ..plan.planning import RATE_REMARK, Plan
 from ..ranks.ranks import Ranks
 
 
@@ -31,7 +31,8 @@ def summary(
     joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
     (`joining.splats_at_end`); wall: s of wall time.
     """
-    impacts = [record.values for record in records]
+    impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
+    expected = [text for text in plan.warnings if RATE_REMARK not in text or not any(RATE_REMARK in at for at in own)]
     undecided = impacts[-1]["undecided"]
     for i, shape in enumerate(standing):
         refused = dict(impacts[i]["refused"])
@@ -58,7 +59,7 @@ def summary(
             "warnings": [
                 *merged(_dissipated(impacts)),
                 *merged(_dissipated_of_plastic(impacts)),
-                *merged([*plan.warnings, *(text for record in records for text in record.warnings)]),
+                *merged([*expected, *own]),
             ],
             "retries": [asdict(retry) for record in records for retry in record.retries],
         },

@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import CheckpointError
 from ..fe.explicit import Target
 from ..physics.materials import Material
-from ..plan.planning import FITTED_RATE, NEAR_MELTING
+from ..plan.planning import FITTED_RATE, NEAR_MELTING, RATE_REMARK
 from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
@@ -66,10 +66,7 @@ class Extremes:
         for body, kept in self.extremes.items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
             if kept["rate"] > FITTED_RATE:
-                texts.append(
-                    f"{where} strain rates went to {kept['rate']:.1e} 1/s (99 %), beyond the {FITTED_RATE:.0e} 1/s that"
-                    " Johnson-Cook is fitted at"
-                )
+                texts.append(f"{where} strain rates went to {kept['rate']:.1e} 1/s (99 %), {RATE_REMARK}")
             if kept["melting"] > NEAR_MELTING:
                 texts.append(
                     f"{where} the temperature went to {kept['melting']:.2f} of the melting point, beyond {NEAR_MELTING:g} of it:"
@@ -88,22 +85,30 @@ class Extremes:
 
 
 def merged(texts: list[str]) -> list[str]:
-    """The warnings of a whole run: of those that several impacts share but for the numbers the one with the largest, and how many.
+    """The warnings of a whole run: of those that several impacts or bodies share but for the numbers the one with the largest, and
+    where else.
 
     Of an impact is what begins with "impact N: "; all else stays as it is, once.
     """
     groups: dict[str, list[str]] = {}
     for text in dict.fromkeys(texts):
         own = _OF_IMPACT.match(text)
-        groups.setdefault(_NUMBER.sub("#", text[own.end() :]) if own else text, []).append(text)
+        same = _BODY.sub("in the #", _NUMBER.sub("#", text[own.end() :])) if own else text
+        groups.setdefault(same, []).append(text)
     lines = []
-    for same in groups.values():
-        worst = max(same, key=_first_number)
-        more = len(same) - 1
-        lines.append(worst + (f" (and less in {more} other impact{'s' if more > 1 else ''})" if more else ""))
+    for same_texts in groups.values():
+        worst = max(same_texts, key=_first_number)
+        others = [text for text in same_texts if text is not worst]
+        impacts = {text.partition(":")[0] for text in others} - {worst.partition(":")[0]}
+        bodies = {body for text in others for body in _BODY.findall(text)}
+        where = (
+            f"in {len(impacts)} other impact{'s' if len(impacts) > 1 else ''}" if impacts else "".join(sorted(bodies))
+        )
+        lines.append(worst + (f" (and less {where})" if others else ""))
     return lines
 
 
+_BODY = re.compile(r"in the (?:particle|target)\b")
 _NUMBER = re.compile(r"(?<![A-Za-z])\d[\d.]*(?:e[+-]?\d+)?")
 _OF_IMPACT = re.compile(r"impact \d+: ")
 

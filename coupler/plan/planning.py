@@ -17,6 +17,7 @@ from .reading import Scene
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
+RATE_REMARK = f"beyond the {FITTED_RATE:.0e} 1/s that Johnson-Cook is fitted at"
 CONTACT_STIFFNESS = 1.0  # factor on the penalty stiffness of the contact
 NEAR_MELTING = 0.9  # of the melting point
 
@@ -280,10 +281,7 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
     warnings = []
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     if rate > FITTED_RATE:
-        warnings.append(
-            f"strain rates near v/D = {rate:.1e} 1/s lie beyond the {FITTED_RATE:.0e} 1/s"
-            " that Johnson-Cook is fitted at"
-        )
+        warnings.append(f"strain rates near v/D = {rate:.1e} 1/s lie {RATE_REMARK}")
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)

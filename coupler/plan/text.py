@@ -8,21 +8,22 @@ from . import effects
 from .planning import ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
+_FEW = 3  # lines of a list, in brief
 _MOST_SHAPES = 3
 
 
-def describe(plan: Plan, forecast: str = "") -> str:
+def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
     """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. forecast: lines about time and
-    accuracy on this machine, in place of the plan's own."""
+    accuracy on this machine, in place of the plan's own. brief: within 30 lines, without the reasons of the effects."""
     target, show = plan.target, units.rounded
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
     middle = f" of {_at(*target.centre)}" if any(target.centre) else ""
     lines = [
         f"{plan.name} ({plan.preset})",
-        *_impacts(plan),
-        *_shapes(plan),
-        *plan.gas,
+        *_impacts(plan, _FEW if brief else _MOST_LINES),
+        *_cut(_shapes(plan), brief),
+        *_cut([*plan.gas], brief),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -34,24 +35,34 @@ def describe(plan: Plan, forecast: str = "") -> str:
         f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}, engine {plan.engine}",
         f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
         f" within {show(target.refined_radius, 'um')}{middle}",
-        f"  dt         about {show(plan.dt_estimate, 'ps')}",
-        f"  steps      about {_round(plan.steps_estimate)}",
+        f"  steps      about {_round(plan.steps_estimate)} of {show(plan.dt_estimate, 'ps')} (dt)",
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+    ]
+    rows, notes = plan.effects.rows, [f"  note: {warning}" for warning in plan.warnings]
+    if brief:
+        off = [row.name for row in rows if not row.on]
+        without = f"; off: {', '.join(off)}" if off else ""
+        lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why, and what each changes)")
+        return "\n".join([*lines, *notes])
+    lines += [
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
         f" the target and the contact cost {plan.target_load:.2g} of the particle",
         "",
         "  effect                    on   decided by",
     ]
-    for row in plan.effects.rows:
+    for row in rows:
         sign = ">" if row.value > row.threshold else "<="
         lines.append(
             f"  {row.name:25} {'yes' if row.on else 'no':4} "
             f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
         )
-    lines += ["", *_influence(plan)]
-    lines += ["", *(f"  note: {warning}" for warning in plan.warnings)] if plan.warnings else []
-    return "\n".join(lines)
+    return "\n".join([*lines, "", *_influence(plan), *(["", *notes] if notes else [])])
+
+
+def _cut(lines: list[str], brief: bool) -> list[str]:
+    """The lines; in brief the first ones."""
+    return [*lines[:_FEW], "             ..."] if brief and len(lines) > _FEW else lines
 
 
 def _influence(plan: Plan) -> list[str]:
@@ -70,13 +81,13 @@ def _influence(plan: Plan) -> list[str]:
     return [head, *lines, basis] if lines else []
 
 
-def _impacts(plan: Plan) -> list[str]:
-    """The particles, a line for each of the first ones."""
+def _impacts(plan: Plan, most: int) -> list[str]:
+    """The particles, a line for each of the first `most`."""
     if len(plan.impacts) == 1:
         return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
     lines = [
         f"  impact {n:<4}{_particle(impact)}{_place(impact)}{_pause(impact)}"
-        for n, impact in enumerate(plan.impacts[:_MOST_LINES], start=1)
+        for n, impact in enumerate(plan.impacts[:most], start=1)
     ]
     more = len(plan.impacts) - len(lines)
     return [*lines, f"             ... and {more} more"] if more else lines

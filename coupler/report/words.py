@@ -201,7 +201,7 @@ def summary_table(result: Result) -> Table:
     Of one impact its greatest deformation and its end stand side by side, with all else in the last column. Of several impacts each
     has a column with its own end, and what belongs to the whole run stands below.
     """
-    summary, values = result.summary, result.values
+    summary = result.summary
     several = impacts(summary)
     blocks, band = columns(summary), bands(summary)
     if len(several) > 1:
@@ -219,9 +219,17 @@ def summary_table(result: Result) -> Table:
         run = [line for lines in table_lines([plain(summary["run"])]).values() for line in lines]
         before = [""] * (len(several) - 1)
         fill_table(table, {"all impacts": [Line(r.key, r.label, [*before, *r.cells], r.unit) for r in run]})
-    notes = [f"{name}: {shown(name, values[name])}" for name in NOTES if values.get(name)]
-    table.caption = Text("\n".join([*remarks(summary), *notes]), justify="left")
     return table
+
+
+def notes(result: Result) -> tuple[list[str], list[str], list[str]]:
+    """What stands below the measures, a line each: remarks on them, the effects, the warnings."""
+    effects, warnings = (result.values.get(name) or [] for name in NOTES)
+    return (
+        remarks(result.summary),
+        [f"effects: {', '.join(map(str, effects))}"] if effects else [],
+        list(map(str, warnings)),
+    )
 
 
 def _particle_of(impact: Block) -> str:
