@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import accuracy as study  # workflows/accuracy.py
 import numpy as np
 import pytest
 from test_scene import scene_with, several
@@ -136,7 +137,7 @@ def test_orders_and_limits_that_are_there_are_found(rows):
 
 
 def test_what_is_packaged_says_slopes_and_knobs(rows):
-    found = {r["measure"]: r for r in fit.packaged([fit.StudyCase("a case", 1, 500.0, 300.0, rows)])}
+    found = {r["measure"]: r for r in study.packaged([study.StudyCase("a case", 1, 500.0, 300.0, rows)])}
     assert not {"eps_p_max", "T_max_K"} & set(found)  # local maxima do not converge
     crater, h = found["crater_depth_m"], ladder.REFERENCE ** (-ORDER / 3)
     assert crater["limit"] == pytest.approx(1 / (1 + 0.6 * h), rel=1e-3)

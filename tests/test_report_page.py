@@ -122,13 +122,11 @@ def test_an_unfinished_run_says_so(finished, tmp_path):
     assert "velocity = &quot;500 m/s&quot;" in page
 
 
-def test_a_run_without_a_plan_says_the_effects_of_its_summary(finished, tmp_path):
+def test_a_run_without_a_readable_plan_has_a_page(finished, tmp_path):
     copy = light(finished, tmp_path / "run")
-    (copy / "summary.json").unlink()
     (copy / "plan.json").unlink()
-    Store(copy).finish(made_up_run.summary({"effects": ["friction", {"name": "conduction", "on": True}]}))
     page = report(Result(copy))
-    assert "Taking part: friction, conduction. The reasons are not known" in page
+    assert "no readable plan.json" in page
     assert "Material data" not in page
 
 

@@ -1,14 +1,14 @@
-"""The stages of a splat's conversion: field, surface, remesh, stuffing, quality."""
+"""The stages of a splat's conversion: field, surface, remesh, quality."""
 
 import numpy as np
 import pytest
 
 from coupler.errors import SplatError
-from coupler.geometry.tetrahedra import boundary_faces, correct_volume, volumes
+from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.sph import packing
 from coupler.splat import field as fields
-from coupler.splat import quality, remesh, stuffing, surface
+from coupler.splat import quality, remesh, surface
 
 R = 1.0
 BALL = 4.0 / 3.0 * np.pi * R**3
@@ -114,21 +114,6 @@ def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:
     assert moved == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("size", [0.15, 0.3])
-def test_stuffing_is_closed_whole_and_of_bounded_quality(size: float) -> None:
-    field, _ = fields.of_surface(*sphere(0.05), 0.04, 0.05)
-    points, tets = stuffing.stuff(field, 0.5, size)
-    points, _ = correct_volume(points, tets, BALL, 0.2 * size)
-    volume = volumes(points, tets)
-    assert volume.min() > 0.0
-    assert volume.sum() == pytest.approx(BALL, rel=1e-6)
-    assert surface.open_or_double(boundary_faces(tets)[0]) == ""
-    assert quality.pieces(points, tets) == 1
-    assert quality.gamma(points, tets).min() > 0.2
-    assert np.degrees(quality.dihedral_angles(points, tets).min()) > 11.0
-    assert len(tets) == pytest.approx(4.2 * BALL / size**3, rel=0.7)
-
-
 def test_quality_of_known_tetrahedra() -> None:
     regular = np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
     tet = np.array([[0, 1, 2, 3]])
@@ -150,6 +135,7 @@ def test_step_length_is_the_solvers_bound() -> None:
     from types import SimpleNamespace
 
     from coupler.fe import kernels
+    from coupler.fe import mesh as meshes
     from coupler.physics.constitutive import law_record, sound_speed
 
     nu, E, rho = 0.3, 200e9, 7800.0
@@ -157,8 +143,7 @@ def test_step_length_is_the_solvers_bound() -> None:
         rho=rho, G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, A=1e20, B=0.0, n=1.0, C=0.0, m=1.0,
         eps_dot_0=1.0, T_ref=300.0, T_m=2000.0, taylor_quinney=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
     )  # fmt: skip
-    field, _ = fields.of_surface(*sphere(0.05), 0.04, 0.05)
-    points, tets = stuffing.stuff(field, 0.5, 0.4)
+    points, tets = meshes.box((1.0, 1.0, 1.0), 0.4)
     dt = np.zeros(len(tets))
     kernels.stable_dt(
         0,

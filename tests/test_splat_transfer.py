@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coupler.geometry.tetrahedra import correct_volume, volumes
+from coupler.geometry.tetrahedra import volumes
 from coupler.physics.materials import material
 from coupler.sph import packing
-from coupler.splat import field as fields
-from coupler.splat import stuffing
 from coupler.splat.cloud import Cloud
+from coupler.splat.convert import convert
 from coupler.splat.transfer import Fit, transfer, with_energy, with_momentum, with_sum
 
 D = 25e-6
@@ -30,10 +29,8 @@ def mesh() -> tuple[Cloud, np.ndarray, np.ndarray]:
         x, np.full(n, volume), dx, 8906.0, velocity=speed(u), stress=1e8 * tension(u), eps_p=strain(u), T=heat(u),
         J=1.0 + 0.02 * np.sin(3 * u[:, 0]), energy=1e9 * (1 + u[:, 2] ** 2),
     )  # fmt: skip
-    field = fields.of_points(x, cloud.current_volume, 0.5 * dx, 0.6 * dx)
-    points, tets = stuffing.stuff(field, 0.46, 1.7 * dx)
-    points, _ = correct_volume(points, tets, cloud.solid_volume, dx)
-    return cloud, points, tets
+    (body,) = convert(cloud, 1.7 * dx, "density").bodies
+    return cloud, body.points, body.tets
 
 
 def speed(u: np.ndarray) -> np.ndarray:

@@ -6,9 +6,11 @@
 Rows in the tables are not computed again; a stopped ladder goes on where it was.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from pages import PAGES, ROOT, figure_path, markdown, marked, options, table_rows, versions, write_parts
 
 from coupler.measures import BANDED, MEASURES
@@ -18,7 +20,8 @@ from coupler.report.picture import save
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, ladder_runs
 from coupler.studies.accuracy_figures import diagram, order_of, preset_of
-from coupler.studies.order import fit_order
+from coupler.studies.accuracy_fit import Row
+from coupler.studies.order import fit_order, line
 from coupler.studies.table import StudyTable, write_rows
 
 
@@ -45,15 +48,67 @@ STUDIES = {
 PACKAGED = ROOT / "coupler" / "plan" / "bands.csv"
 
 
+@dataclass(frozen=True)
+class StudyCase:
+    """A scene of the accuracy study. impacts: of the run; speed m/s and temperature K: of its last particle; rows: of its ladder."""
+
+    name: str
+    impacts: int
+    speed: float
+    temperature: float
+    rows: Sequence[Row]
+
+
+def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
+    """Rows of `coupler/plan/bands.csv`: what bands are made of, for each case and measure that converges.
+
+    Single impacts share the order of each measure; a sequence takes theirs.
+    """
+    packed: list[dict[str, object]] = []
+    for measure in BANDED:
+        used, fitted = fit.order([fit.resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
+        for case in cases:
+            h, y = fit.resolutions(case.rows, measure, case.temperature)
+            if len(h) < 3:
+                continue
+            limit, slope, residuals = line(h, y, used)
+            best = fit.reference(case.rows)
+            packed.append({
+                "case": case.name, "impacts": case.impacts, "speed": case.speed, "measure": measure,
+                "points_from": round(float(h.max()) ** -3), "points_to": round(float(h.min()) ** -3),
+                "reference": fit.value(best, measure, case.temperature) if best else math.nan, "limit": limit,
+                "order": used, "fitted": fitted.order, "low": fitted.low, "high": fitted.high,
+                "slope": abs(slope), "scatter": float(np.sqrt(np.mean(residuals**2))),
+                **_knobs(case.rows, measure, case.temperature),
+            })  # fmt: skip
+    return packed
+
+
+def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, object]:
+    """Half of what each knob of the scheme moves a measure by over the values tried, over the reference; and at how many points."""
+    best = fit.reference(rows)
+    shares: dict[str, object] = {"knobs_at": ""}
+    for axis in ladder.KNOBS:
+        tried = [row for row in ladder.finished(rows) if row["axis"] == axis]
+        shares[axis] = ""
+        if not tried or best is None:
+            continue
+        plain = [r for r in ladder.finished(rows) if r["axis"] == "points" and r["points"] == tried[0]["points"]]
+        values = [fit.value(row, measure, T_0) for row in (*tried, *plain)]
+        shares[axis] = 0.5 * (max(values) - min(values)) / abs(fit.value(best, measure, T_0))
+        shares["knobs_at"] = round(float(tried[0]["points_used"]))
+    return shares
+
+
 def table_of(name: str) -> StudyTable:
     about = "remake: make accuracy (rows in this table are not computed again)"
     return ladder.ladder_table(ROOT / "docs" / "tables" / f"accuracy_{name}.csv", about)
 
 
-def case_of(name: str) -> fit.StudyCase:
+def case_of(name: str) -> StudyCase:
     particles = STUDIES[name].load().particles
     last = particles[-1]
-    return fit.StudyCase(STUDIES[name].heading, len(particles), last.velocity, last.temperature, table_of(name).rows)
+    return StudyCase(STUDIES[name].heading, len(particles), last.velocity, last.temperature, table_of(name).rows)
 
 
 def compute(names: Sequence[str]) -> None:
@@ -65,9 +120,9 @@ def compute(names: Sequence[str]) -> None:
         ladder_runs.compute_missing(study.load(), ROOT / "runs" / "accuracy" / name, points, table_of(name), print)
 
 
-def package(cases: Sequence[fit.StudyCase]) -> list[dict[str, object]]:
+def package(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
     """Write coupler/plan/bands.csv; its rows."""
-    rows = fit.packaged(cases)
+    rows = packaged(cases)
     rounded = [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]
     about = "remake: python workflows/accuracy.py --docs; shares of the reference, h = N^(-1/3)"
     write_rows(PACKAGED, list(rows[0]), rounded, about)
@@ -75,7 +130,7 @@ def package(cases: Sequence[fit.StudyCase]) -> list[dict[str, object]]:
     return rows
 
 
-def cases_part(cases: dict[str, fit.StudyCase]) -> list[str]:
+def cases_part(cases: dict[str, StudyCase]) -> list[str]:
     """A section for each case: figure, reference, differences of each setting in percent, failures."""
     lines: list[str] = []
     for name, case in cases.items():
@@ -104,7 +159,7 @@ def cases_part(cases: dict[str, fit.StudyCase]) -> list[str]:
     return lines
 
 
-def orders_part(packaged: Sequence[dict[str, object]], cases: Sequence[fit.StudyCase]) -> list[str]:
+def orders_part(packaged: Sequence[dict[str, object]], cases: Sequence[StudyCase]) -> list[str]:
     """Fitted order of each measure and its limit in each case."""
     singles = [case for case in cases if case.impacts == 1]
     lines = []

@@ -18,6 +18,7 @@ from unittest import mock
 
 import numpy as np
 from pages import PAGES, markdown, options, single_impact, spacing_of, study_table, versions, write_parts
+from scipy.spatial.transform import Rotation
 
 from coupler import Scene, run
 from coupler.deposition.run import resume
@@ -34,7 +35,15 @@ COLUMNS = (
     "plastic_target", "numerical_particle", "numerical_target", "friction", "drift", "failed",
 )  # fmt: skip
 LATTICES = {"fcc": Lattice(), "hcp": Lattice("hcp"), "bcc": Lattice("bcc")}
-LATTICES |= {f"fcc turned {seed}": Lattice.at_random(seed) for seed in (1, 2, 3)}
+
+
+def turned_at_random(seed: int, kind: str = "fcc") -> Lattice:
+    """A lattice with a random orientation of uniform distribution, the same for the same seed."""
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec()
+    return Lattice(kind, (float(turn[0]), float(turn[1]), float(turn[2])))
+
+
+LATTICES |= {f"fcc turned {seed}": turned_at_random(seed) for seed in (1, 2, 3)}
 DEFAULTS: dict[str, float | str] = {
     "kernel_radius": 0.75, "Q1": 0.06, "hourglass": 1.0, "courant": 0.4, "contact_stiffness": 1.0, "lattice": "fcc",
 }  # fmt: skip

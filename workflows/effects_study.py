@@ -12,7 +12,7 @@ other work on the machine slows them down alike; of each ten steps the least of 
 import json
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ from coupler.errors import ColdsprayError, SolverError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
-from coupler.plan.effects import LEFT_OUT, THRESHOLDS, largest_threshold, worst_change
+from coupler.plan.effects import THRESHOLDS
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable, write_rows
@@ -56,6 +56,7 @@ BASE = ["all"]
 NEVER = ("adhesion", "cooling")  # not left out of a scene that does not ask for it: of no meaning to a single impact
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 EITHER = ("friction", "plastic_heating")  # a scene has them or not, whatever their size
+LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most
 CAUSAL = ("absorbing_boundaries",)  # nothing can come back before the waves do
 
 
@@ -257,6 +258,26 @@ def write(influence: StudyTable, against: StudyTable) -> None:
     })  # fmt: skip
 
 
+def largest_threshold(name: str, rows: Iterable[Mapping[str, str]]) -> float | None:
+    """The largest threshold that the rows of the study allow; None for an effect without measured cases.
+
+    Of the cases that changed something by more than LEFT_OUT those count whose number is within twice the smallest: a straight
+    line from nothing at zero through each, the steepest of which reaches LEFT_OUT at what is returned. Influence grows at least in
+    proportion to the number, so that below it is less. Where no case changed more, the largest number measured.
+    """
+    cases = [(float(row["number"]), worst_change(row)) for row in rows if row["effect"] == name]
+    too_much = [(number, change) for number, change in cases if change > LEFT_OUT]
+    if not too_much:
+        return max((number for number, _ in cases), default=None)
+    least = min(number for number, _ in too_much)
+    return min(LEFT_OUT * number / change for number, change in too_much if number <= 2.0 * least)
+
+
+def worst_change(row: Mapping[str, str]) -> float:
+    """The largest change of any measure in a row of the study, in percent, without its sign."""
+    return max(abs(float(row[measure])) for measure in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
+
+
 def thresholds_part(rows: list[Row]) -> list[str]:
     """Each threshold beside the largest one that the study allows."""
     lines = []
@@ -268,7 +289,7 @@ def thresholds_part(rows: list[Row]) -> list[str]:
         least = min((float(row["number"]) for row in far), default=0.0)
         near = [row for row in far if float(row["number"]) <= 2.0 * least] or cases
         most = max(near, key=lambda row: worst_change(row) / float(row["number"]))
-        allowed = largest_threshold(effect) or 0.0
+        allowed = largest_threshold(effect, rows) or 0.0
         case = [most["scene"], most["number"], f"{worst_change(most):.2f}"]
         lines.append([effect, f"{THRESHOLDS[effect].threshold:g}", f"{allowed:.2g}", *case])
     head = "effect | threshold | allowed by the line | the case that asks for most | its number | its largest change, %"

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from pages import TABLES, options, study_table, write_table
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull
 
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
 from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.impact.exchange import Impact
-from coupler.impact.measure import contact_pressure
 from coupler.physics.constitutive import von_mises
 from coupler.report.picture import stage
 from coupler.report.profiles import on_vertical, profiles
@@ -211,6 +211,19 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
             row["axial_um_end"] = at_end[k] * 1e6
         rows.append(row)
     return rows
+
+
+def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
+    """Mean pressure (Pa) and area (m2) of a contact: the force (N) along z over the area that the touching points fill, seen along z.
+
+    touching (k,3): positions in m of the points in contact, two or more rings of them; their convex hull is taken, as a round
+    contact has no holes. Fewer than three points, or points in a line, fill no area: both are 0 then.
+    """
+    flat = touching[:, :2]
+    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat[0], tol=1e-12) < 2:
+        return 0.0, 0.0
+    area = float(ConvexHull(flat).volume)
+    return force / area, area
 
 
 class WaveProbe:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..splat.cloud import Cloud, Splat
 
-METHODS = ("auto", "carried", "density", "stuffing", "paper")
+METHODS = ("auto", "carried", "density", "paper")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
 _MEMORY_EACH = 3000.0  # bytes for each point: 2000 measured from 5000 to 40 000 points, at the default size

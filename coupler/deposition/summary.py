@@ -12,6 +12,14 @@ from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import RATE_REMARK, Plan
 from ..ranks.ranks import Ranks
 
+# What an impact loses to the scheme: key of its record, its limit, the warning.
+LIMITS = (
+    ("numerical_dissipation", DISSIPATION_LIMIT, "viscosity and hourglass control took {share:.0%} of the kinetic energy, more than"
+     " {limit:.0%}: they shape the splat beside the metal's own strength, try a finer preset"),
+    ("dissipation_of_plastic", PLASTIC_SHARE_LIMIT, "in the particle viscosity and hourglass control took {share:.0%} of the plastic"
+     " work, more than {limit:.0%}: plastic strains are too low by about that share, try a finer preset"),
+)  # fmt: skip
+
 
 def simulated(records: Sequence[ImpactRecord]) -> float:
     """Simulated time of the impacts, s."""
@@ -57,8 +65,7 @@ def summary(
             "ranks": ranks.size,
             "memory_peak_bytes": records[-1].memory_peak,
             "warnings": [
-                *merged(_dissipated(impacts)),
-                *merged(_dissipated_of_plastic(impacts)),
+                *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),
                 *merged([*expected, *own]),
             ],
             "retries": [asdict(retry) for record in records for retry in record.retries],
@@ -68,21 +75,10 @@ def summary(
     }  # fmt: skip
 
 
-def _dissipated(impacts: Sequence[Values]) -> list[str]:
-    """A warning of each impact that the stabilisation of the schemes has shaped."""
+def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:
+    """A warning of each impact with a share above its limit."""
     return [
-        f"impact {number}: viscosity and hourglass control took {impact['numerical_dissipation']:.0%} of the kinetic energy, more than"
-        f" {DISSIPATION_LIMIT:.0%}: they shape the splat beside the metal's own strength, try a finer preset"
+        f"impact {number}: {words.format(share=impact[key], limit=limit)}"
         for number, impact in enumerate(impacts, 1)
-        if impact["numerical_dissipation"] > DISSIPATION_LIMIT
-    ]
-
-
-def _dissipated_of_plastic(impacts: Sequence[Values]) -> list[str]:
-    """A warning of each impact whose particle loses to the scheme a share of what it puts into plastic work."""
-    return [
-        f"impact {number}: in the particle viscosity and hourglass control took {impact['dissipation_of_plastic']:.0%} of the plastic"
-        f" work, more than {PLASTIC_SHARE_LIMIT:.0%}: plastic strains are too low by about that share, try a finer preset"
-        for number, impact in enumerate(impacts, 1)
-        if impact["dissipation_of_plastic"] > PLASTIC_SHARE_LIMIT
+        if impact[key] > limit
     ]

@@ -83,8 +83,8 @@ class Result:
 
     @property
     def summary(self) -> Summary:
-        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. StoreError if it is damaged or of an
-        unknown format; that of version 0.1 is put into today's form."""
+        """Contents of summary.json (docs/guide/files.md); empty while the run is not finished. StoreError if it is damaged or of
+        another format."""
         if not self._summary and self.finished:
             self._summary = read_summary(self.directory / "summary.json")
         return self._summary
@@ -105,7 +105,7 @@ class Result:
 
     @property
     def plan(self) -> Values:
-        """The plan of the run as plan.json holds it; empty if there is none (version 0.1) or it is damaged."""
+        """The plan of the run as plan.json holds it; empty if there is none or it is damaged."""
         try:
             plan = read_json_object(self.directory / "plan.json").get("plan")
         except StoreError:

@@ -1,20 +1,14 @@
-"""summary.json: its form (docs/guide/files.md), older forms, and flat views of it."""
+"""summary.json: its form (docs/guide/files.md), and flat views of it."""
 
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict, cast
 
 from ..errors import StoreError
-from ..measures import REBOUNDS, STICKS, UNDECIDED
 from .inputs import read_json_object
 
 FORMAT = 2
-OF_THE_RUN = ("wall_s", "wall_loop_s", "sim_time_s", "steps", "warnings", "deposition_efficiency", "engine", "placement", "ranks",
-              "memory_peak_bytes", "element_size_m", "effects")  # fmt: skip
 _BLOCKS = ("greatest", "end", "at_end", "refused", "bands")  # tables in an impact's record
-# Of format 1: keys of an impact's record that are of the run, or that another key repeats.
-_DROPPED = ("engine", "placement", "ranks", "memory_peak_bytes", "element_size_m", "effects", "warnings", "rescues", "retries",
-            "version", "sim_time_s", "greatest_deformation", "at_end")  # fmt: skip
 Values = dict[str, Any]
 
 
@@ -32,14 +26,12 @@ class Summary(TypedDict, total=False):
 
 
 def read_summary(path: Path) -> Summary:
-    """The summary in a file, in the form of today. Raises StoreError if it is damaged or of an unknown format."""
+    """The summary in a file. Raises StoreError if it is damaged or of another format."""
     data: Mapping[str, object] = read_json_object(path)
     form, version = data.get("format", 1), str(data.get("version", "unknown"))[:40]
-    if form == 1:
-        data = upgraded(data)
-    elif form != FORMAT:
+    if form != FORMAT:
         raise StoreError(
-            f"{path} has format {str(form)[:40]} (version {version}); formats 1 and {FORMAT} can be read: open it with that version,"
+            f"{path} has format {str(form)[:40]} (version {version}), this version reads format {FORMAT}: open it with that version,"
             " or compute the scene anew"
         )
     if (problem := problem_of(data)) is not None:
@@ -63,27 +55,6 @@ def problem_of(data: Mapping[str, object]) -> str | None:
             if impact.get(name) is not None and not isinstance(impact[name], dict):
                 return f"{name} of impact {number} is not a table"
     return None
-
-
-def upgraded(data: Mapping[str, object]) -> dict[str, object]:
-    """A summary of format 1 (version 0.1) in today's form. Its values were not held against the ranges of their measures."""
-    impacts = data.get("impacts")
-    records = [dict(record) for record in impacts if isinstance(record, dict)] if isinstance(impacts, list) else []
-    for k, record in enumerate(records):
-        end, at_end = record.get("end"), record.get("at_end")
-        record["greatest"] = record.get("greatest_deformation")
-        for name in (*_DROPPED, *(end if isinstance(end, dict) else ())):
-            record.pop(name, None)
-        if k + 1 < len(records):
-            record["at_end"] = at_end
-        left = record.get("rebounded")
-        verdict = UNDECIDED if left is None else REBOUNDS if left else STICKS
-        record |= {"refused": {}, "undecided": record.get("undecided"), "verdict": verdict}
-    run = {name: data[name] for name in OF_THE_RUN if name in data}
-    run |= {"retries": data.get("retries", data.get("rescues", [])), "undecided": data.get("undecided")}
-    return {
-        "format": FORMAT, "version": data.get("version", "unknown"), "run": run, "impacts": records, "joins": data.get("joins", []),
-    }  # fmt: skip
 
 
 def impact_values(summary: Summary, i: int = -1) -> Values:

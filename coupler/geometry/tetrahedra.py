@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from .triangles import surface_area, vertex_areas, vertex_normals
-
 COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
 #: Faces of a tetrahedron of positive volume, normals outwards; face i lies opposite corner i.
@@ -35,25 +33,3 @@ def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
     twin = np.all(corners[order][1:] == corners[order][:-1], axis=1)
     single = np.sort(order[~(np.append(twin, False) | np.insert(twin, 0, False))])
     return faces[single], single % len(tets)
-
-
-def correct_volume(
-    points: NDArray, tets: NDArray, target: float, max_offset: float, fixed: NDArray | None = None
-) -> tuple[NDArray, float]:
-    """Points (n,3) with the boundary moved along its normals until the mesh has the volume `target`, and the offset.
-
-    max_offset: the largest offset; fixed (n,): points of the boundary that stay, none by default.
-    """
-    used, numbered = np.unique(boundary_faces(tets)[0], return_inverse=True)
-    numbered = numbered.reshape(-1, 3)
-    free = np.ones(len(used), bool) if fixed is None else ~fixed[used]
-    x, moved = points.copy(), 0.0
-    for _ in range(6):
-        skin = x[used]
-        area = surface_area(skin, numbered) if free.all() else float(vertex_areas(skin, numbered)[free].sum())
-        if area == 0.0:
-            break
-        step = float(np.clip(moved + (target - float(volumes(x, tets).sum())) / area, -max_offset, max_offset)) - moved
-        x[used[free]] = (skin + step * vertex_normals(skin, numbered))[free]
-        moved += step
-    return x, moved

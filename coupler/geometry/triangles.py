@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+VOLUME_TOLERANCE = 1e-9  # relative, of a corrected volume
+
 
 def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """Normal times area (m,3) of each triangle, by the right-hand rule."""
@@ -61,3 +63,24 @@ def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
     """Volume inside a closed surface with outward normals; negative where they point inwards (divergence theorem)."""
     a, b, c = (points[triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+def correct_volume(
+    points: NDArray, triangles: NDArray, target: float, max_offset: float, fixed: NDArray | None = None
+) -> tuple[NDArray, float]:
+    """Points (n,3) of closed surfaces moved along their normals until these enclose `target` together, and the offset.
+
+    max_offset: the largest offset; fixed (n,) bool: points that stay, none by default. Stops at 1e-9 of the volume.
+    """
+    x, moved = points.copy(), 0.0
+    free = slice(None) if fixed is None else np.flatnonzero(~fixed)
+    for _ in range(20):
+        missing, area = target - enclosed_volume(x, triangles), float(vertex_areas(x, triangles)[free].sum())
+        if abs(missing) < VOLUME_TOLERANCE * target or area == 0.0:
+            break
+        step = float(np.clip(moved + missing / area, -max_offset, max_offset)) - moved
+        if step == 0.0:
+            break
+        x[free] += step * vertex_normals(x, triangles)[free]
+        moved += step
+    return x, moved

@@ -14,7 +14,8 @@ from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
-from ..geometry.tetrahedra import boundary_faces, correct_volume, volumes
+from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.triangles import correct_volume
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
 from ..state.records import Shape, check_indices
@@ -257,7 +258,7 @@ class Bodies:
         if abs(now.sum() / whole - 1.0) > FITTED_VOLUME:
             fixed = np.zeros(len(points), bool)
             fixed[placed] = True
-            corrected, _ = correct_volume(points, splat.tets, whole, MOST_OFFSET * size, fixed)
+            corrected, _ = correct_volume(points, boundary_faces(splat.tets)[0], whole, MOST_OFFSET * size, fixed)
             if (volumes(corrected, splat.tets) > LEAST_QUALITY * before).all():
                 points, now = corrected, volumes(corrected, splat.tets)
         if abs(error := now.sum() / whole - 1.0) > LOST_VOLUME:

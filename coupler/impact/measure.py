@@ -1,7 +1,6 @@
 """What is measured of an impact, always by the same words: shape, strain, temperature, stress, energy."""
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from ..fe.explicit import Target
 from ..geometry.triangles import enclosed_volume
@@ -26,19 +25,6 @@ def crater_depth(surface: np.ndarray) -> float:
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     fit = np.linalg.lstsq(terms, d[:, 2], rcond=None)[0]
     return float(-(deepest[2] + (terms @ fit).min()))
-
-
-def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
-    """Mean pressure (Pa) and area (m2) of a contact: the force (N) along z over the area that the touching points fill, seen along z.
-
-    touching (k,3): positions in m of the points in contact, two or more rings of them; their convex hull is taken, as a round
-    contact has no holes. Fewer than three points, or points in a line, fill no area: both are 0 then.
-    """
-    flat = touching[:, :2]
-    if len(flat) < 3 or np.linalg.matrix_rank(flat - flat[0], tol=1e-12) < 2:
-        return 0.0, 0.0
-    area = float(ConvexHull(flat).volume)
-    return force / area, area
 
 
 def plastic_zone(target: Target) -> tuple[float, float]:

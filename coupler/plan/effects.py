@@ -21,7 +21,7 @@ class Criterion(NamedTuple):
     why_off: str
 
 
-# The thresholds are what the study's rows allow (`largest_threshold`, docs/evidence/effects.md), rounded down to one digit.
+# The thresholds are what the study's rows allow (docs/evidence/effects.md), rounded down to one digit.
 THRESHOLDS = {
     "thermal_softening": Criterion("heating or preheat / (T_m - T)", 0.006,
         "the metal gets warm enough to lose strength", "heating is too small to matter"),
@@ -56,7 +56,6 @@ THRESHOLDS = {
     "cooling": Criterion("sqrt(alpha dwell) / diameter", 0.05,
         "heat leaves the splat between impacts", "no pause, or too short a one"),
 }  # fmt: skip
-LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most, as the study's rows have it
 
 
 @dataclass(frozen=True)
@@ -183,26 +182,6 @@ def expected(name: str, values: Mapping[str, float]) -> dict[str, str] | None:
         return _apart(others[name], values[name]) + 0.1 * max(_apart(others[n], values[n]) for n in others)
 
     return min(cases, key=far)
-
-
-def largest_threshold(name: str) -> float | None:
-    """The largest threshold that what was measured allows; None for an effect without measured cases.
-
-    Of the cases that changed something by more than LEFT_OUT those count whose number is within twice the smallest: a straight
-    line from nothing at zero through each, the steepest of which reaches LEFT_OUT at what is returned. Influence grows at least in
-    proportion to the number, so that below it is less. Where no case changed more, the largest number measured.
-    """
-    cases = [(float(row["number"]), worst_change(row)) for row in _measured() if row["effect"] == name]
-    too_much = [(number, change) for number, change in cases if change > LEFT_OUT]
-    if not too_much:
-        return max((number for number, _ in cases), default=None)
-    least = min(number for number, _ in too_much)
-    return min(LEFT_OUT * number / change for number, change in too_much if number <= 2.0 * least)
-
-
-def worst_change(row: Mapping[str, str]) -> float:
-    """The largest change of any measure in a row of the study, in percent, without its sign."""
-    return max(abs(float(row[measure])) for measure in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
 
 
 def _apart(a: float, b: float) -> float:

@@ -142,10 +142,7 @@ def _particle(particle: Values) -> str:
 def effects(result: Result) -> str:
     """The effects that took part, and the reasons, from the plan of the run."""
     if not result.plan:
-        entries = [item if isinstance(item, dict) else {"name": item} for item in result.values.get("effects", [])]
-        used = [str(entry.get("name")).replace("_", " ") for entry in entries if entry.get("on", True)]
-        text = f"Taking part: {', '.join(used)}. " if used else ""
-        return f'<p class="note">{escape(text)}The reasons are not known: this run has no readable plan.json.</p>'
+        return '<p class="note">Not known: this run has no readable plan.json.</p>'
     lines = []
     for row in result.plan["effects"]["rows"]:
         sign = ">" if row["value"] > row["threshold"] else "≤"

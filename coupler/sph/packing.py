@@ -53,12 +53,6 @@ class Lattice:
         if self.kind not in _KINDS:
             raise ValueError(f"lattice kind {self.kind!r} is not one of {', '.join(KINDS)}")
 
-    @classmethod
-    def at_random(cls, seed: int, kind: str = "fcc") -> "Lattice":
-        """A lattice with a random orientation of uniform distribution, the same for the same seed."""
-        turn = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec()
-        return cls(kind, (float(turn[0]), float(turn[1]), float(turn[2])))
-
     def points(self, spacing: float, half: tuple[float, ...] | list[float], offset: tuple[float, ...]) -> np.ndarray:
         """The points (k,3), one per spacing^3, over a box of half extents `half` m; offset in cells."""
         cell = self._cell(spacing)

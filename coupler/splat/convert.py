@@ -14,7 +14,7 @@ from .fit import fit_of
 from .meshing import SIGMAS, CloudShape, build_mesh, strategies
 from .transfer import transfer
 
-METHODS = ("auto", "carried", "density", "stuffing", "paper")
+METHODS = ("auto", "carried", "density", "paper")
 MAX_ELEMENTS = 5e6
 LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
 MIN_TETS = 40  # of a fragment: its elements are made small enough for about that number
@@ -23,8 +23,8 @@ MIN_TETS = 40  # of a fragment: its elements are made small enough for about tha
 def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit: float = 120.0) -> Splat:
     """Mesh a cloud with elements of about element_size m and transfer its state.
 
-    method: "auto" takes the carried surface where there is one, else the density of the points, and isosurface stuffing where
-    neither can be filled; the others force one source. time_limit: s, of gmsh in one attempt.
+    method: "auto" takes the carried surface where there is one, else, or where that cannot be filled, the density of
+    the points; the others force one source. time_limit: s, of gmsh in one attempt.
     Raises SplatError for a cloud that cannot be meshed, or when every strategy has failed.
     """
     if method not in METHODS:
@@ -122,9 +122,7 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
         seconds["transfer"] = clock.perf_counter() - start
         report |= {"seconds": seconds, "failed": failed}
         return Body(points, tets, mass_scale, index, report=report, **state)
-    raise SplatError(
-        f"no mesh of a body of {len(index)} points passed: {'; '.join(failed)}. Try another element size, or method 'stuffing'"
-    )
+    raise SplatError(f"no mesh of a body of {len(index)} points passed: {'; '.join(failed)}. Try another element size")
 
 
 def _total(reports: list[Report], sorting: float) -> Report:

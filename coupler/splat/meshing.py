@@ -12,10 +12,10 @@ from ..errors import SplatError
 from ..geometry import mesher
 from ..geometry.apart import apart
 from ..geometry.poisson import poisson_surface
-from ..geometry.tetrahedra import boundary_faces, correct_volume, volumes
+from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import enclosed_volume
 from . import field as fields
-from . import quality, stuffing, surface
+from . import quality, surface
 from .cloud import Cloud, Report
 from .remesh import even
 
@@ -37,7 +37,7 @@ CARRIED_VOLUME_ERROR = (
 
 @dataclass(frozen=True)
 class Strategy:
-    """source: of the shape ("carried", "density", "paper"); mesher: "HXT", "Delaunay" or "stuffing".
+    """source: of the shape ("carried", "density", "paper"); mesher: "HXT" or "Delaunay".
 
     factor: element size over the one asked for; sigma: least smoothing over element size.
     """
@@ -55,23 +55,14 @@ class Strategy:
 
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
     """The strategies of a method (`convert.METHODS`), in the order in which they are tried."""
-    meshed = ((1.0, 0.15, "HXT"), (1.0, 0.25, "HXT"), (0.8, 0.2, "HXT"), (1.0, 0.4, "Delaunay"))
-    by_source = {
-        source: [Strategy(source, mesher, factor, sigma) for factor, sigma, mesher in meshed]
-        for source in ("carried", "density")
-    }
-    first = "carried" if has_surface else "density"
-    stuffed = [Strategy(first, "stuffing", factor, sigma) for factor, sigma in ((1.0, 0.25), (0.7, 0.15), (1.0, 0.4))]
-    stuffed += [
-        Strategy("density", "stuffing", factor, sigma) for factor, sigma in ((1.0, 0.25), (0.7, 0.15), (0.5, 0.15))
-    ]
-    if method == "auto":
-        return (by_source["carried"] if has_surface else []) + by_source["density"] + stuffed
-    if method == "stuffing":
-        return stuffed
     if method == "paper":
         return [Strategy("paper", "HXT"), Strategy("paper", "Delaunay")]
-    return by_source[method]
+    sources = [method] if method != "auto" else ["carried", "density"] if has_surface else ["density"]
+    return [
+        Strategy(source, mesher, factor, sigma)
+        for source in sources
+        for factor, sigma, mesher in ((1.0, 0.15, "HXT"), (1.0, 0.25, "HXT"), (0.8, 0.2, "HXT"), (1.0, 0.4, "Delaunay"))
+    ]
 
 
 @dataclass(frozen=True)
@@ -179,12 +170,6 @@ def build_mesh(
         max_offset = MAX_OFFSET * size
         shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
         report |= {"volume_error_before": shape.volume_error, "smoothing": shape.sigma, "handles": shape.handles}
-        if strategy.mesher == "stuffing":
-            points, tets = timed("volume", lambda: stuffing.stuff(shape.field, shape.level, size))
-            points, tets = quality.largest(points, tets)
-            points, moved = correct_volume(points, tets, solid, max_offset)
-            report |= {"moved_m": moved, **check_mesh(points, tets, solid, size)}
-            return points, tets, report
         level_set = surface.LevelSet(shape.field, shape.level, size)
         shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
     shells, moved = surface.correct_volume(shells, solid, max_offset)

@@ -47,22 +47,8 @@ def compact(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return points[used], (np.cumsum(used) - 1)[cells]
 
 
-def _parts(points: np.ndarray, tets: np.ndarray) -> tuple[int, np.ndarray]:
-    """Number of parts that share no node, and the part of each tetrahedron."""
-    nodes, conn = compact(points, tets)
-    pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
-    count, part = connected_parts(pairs, len(nodes))
-    return int(count), part[conn[:, 0]]
-
-
 def pieces(points: np.ndarray, tets: np.ndarray) -> int:
     """Number of parts of a mesh that share no node."""
-    return _parts(points, tets)[0]
-
-
-def largest(points: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The part of a mesh with the most tetrahedra, its nodes renumbered."""
-    if len(tets) == 0:
-        return points[:0], tets
-    _, part = _parts(points, tets)
-    return compact(points, tets[part == np.argmax(np.bincount(part))])
+    nodes, conn = compact(points, tets)
+    pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
+    return int(connected_parts(pairs, len(nodes))[0])

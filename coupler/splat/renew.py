@@ -6,12 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
-from ..geometry.triangles import edges, enclosed_volume, surface_area, vertex_normals
+from ..geometry.triangles import VOLUME_TOLERANCE, correct_volume, edges, enclosed_volume
 from . import remesh
 from .surface import open_or_double
 
 NEAREST = 24  # triangles, by their centres, among which the closest point is searched
-VOLUME_TOLERANCE = 1e-9  # relative, of the patch
 GROWTH = 0.5  # of the edge length with the distance from the cut, from its edges to the size asked for
 MAX_OFFSET = 0.1  # of an edge, by which the surface is moved to correct the volume
 
@@ -86,17 +85,7 @@ def renewed_surface(
     old = Original(vertices, triangles[len(triangles) - free :])
     scale = graded_scale(vertices, triangles[: len(triangles) - free], size)
     x, t = remesh.even(vertices, triangles, size, old.project, fixed, scale)
-    moved = 0.0
-    for _ in range(20):
-        missing = target - enclosed_volume(x, t)
-        if abs(missing) < VOLUME_TOLERANCE * target:
-            break
-        normal = vertex_normals(x, t)
-        normal[:fixed] = 0.0
-        loose = (t >= fixed).any(axis=1)
-        step = missing / surface_area(x, t[loose])
-        x = x + step * normal
-        moved += step
-        if abs(moved) > MAX_OFFSET * size:
-            raise SplatError(f"keeping the volume would move the surface by {moved / size:+.2f} of an edge")
+    x, moved = correct_volume(x, t, target, MAX_OFFSET * size, np.arange(len(x)) < fixed)
+    if abs(enclosed_volume(x, t) - target) > VOLUME_TOLERANCE * target:
+        raise SplatError(f"keeping the volume would move the surface by more than {MAX_OFFSET} of an edge")
     return x, t, moved

@@ -3,8 +3,9 @@
 import numpy as np
 from skimage.measure import marching_cubes
 
+from ..geometry import triangles as triangulated
 from ..geometry.graph import connected_parts
-from ..geometry.triangles import edges, enclosed_volume, surface_area, vertex_normals
+from ..geometry.triangles import edges, enclosed_volume
 from .field import Field
 from .quality import compact
 
@@ -71,11 +72,7 @@ class LevelSet:
 
 def correct_volume(parts: list[Surface], target: float, max_offset: float) -> tuple[list[Surface], float]:
     """Shells moved along their normals until they enclose `target` m3 together, and the offset, m (at most `max_offset`)."""
-    moved = 0.0
-    for _ in range(6):
-        missing = target - sum(enclosed_volume(*part) for part in parts)
-        step = missing / sum(surface_area(*part) for part in parts)
-        step = float(np.clip(moved + step, -max_offset, max_offset)) - moved
-        parts = [(part[0] + step * vertex_normals(*part), part[1]) for part in parts]
-        moved += step
-    return parts, moved
+    ends = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    triangles = np.concatenate([own + first for (_, own), first in zip(parts, ends, strict=False)])
+    x, moved = triangulated.correct_volume(np.concatenate([part[0] for part in parts]), triangles, target, max_offset)
+    return [(x[a:b], own) for (_, own), a, b in zip(parts, ends, ends[1:], strict=False)], moved

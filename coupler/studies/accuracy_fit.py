@@ -1,15 +1,12 @@
-"""Evaluation of a ladder: errors against the reference, orders, and the rows of `coupler/plan/bands.csv`."""
+"""Evaluation of a ladder: errors against the reference, and orders."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..measures import BANDED
 from ..measures import measure as record
-from .ladder import KNOBS, finished
-from .order import Case, OrderFit, fit_order, line
+from .ladder import finished
+from .order import Case, OrderFit, fit_order
 
 ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: the schemes converge no faster
 USUAL = 1.0  # the order taken where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
@@ -57,55 +54,3 @@ def order(cases: Sequence[Case]) -> tuple[float, OrderFit]:
     """
     fit = fit_order(cases, ORDERS)
     return (USUAL if fit.low <= USUAL <= fit.high else fit.order), fit
-
-
-@dataclass(frozen=True)
-class StudyCase:
-    """A scene of the accuracy study. impacts: of the run; speed m/s and temperature K: of its last particle; rows: of its ladder."""
-
-    name: str
-    impacts: int
-    speed: float
-    temperature: float
-    rows: Sequence[Row]
-
-
-def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
-    """Rows of `coupler/plan/bands.csv`: what bands are made of, for each case and measure that converges.
-
-    Single impacts share the order of each measure; a sequence takes theirs.
-    """
-    packed: list[dict[str, object]] = []
-    for measure in BANDED:
-        used, fit = order([resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
-        for case in cases:
-            h, y = resolutions(case.rows, measure, case.temperature)
-            if len(h) < 3:
-                continue
-            limit, slope, residuals = line(h, y, used)
-            best = reference(case.rows)
-            packed.append({
-                "case": case.name, "impacts": case.impacts, "speed": case.speed, "measure": measure,
-                "points_from": round(float(h.max()) ** -3), "points_to": round(float(h.min()) ** -3),
-                "reference": value(best, measure, case.temperature) if best else math.nan, "limit": limit,
-                "order": used, "fitted": fit.order, "low": fit.low, "high": fit.high,
-                "slope": abs(slope), "scatter": float(np.sqrt(np.mean(residuals**2))),
-                **_knobs(case.rows, measure, case.temperature),
-            })  # fmt: skip
-    return packed
-
-
-def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, object]:
-    """Half of what each knob of the scheme moves a measure by over the values tried, over the reference; and at how many points."""
-    best = reference(rows)
-    shares: dict[str, object] = {"knobs_at": ""}
-    for axis in KNOBS:
-        tried = [row for row in finished(rows) if row["axis"] == axis]
-        shares[axis] = ""
-        if not tried or best is None:
-            continue
-        plain = [r for r in finished(rows) if r["axis"] == "points" and r["points"] == tried[0]["points"]]
-        values = [value(row, measure, T_0) for row in (*tried, *plain)]
-        shares[axis] = 0.5 * (max(values) - min(values)) / abs(value(best, measure, T_0))
-        shares["knobs_at"] = round(float(tried[0]["points_used"]))
-    return shares
