@@ -81,21 +81,59 @@ def test_mixed_mode_meets_both_criteria(pair: Blocks, angle: float) -> None:
     assert bond.dissipated == pytest.approx(spent.sum() * SIDE**2, rel=1e-6)
 
 
-def test_unloading_goes_to_the_origin_and_damage_does_not_heal(pair: Blocks) -> None:
-    bond = cohesive(pair)
-    up = np.array([0, 0, 1.0])
-    far = 0.5 * 2 * GI / N
-    out, back, again = np.linspace(0, far, 500), np.linspace(far, 0, 400), np.linspace(0, far, 300)
-    first = -pull(pair, bond, out[:, None] * up)[:, 2]
+@pytest.mark.parametrize(("toward", "far"), [((0, 0, 1.0), GI / N), ((1.0, 0, 0), GII / S), ((0.6, 0, 0.8), GI / N)])
+def test_unloading_is_elastic_to_a_residual_opening_and_damage_does_not_heal(
+    pair: Blocks, toward: tuple[float, float, float], far: float
+) -> None:
+    """Led out, back until the traction is zero, and out again: stiffness of the whole bond, and the energy is that of one way."""
+    bond, e = cohesive(pair), np.array(toward)
+    k = bond.stiffness[0] * SIDE**2
+    first = -pull(pair, bond, np.linspace(0, far, 500)[:, None] * e) @ e
     spent, damage = bond.dissipated, bond.damage.copy()
-    assert 0 < damage.min() < 1
-    returning = -pull(pair, bond, back[:, None] * up)[:, 2]
-    assert returning == pytest.approx(first[-1] * back / far, rel=1e-9, abs=1e-9 * first.max())
-    assert -pull(pair, bond, again[:, None] * up)[:, 2] == pytest.approx(first[-1] * again / far, rel=1e-9, abs=1e-6)
-    assert bond.dissipated == spent
-    assert np.array_equal(bond.damage, damage)
-    pressed = pull(pair, bond, -1e-8 * up[None])[0, 2]  # compression does not depend on the damage
-    assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 1e-8, rel=1e-9)
+    assert 0.1 < damage.min() < 0.9
+    residual = far - first[-1] / k
+    assert residual > 0.2 * far
+    back = np.linspace(far, residual, 40)
+    for path in (back, back[::-1]):
+        force = -pull(pair, bond, path[:, None] * e) @ e
+        assert force == pytest.approx(k * (path - residual), rel=1e-9, abs=1e-6 * first.max())
+    assert bond.dissipated == pytest.approx(spent, rel=1e-12)
+    assert bond.damage == pytest.approx(damage, rel=1e-12)
+    pull(pair, bond, np.linspace(far, 2.1 * GII / S, 4000)[:, None] * e)
+    assert bond.broken.all()
+    if toward[2] == 0.0:
+        assert bond.dissipated == pytest.approx(GII * SIDE**2, rel=1e-3)
+
+
+def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None:
+    bond, up = cohesive(pair), np.array([0, 0, 1.0])
+    pull(pair, bond, np.linspace(0, GI / N, 500)[:, None] * up)
+    gap, damage = bond.gap[0], bond.damage[0]
+    assert 0.0 < damage < 1.0
+    assert gap > 0.5 * GI / N  # the residual opening
+    pressed = pull(pair, bond, (gap - 1e-8) * up[None])[0, 2]
+    assert pressed == pytest.approx(bond.stiffness[0] * SIDE**2 * 1e-8, rel=1e-6)
+    assert bond.damage[0] == damage
+
+
+def test_a_mass_that_swings_on_a_bond_comes_to_rest(pair: Blocks) -> None:
+    """With half the fracture energy it stops in the first swing, but for the elastic energy (1 - D)^2 N^2 / 2 k per area."""
+    bond = cohesive(pair)
+    mass = 1.0
+    speed, z, dt = np.sqrt(GI * SIDE**2 / mass), 0.0, 1e-9
+    turned, energy = 0, []
+    while turned < 2:
+        force = pull(pair, bond, np.array([[0.0, 0.0, z]]))[0, 2]
+        before = speed
+        speed += dt * force / mass
+        z += dt * speed
+        if before * speed < 0.0:
+            turned += 1
+            energy.append(bond.stored)
+    left = (1.0 - bond.damage[0]) ** 2 * N**2 / (2 * bond.stiffness[0]) * SIDE**2
+    assert (1.0 - bond.damage[0]) ** 2 == pytest.approx(0.5, abs=0.02)
+    assert max(energy) <= 1.01 * left
+    assert left < 0.1 * GI * SIDE**2
 
 
 def test_a_path_that_changes_its_mode_never_gives_energy_back(pair: Blocks, rng: np.random.Generator) -> None:

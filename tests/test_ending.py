@@ -50,7 +50,9 @@ def test_bonds_that_may_part_are_waited_for_and_secure_ones_are_not():
     for swings, grip, met in (
         (still, "failing", False),
         (still, "free", True),
-        (fast, "held", False),
+        (still, "held", False),  # it still rises
+        (still, "secure", True),
+        (fast, "held", True),  # stopped
         (fast, "secure", True),
     ):
         ending = EndCriterion(200e-9, "rest", 50e-9, 500.0)
@@ -130,6 +132,22 @@ def test_an_undecided_run_goes_on_as_if_it_had_not_stopped(limited, tmp_path):
     for name in ("flattening_ratio", "crater_depth_m", "restitution", "energy_drift", "steps"):
         assert getattr(one, name) == getattr(other, name)
     np.testing.assert_array_equal(one.history("kinetic"), other.history("kinetic"))
+
+
+def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided(tmp_path, capsys):
+    """`end.time` alone is the end criterion: it is met in full contact."""
+    file, out = tmp_path / "short.toml", str(tmp_path / "out")
+    file.write_text(scene(("Ni", 25, 500), **TINY, end=10))
+    assert main(["run", str(file), "--out", out, "--threads", "1"]) == 0
+    hint = "".join(capsys.readouterr().out.split())
+    assert "undecided" in hint
+    assert f"coldsprayresume{''.join(out.split())}--untilTIME" in hint
+    assert main(["resume", out, "--quiet"]) == 0
+    assert Result(out).verdict == "undecided", "without a time it stays as it is"
+    assert main(["resume", out, "--quiet", "--threads", "1", "--until", "100 ns"]) == 0
+    assert Result(out).verdict == "rebounds"
+    assert Result(out).end["time_s"] == pytest.approx(100e-9)
+    assert not list((tmp_path / "out").glob("checkpoint-*"))
 
 
 def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(limited):

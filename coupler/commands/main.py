@@ -215,6 +215,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         from ..report import screen
 
         print(screen(result, arguments.verbose))
+        if result.undecided is None and not result.has_verdict:
+            print(f"go on until it is decided: coldspray resume {out} --until TIME")
         print(f"results in {out}{'' if arguments.verbose else f'; all measures: coldspray report {out}'}")
     return 0 if result.undecided is None else _UNDECIDED
 

@@ -25,8 +25,9 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 @dataclass(frozen=True)
 class BondRows:
     """Of n bonds: nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2) Pa and energy (n,2) J/m2,
-    normal and shear; loose: compression is left to the contact; damage 0 to 1; opening (n,3) m; traction (n,2) Pa; spent J,
-    dissipated by each, of which `heated` J has become heat of the bodies."""
+    normal and shear; loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m,
+    elastic; traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the
+    bodies."""
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="nodes")]
     triangles: Annotated[np.ndarray, Rows(3, dtype=np.int64, index_of="nodes")]
@@ -40,6 +41,7 @@ class BondRows:
     damage: Annotated[np.ndarray, Rows()]
     opening: Annotated[np.ndarray, Rows(3)]
     traction: Annotated[np.ndarray, Rows(2)]
+    slid: Annotated[np.ndarray, Rows()]
     spent: Annotated[np.ndarray, Rows()]
     heated: Annotated[np.ndarray, Rows()]
 
@@ -57,12 +59,11 @@ class BondState:
 class Bond:
     """Nodes of one body tied to fixed places on facets of another, each by a cohesive spring of its own.
 
-    Traction grows with the opening at the penalty stiffness up to the strength, then falls linearly until the fracture
-    energy is spent: Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of
-    mixed modes for the end. Damage never heals; unloading goes back to the origin; compression is resisted in full, by
-    the bond until it is broken or has slid by half a spacing (`release`), then by the contact of the bodies. Infinite
-    strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength. Damage grows with the
-    opening of the moment, so that what is dissipated is never negative when the mode mixity changes.
+    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent:
+    the envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of mixed modes for
+    the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage never heals;
+    compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the contact
+    of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
 
     The arrays of the n bonds are those of `BondRows`.
     """
@@ -79,6 +80,7 @@ class Bond:
     damage: np.ndarray
     opening: np.ndarray
     traction: np.ndarray
+    slid: np.ndarray
     spent: np.ndarray
     heated: np.ndarray
 
@@ -119,7 +121,7 @@ class Bond:
         self.exponent = float(exponent)
         self.loose, self.damage = np.zeros(n, bool), np.zeros(n)
         self.opening, self.traction = np.zeros((n, 3)), np.zeros((n, 2))
-        self.spent, self.heated = np.zeros(n), np.zeros(n)
+        self.slid, self.spent, self.heated = np.zeros(n), np.zeros(n), np.zeros(n)
         self.stored = self.dissipated = 0.0
         _check(self.stiffness, self.strength, self.energy, self.exponent)
         self._ready()
@@ -144,7 +146,7 @@ class Bond:
             return
         k.bond_forces(
             x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
-            self.exponent, self.loose, self.damage, self.opening, self.traction, self.spent,
+            self.exponent, self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
             self._free if depth is None else depth, f, self._sums,
         )  # fmt: skip
         self.stored = float(self._sums[0])
@@ -159,15 +161,12 @@ class Bond:
     def resistance(self) -> np.ndarray:
         """Energy (n,) J that each bond can still take up in tension; infinite where it does not break."""
         with np.errstate(invalid="ignore"):
-            left = self.area * self.energy[:, 0] - self.spent
-        return np.where(self.broken, 0.0, np.maximum(left, 0.0))
+            return np.where(self.broken, 0.0, self.area * self.energy[:, 0] * self.soundness)
 
     @property
     def soundness(self) -> np.ndarray:
-        """Share (n,) of the fracture energy in tension that each bond has left; 1 of one that is whole and brittle or tied."""
-        whole = self.area * self.energy[:, 0]
-        finite = np.isfinite(whole) & (whole > 0.0)
-        return np.where(finite, self.resistance / np.where(finite, whole, 1.0), ~self.broken)
+        """Share (n,) of the fracture energy that each bond has left: the triangle of the strength that is left."""
+        return (1.0 - self.damage) ** 2
 
     def load(self, size: int) -> np.ndarray:
         """What the springs add to each of `size` nodes in the bound on omega^2, N/m: largest load / mass (Gershgorin)."""
@@ -199,7 +198,7 @@ class Bond:
         if len(self) == 0:
             return 0.0
         broken = self.broken
-        far = np.einsum("ij,ij->i", self.opening, self.opening) > MAX_SLIDE**2 * self.area
+        far = self.slid > MAX_SLIDE * np.sqrt(self.area)
         released = (broken | far) & ~self.loose
         squeezed = np.minimum(self.traction[released, 0], 0.0)
         energy = float(np.sum(0.5 * self.area[released] * squeezed**2 / self.stiffness[released]))

@@ -45,55 +45,63 @@ def facing(
 
 
 @njit(cache=True, nogil=True)
-def damage_at(
+def yielding(
     open2: float, slip2: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
-) -> float:  # fmt: skip
-    """Damage (0 to 1) of a bond that is opened so far for the first time. Camanho & Davila (2002), NASA/TM-2002-211737.
+    D: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Share of the elastic opening that becomes permanent, and the damage then, of a bond of damage D.
 
-    open2, slip2: squares of the opening and the slip, m2; k: penalty stiffness, Pa/m; weakness: 1/strength in tension and
-    shear, 1/Pa; ease: 1/fracture energy, m2/J. Softening begins where the tractions meet the quadratic criterion
-    (t_n/N)^2 + (t_s/S)^2 = 1 and is linear up to the opening where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1.
+    open2, slip2: squares of the elastic opening and slip, m2; k: stiffness, Pa/m; weakness: 1/strength in tension and shear,
+    1/Pa; ease: 1/fracture energy, m2/J. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of
+    Camanho & Davila (2002), NASA/TM-2002-211737. Beyond it they return along their own direction (c_n, c_s), by the length dp:
+
+        R = 1 / sqrt((c_n/N)^2 + (c_s/S)^2),   dD = R dp / 2 ((c_n^2/G_I)^alpha + (c_s^2/G_II)^alpha)^(1/alpha)
+
+    Then in one direction the softening is linear and ends where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1.
     """
     size2 = open2 + slip2
     if size2 == 0.0:
-        return 0.0
-    cn, cs = open2 / size2, slip2 / size2  # mode mixity: G_I and G_II are these shares of G
-    q = cn * weakness_n**2 + cs * weakness_s**2
-    r = k * sqrt(q * size2)  # opening over the opening at onset
-    if r <= 1.0:
-        return 0.0
+        return 0.0, D
+    cn, cs = open2 / size2, slip2 / size2
+    q = cn * weakness_n**2 + cs * weakness_s**2  # 1 / R^2
+    trial = k * sqrt(q * size2)
+    over = trial - (1.0 - D)
+    if over <= 0.0:
+        return 0.0, D
     e = 0.0
     if cn > 0.0:
         e += (cn * ease_n) ** alpha
     if cs > 0.0:
         e += (cs * ease_s) ** alpha
-    brittleness = e ** (1.0 / alpha) / (2.0 * k * q)  # opening at onset over the last one
-    if brittleness >= 1.0:
-        return 1.0
-    return min((1.0 - 1.0 / r) / (1.0 - brittleness), 1.0)
+    slope = e ** (1.0 / alpha) / (2.0 * k * q)  # of softening, over the stiffness
+    if slope >= 1.0 or D + slope * over / (1.0 - slope) >= 1.0:
+        return 1.0, 1.0
+    return over / ((1.0 - slope) * trial), D + slope * over / (1.0 - slope)
 
 
 @njit(cache=True, nogil=True)
 def bond_forces(
     x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
-    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, spent: Floats, depth: Floats,
-    f: Floats, sums: Floats,
+    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, slid: Floats, spent: Floats,
+    depth: Floats, f: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
 
     x (N,3) m; nodes (n,), triangles (n,3), weights (n,3): node i is tied to the point sum w x of its triangle; gap (n,)
     m: its distance above it, along the triangle's normal, at which the bond is at rest; area (n,) m2; stiffness (n,)
-    Pa/m; weakness (n,2) 1/Pa, ease (n,2) m2/J: see `damage_at`; loose (n,): bonds that leave compression to a contact. With
+    Pa/m; weakness (n,2) 1/Pa, ease (n,2) m2/J: see `yielding`; loose (n,): bonds that leave compression to a contact. With
     d from the foot to the node, n the normal, the potential is
 
-        U = area k / 2 ((1 - D) (<delta>^2 + |s|^2) + <-delta>^2),   delta = d.n - gap,   s = d - (d.n) n
+        U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
 
     and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment
-    of forces which act across a gap. depth (n,) m: penetration of a contact that presses node i; 0 where the contact presses
-    beside it (`in_contact`); negative where the node is free. In contact the net normal traction is compressive: delta is 0
-    and `gap` follows the surface, so that the bond opens from the place where the contact lets go. damage D (n,), opening
-    <delta> n + s (n,3) m, traction (n,2) Pa, normal and shear, and spent (n,) J, the energy that each bond has dissipated,
-    move on in place. sums: [energy stored, dissipated by this call], J.
+    of forces which act across a gap. Where a bond yields, what becomes permanent of delta is added to `gap`, and of s to the place
+    of the foot: unloading is elastic, to a residual opening. depth (n,) m: penetration of a contact that presses node i; 0 where
+    the contact presses beside it (`in_contact`); negative where the node is free. In contact the net normal traction is
+    compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go.
+    damage D (n,), opening <delta> n + s (n,3) m, elastic, traction (n,2) Pa, normal and shear, slid (n,) m, the permanent slip,
+    and spent (n,) J, the energy that each bond has dissipated, move on in place. sums: [energy stored, dissipated by this
+    call], J.
     """
     stored = lost = 0.0
     for i in range(len(nodes)):
@@ -103,15 +111,16 @@ def bond_forces(
         n0, n1, n2 = area_vector(A, B, C)
         size = sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         n0, n1, n2 = n0 / size, n1 / size, n2 / size
+        u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
+        v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
         d0, d1, d2 = from_foot(p, A, B, C, wa, wb, wc)
         h = d0 * n0 + d1 * n1 + d2 * n2
         k = stiffness[i]
-        D = damage[i]
         loss = 0.0
         if depth[i] > 0.0 or (depth[i] == 0.0 and traction[i, 0] <= 0.0):
             gap[i] = h + depth[i]
             if traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
-                loss = 0.5 * area[i] * traction[i, 0] ** 2 / ((1.0 - D) * k)
+                loss = 0.5 * area[i] * traction[i, 0] ** 2 / k
                 along = opening[i, 0] * n0 + opening[i, 1] * n1 + opening[i, 2] * n2
                 opening[i, 0] -= along * n0
                 opening[i, 1] -= along * n1
@@ -122,31 +131,39 @@ def bond_forces(
         s0, s1, s2 = d0 - h * n0, d1 - h * n1, d2 - h * n2
         slip2 = s0 * s0 + s1 * s1 + s2 * s2
         wide = max(delta, 0.0)
-        if D < 1.0:
-            D = max(D, damage_at(wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha))
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
-        if D > damage[i]:
-            # the work of the mean force of the step, less the change of U
-            along = o0 * opening[i, 0] + o1 * opening[i, 1] + o2 * opening[i, 2]
-            loss += 0.5 * k * area[i] * (D - damage[i]) * along
+        share, D = yielding(
+            wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i]
+        )
+        if share > 0.0:
+            # work of the mean traction of the step
+            along = o0 * (opening[i, 0] + (1.0 - share) * o0) + o1 * (opening[i, 1] + (1.0 - share) * o1)
+            along += o2 * (opening[i, 2] + (1.0 - share) * o2)
+            loss += max(0.5 * k * area[i] * share * along, 0.0)
             damage[i] = D
+            gap[i] += share * wide
+            slid[i] += share * sqrt(slip2)
+            # the foot follows: dw = grad w . (share s)
+            db = share * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
+            dc = share * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
+            wa, wb, wc = wa - db - dc, wb + db, wc + dc
+            weights[i, 0], weights[i, 1], weights[i, 2] = wa, wb, wc
+            rest = 1.0 - share
+            delta = min(delta, 0.0) + rest * wide
+            o0, o1, o2, s0, s1, s2 = rest * o0, rest * o1, rest * o2, rest * s0, rest * s1, rest * s2
+            slip2 *= rest * rest
         spent[i] += loss
         lost += loss
         opening[i, 0], opening[i, 1], opening[i, 2] = o0, o1, o2
 
-        sound = (1.0 - D) * k
-        tn = 0.0 if loose[i] else k * delta
-        if delta > 0.0:
-            tn = sound * delta
-        traction[i, 0], traction[i, 1] = tn, sound * sqrt(slip2)
-        stored += 0.5 * area[i] * (tn * delta + sound * slip2)
-        sound *= area[i]
+        tn = 0.0 if loose[i] and delta < 0.0 else k * delta
+        traction[i, 0], traction[i, 1] = tn, k * sqrt(slip2)
+        stored += 0.5 * area[i] * (tn * delta + k * slip2)
+        stiff = area[i] * k
         tn *= area[i]
-        f0, f1, f2 = -(tn * n0 + sound * s0), -(tn * n1 + sound * s1), -(tn * n2 + sound * s2)
+        f0, f1, f2 = -(tn * n0 + stiff * s0), -(tn * n1 + stiff * s1), -(tn * n2 + stiff * s2)
         # dU/dn = turn d, and d n = (1 - n n) d((B - A) x (C - A)) / size
-        turn = (tn - sound * h) / size
-        u0, u1, u2 = B[0] - A[0], B[1] - A[1], B[2] - A[2]
-        v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
+        turn = (tn - stiff * h) / size
         b0, b1, b2 = -turn * (v1 * s2 - v2 * s1), -turn * (v2 * s0 - v0 * s2), -turn * (v0 * s1 - v1 * s0)
         c0, c1, c2 = -turn * (s1 * u2 - s2 * u1), -turn * (s2 * u0 - s0 * u2), -turn * (s0 * u1 - s1 * u0)
         add(f, nodes[i], f0, f1, f2)

@@ -16,6 +16,9 @@ from .surfaces import Interface, Surfaces
 CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
 HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
 FEWEST = 3  # bonds: fewer hold a point or a line, about which a particle turns
+SECURE = (
+    4.0  # ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
+)
 
 
 @dataclass(frozen=True)
@@ -141,6 +144,10 @@ class Hold:
     def resistance(self) -> float:
         """Energy (J) that the springs together can still take up before they part; 0 where fewer than FEWEST hold."""
         return float(self.bond.resistance.sum()) if np.count_nonzero(self.whole) >= FEWEST else 0.0
+
+    def gives_way(self, energy: float) -> bool:
+        """Whether an energy (J) that parts the springs is far more than all of them can take up."""
+        return SECURE * float(self.bond.resistance.sum()) <= energy
 
     def heat(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Heat of fracture since the last call: (rows (n,) of the surface, nodes (n,3) of the target, J (n,))."""

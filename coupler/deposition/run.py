@@ -20,6 +20,7 @@ from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
+from ..measures import UNDECIDED
 from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
@@ -80,15 +81,16 @@ def resume(
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
     The number of ranks and their placement may differ from before. A finished run is returned as it is; an undecided one goes on: its
-    last impact until `until` (s, of that impact), or for as long again as it has had. Arguments and errors as for `run`; raises
+    last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
+    is undecided goes on where `until` is said. Arguments and errors as for `run`; raises
     CheckpointError for a checkpoint of another version or another scene, or where `until` has passed.
     """
     folder = Path(out)
     result = Result(folder)
-    if result.finished and not result.undecided:
+    if result.finished and not result.undecided and (until is None or result.has_verdict):
         _complete(result)
         return result
-    if result.undecided and until is not None and until <= float(result.end["time_s"]):
+    if result.finished and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
             f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
         )
@@ -101,7 +103,8 @@ def resume(
 def _complete(result: Result) -> None:
     """Do what a run does after its summary, where it was ended before."""
     if is_first_rank():
-        checkpoint.clear(result.directory)
+        if result.has_verdict:
+            checkpoint.clear(result.directory)
         if not (result.directory / PICTURE).exists():
             report.section_picture(result)
 
@@ -190,7 +193,7 @@ class Deposition:
                     self._save(None, bodies.state())
                 origin = provenance(Result(self.folder).scene_text, plan.engine)
                 self.store.finish({**self._summary(bodies), "provenance": origin})
-                if not self.undecided:
+                if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
                     checkpoint.clear(self.folder)
             result = Result(self.folder)
             report.section_picture(result)

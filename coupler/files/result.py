@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ColdsprayError, StoreError
+from ..measures import UNDECIDED
 from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory
 from .summary import Summary, Values, impact_values, read_summary, run_values
 
@@ -75,6 +76,11 @@ class Result:
         """Why the run ended before its end criterion was met; None where it was met, or the run is not finished."""
         reason = self.values.get("undecided")
         return str(reason) if reason is not None else None
+
+    @property
+    def has_verdict(self) -> bool:
+        """Whether it is decided if the particle of the last impact sticks."""
+        return self.values.get("verdict") != UNDECIDED
 
     @property
     def at_limit(self) -> bool:

@@ -18,13 +18,16 @@ class EndState:
     """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
     contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
     HELD_STILL of its impact speed with energy that its bonds may not stop; above: last time (s) at which its centre was above the
-    target, not beyond the rim."""
+    target, not beyond the rim; risen: whether it has moved off after the greatest deformation; arrested: whether its bonds have then
+    stopped it."""
 
     peak: float = 0.0
     turned: float | None = None
     loud: float = 0.0
     fast: float = 0.0
     above: float = 0.0
+    risen: bool = False
+    arrested: bool = False
 
 
 class EndCriterion:
@@ -43,17 +46,21 @@ class EndCriterion:
 
     def observe(self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True) -> None:
         """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; grip: of its
-        bonds: "free" (none), "failing" (they may part), "held", "secure" (they take up far more than there is left); above: whether
-        its centre is above the target."""
+        bonds: "free" (none that count), "failing" (they may part), "held", "secure" (they take up far more than there is left); above:
+        whether its centre is above the target."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
             s = replace(s, turned=time)
-        if grip in ("free", "failing") or (grip == "held" and abs(sinking) > self.held_slow):
+        if s.turned is not None and sinking < 0.0:
+            s = replace(s, risen=True)
+        if s.risen and sinking >= 0.0 and grip in ("held", "secure"):
+            s = replace(s, arrested=True)
+        if grip in ("free", "failing") or (grip == "held" and (s.risen or abs(sinking) > self.held_slow)):
             s = replace(s, fast=time)
         if above:
             s = replace(s, above=time)
-        is_loud = grip == "failing" or abs(force) > QUIET_FORCE * s.peak
+        is_loud = grip == "failing" or (grip == "held" and s.risen) or abs(force) > QUIET_FORCE * s.peak
         self._state = replace(s, loud=time) if is_loud else s
 
     @property
@@ -72,10 +79,11 @@ class EndCriterion:
         }[self.at]  # fmt: skip
 
     def settled(self, time: float) -> bool:
-        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, or a bonded
-        particle has moved little for `held_quiet` s."""
+        """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, bonds have
+        stopped its rebound, or a bonded particle has moved little for `held_quiet` s."""
         s = self._state
-        return s.turned is not None and (time - s.loud > self.quiet or time - s.fast > self.held_quiet)
+        is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet
+        return s.turned is not None and (s.arrested or is_quiet)
 
     def slid_off(self, time: float) -> bool:
         """Whether the particle has left over the rim of the target: beyond it the contact has been silent for `quiet` s."""

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from ..contact.hold import CONTACT_RANGE, Hold, HoldState
+from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, Adhesion
@@ -28,7 +28,6 @@ from .ledger import Ledger, LedgerState
 WINDOW = (
     10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
 )
-SECURE = 4.0  # times the energy left to part them that bonds can take up when a particle counts as held
 
 
 @dataclass(frozen=True)
@@ -92,6 +91,8 @@ class Impact:
         """How bonds hold the particle: by what they can take up, over the energy there is left to part them: that of the centre of
         mass normal to the surface, and that stored in the bonds."""
         if self.hold is None or not self.hold.whole.any():
+            return "free"
+        if self.sinking < 0.0 and self.hold.gives_way(self.normal_energy):
             return "free"
         ratio = self.hold.resistance / max(self.normal_energy + self.hold.bond.stored, 1e-300)
         return "failing" if ratio <= 1.0 else "held" if ratio < SECURE else "secure"

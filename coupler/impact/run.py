@@ -10,6 +10,7 @@ import numpy as np
 from ..contact.hold import Hold
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
+from ..measures import UNDECIDED
 from ..plan.planning import ImpactPlan, Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
@@ -90,7 +91,8 @@ def run_impact(
     before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state, whose bodies are
     `bodies`. After a failure the impact goes back to a kept state and tries the next remedy (`impact.retry`); all domains are built
     anew for it. An impact that has not met its end criterion at its time limit is undecided: it writes a checkpoint, and goes on when
-    it is resumed from it. Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
+    it is resumed from it; so does one whose verdict is undecided. Raises SolverError when no remedy is left, NoContactError,
+    StoreError, or Stopped after a signal.
     """
     state, retries, watch = resume_from, Retries[_Kept](options.numerics), _WallClock()
     if state is not None:
@@ -109,6 +111,8 @@ def run_impact(
                     ending.restore(state.ending)
                     if ending.at_limit(impact.time):
                         ending.end_time = options.until or impact.time + ending.end_time
+                    elif options.until is not None and ending.met(impact.time):  # its verdict is undecided
+                        ending.at, ending.end_time = "time", options.until
                     recorder.restore(state.recorder)
                     impact.dt_factor = retries.applied[-1].dt_factor if retries.applied else 1.0
                 keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
@@ -122,11 +126,11 @@ def run_impact(
                         " offset in its files, or give it more time (end.time)"
                     )
                 undecided = ending.undecided(impact.time, impact.sinking)
-                if undecided is not None:
-                    save(keeper.state())
                 record = summarise(
                     impact, recorder, retries.applied, watch.wall, watch.looped, undecided, ending.settled(impact.time)
                 )
+                if undecided is not None or record.values["verdict"] == UNDECIDED:
+                    save(keeper.state())
                 return ImpactOutcome(domains, impact.hold, record)
             except SolverError as error:
                 _give_up(impact)

@@ -55,6 +55,10 @@ def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
     whole = 0 if hold is None else int(np.count_nonzero(hold.whole))
     if hold is None or whole == 0:
         return _unheld("no bond formed" if hold is None else "all bonds are torn", mass, upwards)
+    motion = 0.5 * mass * max(upwards, 0.0) ** 2
+    if upwards > REBOUND and hold.gives_way(motion):
+        left = f"the {whole} of {len(hold.rows)} bonds that hold can take up {hold.bond.resistance.sum() / motion:.0%} of its energy"
+        return _unheld(left, mass, upwards)
     if whole < FEWEST:
         return Verdict(UNDECIDED, f"only {whole} of {len(hold.rows)} bonds {'hold' if whole > 1 else 'holds'}")
     resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
