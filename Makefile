@@ -19,10 +19,11 @@ VENV := .venv
 STAMP := $(VENV)/.setup-done
 TEST_STAMP := $(VENV)/.test-setup-done
 
-# Debian packages. gmsh's wheel needs these:
-LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1
-# Tests and documents also need those of vtk and open3d, and a browser that opens the report:
-TEST_LIBRARIES := libgl1 libegl1 libusb-1.0-0 libx11-6 chromium
+# Debian packages. The wheels of gmsh and open3d need these:
+LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 libxfixes3 libfontconfig1 libgomp1 \
+  libgl1 libegl1 libusb-1.0-0 libx11-6 libudev1
+# Tests and documents also need a browser that opens the report:
+TEST_LIBRARIES := chromium
 
 .PHONY: setup test-setup run check test test-all bench studies effects accuracy stability fuzz fuzz-files validate maps docs clean
 

@@ -11,9 +11,9 @@ from mesher_that_fails import dies, hangs
 
 from coupler.errors import SplatError
 from coupler.geometry import tetrahedra
+from coupler.geometry.triangles import open_or_double
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
-from coupler.splat import convert as door
 from coupler.splat import meshing, quality, surface
 from coupler.splat.cloud import Body, Cloud
 from coupler.splat.convert import convert
@@ -48,7 +48,7 @@ def is_good(body: Body, solid: float) -> None:
     assert volumes.min() > 0.0
     assert volumes.sum() == pytest.approx(solid, rel=0.01)
     assert quality.pieces(body.points, body.tets) == 1
-    assert surface.open_or_double(tetrahedra.boundary_faces(body.tets)[0]) == ""
+    assert open_or_double(tetrahedra.boundary_faces(body.tets)[0]) == ""
     assert quality.gamma(body.points, body.tets).min() >= meshing.MIN_GAMMA
 
 
@@ -188,17 +188,13 @@ def test_bad_tasks_are_refused(size: float, method: str, told: str) -> None:
         convert(bad(), size, method)
 
 
-def test_carried_needs_a_surface_and_paper_needs_open3d(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_carried_needs_a_surface() -> None:
     with pytest.raises(SplatError, match="needs the carried surface"):
         convert(bad(surface=None), 3.4e-6, "carried")
-    monkeypatch.setattr(door.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(SplatError, match=r"open3d.*not installed"):
-        convert(bad(), 3.4e-6, "paper")
 
 
 @pytest.mark.slow
 def test_the_papers_way_makes_a_closed_mesh_and_tells_what_it_misses() -> None:
-    pytest.importorskip("open3d", reason="a development dependency", exc_type=ImportError)
     cloud = cloud_of(points=1000)
     splat = convert(cloud, 1.7 * cloud.spacing, "paper")
     assert splat.report["volume_error_before"] < -0.05  # through the centres of the outermost points

@@ -14,13 +14,14 @@ from coupler.errors import SplatError
 from coupler.fe.patch import patch_of, pinched
 from coupler.geometry.apart import apart
 from coupler.geometry.mesher import fill
+from coupler.geometry.raycast import RaySurface
 from coupler.geometry.tetrahedra import volumes
+from coupler.geometry.triangles import open_or_double
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import Domains, build_target, restored_target
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
-from coupler.splat.renew import Original, closest, renewed_surface
-from coupler.splat.surface import open_or_double
+from coupler.splat.renew import renewed_surface
 
 SCENE = """
 [[particle]]
@@ -135,7 +136,7 @@ def test_the_crater_keeps_its_shape(cured: tuple[Bodies, Bodies, dict[str, Any]]
     deepest, lowest = x_old[np.unique(facets_old), 2].min(), nodes[:, 2].min()
     curvature = (0.5 * report["before"]["crater_diameter_m"]) ** 2 / (-2.0 * deepest)
     assert shift < ELEMENT**2 / (8.0 * curvature)
-    distance = np.linalg.norm(Original(x_old, facets_old).project(nodes) - nodes, axis=1)
+    distance = np.linalg.norm(RaySurface(x_old, facets_old, closed=False).closest(nodes) - nodes, axis=1)
     assert distance.max() < 1.01 * shift
     corners = x_old[facets_old]
     weights = np.random.default_rng(0).dirichlet((1.0, 1.0, 1.0), 50)
@@ -224,13 +225,6 @@ def test_pinched_surfaces_are_seen() -> None:
     assert pinched(at_a_corner).tolist() == [0]
     at_an_edge = np.concatenate([one, np.where(one <= 1, one, one + 2)])
     assert set(pinched(at_an_edge)) >= {0, 1}
-
-
-def test_the_closest_point_of_a_triangle() -> None:
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    x = np.array([[0.2, 0.2, 1.0], [-1, -1, 0], [0.5, -1, 2], [1, 1, 0], [3, -0.1, 1]])
-    wanted = np.array([[0.2, 0.2, 0], [0, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0], [1, 0, 0]])
-    np.testing.assert_allclose(closest(x, np.broadcast_to(corners, (5, 3, 3))), wanted, atol=1e-15)
 
 
 def test_crater_diameter_of_a_cone() -> None:

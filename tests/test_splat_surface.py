@@ -5,7 +5,7 @@ import pytest
 
 from coupler.errors import SplatError
 from coupler.geometry.tetrahedra import boundary_faces, volumes
-from coupler.geometry.triangles import enclosed_volume
+from coupler.geometry.triangles import enclosed_volume, open_or_double
 from coupler.sph import packing
 from coupler.splat import field as fields
 from coupler.splat import quality, remesh, surface
@@ -24,7 +24,7 @@ def test_field_of_a_surface_holds_its_volume_and_its_level_set_lies_on_it() -> N
     assert inside == pytest.approx(enclosed_volume(*ball), rel=2e-3)
     level = fields.level_of(field, enclosed_volume(*ball))
     vertices, triangles = surface.contour(field, level)
-    assert surface.open_or_double(triangles) == ""
+    assert open_or_double(triangles) == ""
     assert enclosed_volume(vertices, triangles) == pytest.approx(enclosed_volume(*ball), rel=5e-3)
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(R, abs=0.03)
 
@@ -68,7 +68,7 @@ def test_remesh_makes_even_triangles_of_the_same_topology(size: float) -> None:
     vertices, triangles = sphere(0.05)
     on_ball = lambda x: x / np.linalg.norm(x, axis=1)[:, None]  # noqa: E731
     x, t = remesh.even(vertices, triangles, size, on_ball)
-    assert surface.open_or_double(t) == ""
+    assert open_or_double(t) == ""
     assert len(x) - len(t) // 2 == 2  # still a sphere
     edge = np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2) / size
     assert 0.5 < edge.min()
@@ -89,7 +89,7 @@ def test_remesh_splits_a_coarse_surface_and_keeps_a_hole() -> None:
     t = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     for size in (0.08, 0.3):
         y, s = remesh.even(x, t, size)
-        assert surface.open_or_double(s) == ""
+        assert open_or_double(s) == ""
         assert surface.handles((y, s)) == 1
         edge = np.linalg.norm(y[s] - y[np.roll(s, 1, axis=1)], axis=2)
         assert np.mean(edge) == pytest.approx(size, rel=0.15)
@@ -97,9 +97,9 @@ def test_remesh_splits_a_coarse_surface_and_keeps_a_hole() -> None:
 
 def test_open_and_double_surfaces_are_told() -> None:
     _, t = sphere(0.5)
-    assert surface.open_or_double(t) == ""
-    assert "3 edges have one triangle" in surface.open_or_double(t[1:])
-    assert "more than two" in surface.open_or_double(np.concatenate([t, t[:1]]))
+    assert open_or_double(t) == ""
+    assert "3 edges have one triangle" in open_or_double(t[1:])
+    assert "more than two" in open_or_double(np.concatenate([t, t[:1]]))
 
 
 def test_swelling_puts_the_volume_right_and_stops_at_its_limit() -> None:

@@ -22,6 +22,7 @@ from ..fe.state import ElementState, NodeState
 from ..files.summary import Values
 from ..geometry import mesher
 from ..geometry.apart import apart
+from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import TETS_PER_H3, volumes
 from ..impact import measure as measures
 from ..impact.bodies import NEAR, Bodies
@@ -190,6 +191,7 @@ def _renew(domain: Domain, patch: Patch, factor: float) -> tuple[Domain, np.ndar
     own = mesh.conn[patch.elements]
     edge = factor * float(TETS_PER_H3 * np.median(mesh.V0[patch.elements])) ** (1.0 / 3.0)
     skin, triangles, moved = renewed_surface(x[patch.nodes], patch.triangles, patch.cut, patch.free, edge)
+    check_solid(skin, triangles)
     points, tets = apart(partial(mesher.fill, [(skin, triangles)], edge, graded=True), MESHING_LIMIT)
     points, tets = _seamed(points, tets, x[patch.nodes[: patch.cut]], SEAM * edge)
     old_steps, new_steps = quality.step_lengths(x, own), quality.step_lengths(points, tets)

@@ -1,4 +1,4 @@
-"""From points to a surface as in doi:10.1016/j.jestch.2023.101579, with the optional package open3d, for comparison.
+"""From points to a surface as in doi:10.1016/j.jestch.2023.101579, with open3d, for comparison.
 
 Alpha shape, Poisson-disk sampling, Poisson reconstruction, quadric decimation, subdivision. The parameters are the paper's,
 or are marked where it gives none.
@@ -19,12 +19,9 @@ TRIANGLES = 800  # after decimation, ours: two for each sample
 def poisson_surface(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (k,3) m and outward triangles (m,3) of a surface through the outermost of points x (n,3) m.
 
-    It lies half a spacing inside the body. Raises SplatError where open3d is missing or a stage gives no surface.
+    It lies half a spacing inside the body. Raises SplatError where a stage gives no surface.
     """
-    try:
-        import open3d as o3d
-    except ImportError as problem:
-        raise SplatError(f"method 'paper' needs the package open3d: {problem}") from problem
+    import open3d as o3d
 
     o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
     o3d.utility.random.seed(1)

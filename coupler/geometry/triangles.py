@@ -65,6 +65,16 @@ def enclosed_volume(points: NDArray, triangles: NDArray) -> float:
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
+def open_or_double(triangles: np.ndarray) -> str:
+    """Why triangles (m,3) are not a closed oriented surface; empty if they are one."""
+    (first, last), many = edges(triangles).T, int(triangles.max()) + 1
+    key, back = first * many + last, last * many + first
+    if len(np.unique(key)) < len(key):
+        return "an edge has more than two triangles"
+    missing = int(np.sum(~np.isin(key, back)))
+    return f"{missing} edges have one triangle" if missing else ""
+
+
 def correct_volume(
     points: NDArray, triangles: NDArray, target: float, max_offset: float, fixed: NDArray | None = None
 ) -> tuple[NDArray, float]:

@@ -14,6 +14,7 @@ from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
+from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import correct_volume
 from ..physics.adhesion import Adhesion
@@ -292,21 +293,8 @@ def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: fl
 
     vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
     """
-    corners = x[facets]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    det = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
-    up = det > 1e-12 * np.abs(det).max()
-    a, b, c, det = a[up], b[up], c[up], det[up]
-    highest = -np.inf
-    for chunk in np.array_split(vertices, max(1, len(vertices) * len(a) // 4_000_000)):
-        px, py = chunk[:, 0, None], chunk[:, 1, None]
-        wb = ((px - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (py - a[:, 1])) / det
-        wc = ((b[:, 0] - a[:, 0]) * (py - a[:, 1]) - (px - a[:, 0]) * (b[:, 1] - a[:, 1])) / det
-        inside = (wb >= -1e-9) & (wc >= -1e-9) & (wb + wc <= 1 + 1e-9)
-        z = a[:, 2] + wb * (b[:, 2] - a[:, 2]) + wc * (c[:, 2] - a[:, 2])
-        lift = np.where(inside, z, -np.inf).max(axis=1) - chunk[:, 2]
-        highest = max(highest, float(lift.max()))
-    return highest + gap
+    line, z, _ = RaySurface(x, facets, closed=False).on_verticals(vertices[:, 0], vertices[:, 1])
+    return float(np.max(z - vertices[line, 2], initial=-np.inf)) + gap
 
 
 def _bonded(

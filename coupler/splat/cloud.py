@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
-from .surface import open_or_double
+from ..geometry.triangles import open_or_double
 
 MIN_POINTS = 50  # of a body
 FIELD_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0}  # 0: one value a point

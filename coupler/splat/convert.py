@@ -1,6 +1,5 @@
 """A splat's cloud of points becomes tetrahedral bodies with its state."""
 
-import importlib.util
 import time as clock
 
 import numpy as np
@@ -33,8 +32,6 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
         raise SplatError(
             "method 'carried' needs the carried surface of the body, and the cloud has none: use 'density'"
         )
-    if method == "paper" and importlib.util.find_spec("open3d") is None:
-        raise SplatError("method 'paper' needs the package open3d, which is not installed: install it, or use 'auto'")
     cloud.check()
     if not (np.isfinite(element_size) and element_size > 0.0):
         raise SplatError(f"element_size must be positive, is {element_size:g}")

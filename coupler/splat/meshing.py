@@ -12,8 +12,9 @@ from ..errors import SplatError
 from ..geometry import mesher
 from ..geometry.apart import apart
 from ..geometry.poisson import poisson_surface
+from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import boundary_faces, volumes
-from ..geometry.triangles import enclosed_volume
+from ..geometry.triangles import enclosed_volume, open_or_double
 from . import field as fields
 from . import quality, surface
 from .cloud import Cloud, Report
@@ -174,6 +175,8 @@ def build_mesh(
         shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
     shells, moved = surface.correct_volume(shells, solid, max_offset)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
+    for shell in shells:
+        check_solid(*shell)
     algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
     improve = 0.3 if strategy.source == "paper" else 0.45
     points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm, improve), time_limit))
@@ -207,7 +210,7 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, 
     wrong, poor = [], []
     if inverted := int(np.sum(~(volume > 0.0))):
         wrong.append(f"{inverted} tetrahedra are inverted")
-    if unclosed := surface.open_or_double(boundary_faces(tets)[0]):
+    if unclosed := open_or_double(boundary_faces(tets)[0]):
         wrong.append(unclosed)
     if (pieces := quality.pieces(points, tets)) != 1:
         wrong.append(f"{pieces} pieces")

@@ -5,7 +5,7 @@ from skimage.measure import marching_cubes
 
 from ..geometry import triangles as triangulated
 from ..geometry.graph import connected_parts
-from ..geometry.triangles import edges, enclosed_volume
+from ..geometry.triangles import enclosed_volume
 from .field import Field
 from .quality import compact
 
@@ -37,16 +37,6 @@ def shells(surface: Surface, smallest: float) -> list[Surface]:
 def handles(surface: Surface) -> int:
     """Through-holes of one closed piece of surface, its genus."""
     return 1 - (len(surface[0]) - len(surface[1]) // 2) // 2
-
-
-def open_or_double(triangles: np.ndarray) -> str:
-    """Why triangles (m,3) are not a closed oriented surface; empty if they are one."""
-    (first, last), many = edges(triangles).T, int(triangles.max()) + 1
-    key, back = first * many + last, last * many + first
-    if len(np.unique(key)) < len(key):
-        return "an edge has more than two triangles"
-    missing = int(np.sum(~np.isin(key, back)))
-    return f"{missing} edges have one triangle" if missing else ""
 
 
 class LevelSet:

@@ -17,7 +17,9 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import parse_toml
 from ..files.result import Fields, Result
+from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.triangles import area_vectors
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 
@@ -112,8 +114,7 @@ class Columns:
         if splats.last is not None:
             skins.append((*splats.last, True))
         points, faces, _ = skins[0]
-        corners = points[faces]
-        upward = _cross2(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) > 0
+        corners, upward = points[faces], area_vectors(points, faces)[:, 2] > 0.0
         near = np.hypot(corners[..., 0] - centre[0], corners[..., 1] - centre[1]).min(axis=1) <= radius
         deepest = [float(corners[upward & near, :, 2].min(initial=0.0))]
         deepest += [float(points[faces, 2].min()) for points, faces, splat in skins if splat]
@@ -132,27 +133,14 @@ class Columns:
     def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
         """Note where columns enter (+1) and leave (-1) a closed surface of triangles that turn outwards."""
         h, (x0, y0) = self.step, self._origin
-        corners = points[faces]
-        low = np.ceil((corners[..., :2].min(1) - [x0, y0]) / h - 0.5).astype(int).clip(0, self._side)
-        high = np.floor((corners[..., :2].max(1) - [x0, y0]) / h - 0.5).astype(int).clip(-1, self._side - 1)
-        wide = (high - low + 1).clip(0)
-        cells = wide[:, 0] * wide[:, 1]
-        which = np.repeat(np.arange(len(faces)), cells)
-        nth = np.arange(len(which)) - np.repeat(np.cumsum(cells) - cells, cells)
-        i, j = low[which, 0] + nth // wide[which, 1], low[which, 1] + nth % wide[which, 1]
-        p = np.stack([x0 + (i + 0.5) * h, y0 + (j + 0.5) * h], axis=1)
-        a, b, c = (corners[which, k] for k in range(3))
-        # a hair's breadth aside, so that no column runs along an edge, which two triangles share
-        p = p + np.array([1.1e-6, 0.7e-6]) * h
-        area = _cross2(b - a, c - a)
-        area = np.where(area == 0.0, np.inf, area)
-        wb, wc = _cross2(p - a[:, :2], c - a) / area, _cross2(b - a, p - a[:, :2]) / area
-        hit = (wb >= 0) & (wc >= 0) & (wb + wc <= 1) & np.isfinite(area)
-        z = (a[:, 2] + wb * (b[:, 2] - a[:, 2]) + wc * (c[:, 2] - a[:, 2]))[hit]
+        i, j = (axis.ravel() for axis in np.indices((self._side, self._side)))
+        # a little aside, so that no column runs along an edge, which two triangles share
+        column, z, face = RaySurface(points, faces, closed=False).on_verticals(
+            x0 + (i + 0.5011) * h, y0 + (j + 0.5007) * h
+        )
         k = np.ceil((z - self.low) / h - 0.5).astype(int).clip(0, self.layers)
-        np.add.at(
-            count, (i[hit], j[hit], k), np.where(area[hit] < 0, 1, -1).astype(np.int16)
-        )  # downward faces are entered
+        downward = area_vectors(points, faces)[face, 2] < 0.0  # is entered
+        np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
 
     def top(self) -> NDArray:
         """Height (k,) m of the highest matter in each column."""
@@ -187,10 +175,6 @@ class Columns:
         outside = np.isin(label, outer[outer > 0])
         void = empty & below
         return (void & outside)[self.inside], (void & ~outside)[self.inside]
-
-
-def _cross2(u: NDArray, v: NDArray) -> NDArray:
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
 def roughness(z: NDArray) -> tuple[float, float]:
