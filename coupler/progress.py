@@ -1,7 +1,9 @@
-"""How far a run has come: a bar on a terminal, a line every few seconds elsewhere."""
+"""How far a command has come: a bar on a terminal, a line every few seconds elsewhere."""
 
 import sys
+import threading
 import time
+from collections.abc import Callable, Sequence
 from typing import TextIO
 
 from rich.console import Console
@@ -11,51 +13,80 @@ from rich.progress import Progress as Bar
 _BAR_EVERY = 0.1  # s of wall time between two drawings of the bar
 _LINE_EVERY = 5.0  # between two log lines
 _FIRST_LINE = 0.5  # after the start
+_STAGE_AFTER = 2.0  # a stage that takes longer is shown where there is no terminal
+_OVERDUE = 0.1  # of the time that an impact has taken: at least so much is left, until it ends
 
 
 class Progress:
-    """Shows simulated time, kinetic energy left, dt and time to go. An update costs little and may come at every step.
+    """Shows the stage of a command; of an impact simulated time, kinetic energy left, dt and time to go.
 
-    stream: where it goes, standard error by default. quiet: show nothing, but keep the time reached.
-    `time` is the simulated time reached, s; nan before the first update.
+    An update costs little and may come at every step. stream: where it goes, standard error by default. quiet: show nothing.
+    `time` is the simulated time reached, over all impacts, s; nan before the first update. `record` takes every line too: a run
+    sets it to its log file.
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
         self.quiet = quiet
         self.stream = stream if stream is not None else sys.stderr
         self.time = float("nan")
-        self._end_time = float("nan")
+        self.record: Callable[[str], None] = lambda text: None
+        self._impact = ""
+        self._before, self._expected, self._limit = 0.0, float("nan"), float("inf")  # s, simulated
+        self._done, self._share = 0.0, 1.0  # parts of the whole: of the impacts before, and of this one
         self._running = False
         self._state = (float("nan"), float("nan"), 0)  # kinetic fraction, dt, step
+        self._stage: tuple[str, float] | None = None  # and when it began
         self._bar: Bar | None = None
-        self._first = (0.0, float("nan"))  # wall clock and simulated time of the first update
+        self._first: tuple[float, float] | None = None  # wall clock and share done at the first update
         self._next = 0.0
+        self._ticker: threading.Thread | None = None
+        self._stopped = threading.Event()
 
-    def start(self, end_time: float) -> None:
-        """Begin. end_time: the longest simulated time, s."""
-        self._end_time, self.time, self._running = end_time, float("nan"), True
-        self._first = (time.monotonic(), float("nan"))
-        terminal = not self.quiet and self.stream.isatty()
-        self._next = time.monotonic() + (0.0 if terminal else _FIRST_LINE)
-        if terminal:
-            self._bar = _bar(self.stream)
-            self._bar.add_task("", total=end_time, status="starting")
-            self._bar.start()
+    def start(
+        self,
+        expected: float,
+        limit: float = float("inf"),
+        i: int = 0,
+        before: float = 0.0,
+        shares: Sequence[float] = (1.0,),
+    ) -> None:
+        """Begin impact i. expected, limit: its expected and longest simulated time, s; before: that of the impacts before it, s;
+        shares: of each impact in the expected wall time."""
+        self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
+        self._before, self._expected, self._limit = before, expected, limit
+        self._done, self._share = sum(shares[:i]), shares[i]
+        self.time, self._running = before if i else float("nan"), True
+        self._open()
 
     def update(self, time_: float, kinetic_fraction: float, dt: float, step: int) -> None:
-        """Report the state. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
-        self.time = time_
+        """Report the state of the impact. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
+        self.time, self._stage = self._before + time_, None
         self._state = (kinetic_fraction, dt, step)
         now = time.monotonic()
-        if self._first[1] != self._first[1]:  # nan: time to go is counted from here, without compilation and meshing
-            self._first = (now, time_)
-        if self.quiet or now < self._next:
-            return
-        self._show(now)
-        self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
+        if self._first is None:  # time to go is counted from here, without compilation and meshing
+            self._first = (now, self._fraction())
+        if now >= self._next:
+            self._show(self.status(now))
+            self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
+
+    def stage(self, text: str, of_impact: bool = True) -> None:
+        """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`. of_impact: it
+        belongs to the impact that was started last."""
+        self._show_last()
+        self._stage = (text, time.monotonic())
+        self._impact = self._impact if of_impact else ""
+        self.record(f"{self._impact}{text}")
+        self._open()
+        if self._bar:
+            self._draw(f"{self._impact}{text}")
+        if self._ticker is None and not self.quiet:
+            self._stopped.clear()
+            self._ticker = threading.Thread(target=self._tick, daemon=True)
+            self._ticker.start()
 
     def log(self, text: str) -> None:
         """A line of its own, above the bar."""
+        self.record(text)
         if self.quiet:
             return
         if self._bar:
@@ -65,9 +96,14 @@ class Progress:
 
     def stop(self) -> None:
         """End, and leave the last state on the screen. May be called more than once."""
-        if self._running and self.time == self.time and not self.quiet:
-            self._show(time.monotonic())
+        self._stopped.set()
+        if self._ticker is not None:
+            self._ticker.join()
+            self._ticker = None
+        self._show_last()
+        self._stage = None
         if self._bar:
+            self._bar.live.transient = not self._running  # of a command that runs no impact nothing stays
             self._bar.stop()
             self._bar = None
         self._running = False
@@ -81,18 +117,56 @@ class Progress:
     def status(self, now: float) -> str:
         """The state as text. now: time.monotonic()."""
         kinetic, dt, step = self._state
-        text = f"{self.time * 1e9:.1f} ns  kinetic energy left {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
-        wall, simulated = now - self._first[0], self.time - self._first[1]
-        if wall > 1 and simulated > 0:
-            text += f"  at most {max(wall * (self._end_time - self.time) / simulated, 0):.0f} s to go"
+        text = f"{self._impact}{self.time * 1e9:.1f} ns  kinetic energy left {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
+        begun, at_first = self._first or (now, 0.0)
+        done = self._fraction()
+        if now - begun > 1.0 and done > at_first:
+            text += f"  about {(now - begun) * (1.0 - done) / (done - at_first):.0f} s to go"
         return text
 
-    def _show(self, now: float) -> None:
+    def _fraction(self) -> float:
+        """The part of all impacts that is done. An impact that takes longer than expected has a tenth of its time left."""
+        gone = self.time - self._before
+        left = max(self._expected - gone, min(_OVERDUE * gone, self._limit - gone), 0.0)
+        return self._done + self._share * (gone / (gone + left) if gone > 0.0 else 0.0)
+
+    def _open(self) -> None:
+        """The bar, on a terminal."""
+        if self._bar is None and not self.quiet and self.stream.isatty():
+            self._bar = _bar(self.stream)
+            self._bar.add_task("", total=1.0, status="")
+            self._bar.start()
+        self._next = self._next or time.monotonic() + (0.0 if self._bar else _FIRST_LINE)
+
+    def _show_last(self) -> None:
+        """The last state of an impact, before something else begins."""
+        if self._running and self._stage is None and self.time > self._before:
+            self._show(self.status(time.monotonic()))
+
+    def _show(self, text: str) -> None:
         if self._bar:
-            task = self._bar.task_ids[0]
-            self._bar.update(task, completed=self.time, status=self.status(now))
+            self._draw(text)
         else:
-            print(self.status(now), file=self.stream, flush=True)
+            self.record(text)
+            if not self.quiet:
+                print(text, file=self.stream, flush=True)
+
+    def _draw(self, text: str) -> None:
+        if self._bar:
+            self._bar.update(self._bar.task_ids[0], completed=self._fraction(), status=text)
+
+    def _tick(self) -> None:
+        """Show how long a stage lasts: on a terminal every second, else every few."""
+        while not self._stopped.wait(1.0):
+            stage, now = self._stage, time.monotonic()
+            if stage is None or now - stage[1] < _STAGE_AFTER:
+                continue
+            text = f"{self._impact}{stage[0]} ... {now - stage[1]:.0f} s"
+            if self._bar:
+                self._draw(text)
+            elif now >= self._next:
+                print(text, file=self.stream, flush=True)
+                self._next = now + _LINE_EVERY
 
 
 def _bar(stream: TextIO) -> Bar:

@@ -1,11 +1,14 @@
 import io
+import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from coupler import progress as progress_module
 from coupler.commands import main as cli
 from coupler.errors import SolverError
 from coupler.progress import Progress
@@ -179,6 +182,41 @@ def test_progress_without_a_terminal_is_a_line_now_and_then():
     assert len(lines) == 2
     assert "99.9 ns" in lines[1]
     assert "dt 30.0 ps" in lines[1]
+
+
+def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(monkeypatch):
+    """Two impacts of 10 s of wall time each; the first takes 1.4 times the simulated time that was expected."""
+    now, stream, recorded = [100.0], io.StringIO(), []
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    progress = Progress(stream=stream)
+    progress.record = recorded.append
+    left = []
+    for i, (expected, taken) in enumerate([(50e-9, 70e-9), (50e-9, 50e-9)]):
+        progress.start(expected, 150e-9, i, before=70e-9 * i, shares=(0.5, 0.5))
+        for step in range(1, 101):
+            now[0] += 0.1
+            progress.update(taken * step / 100, 0.5, 3e-11, step)
+            found = re.search(r"about (\d+) s to go", progress.status(now[0]))
+            if found:
+                left.append((now[0] - 100.0, int(found[1])))
+        progress.stage("joining")
+    progress.stop()
+    assert progress.time == pytest.approx(120e-9)
+    for gone, to_go in left:
+        assert gone + to_go > 20.0 * 2 / 3, "ends early by more than a third"
+    assert any("impact 2 of 2  120.0 ns" in line for line in recorded)
+    assert "impact 1 of 2  joining" in recorded
+    assert set(stream.getvalue().splitlines()) <= set(recorded)
+
+
+def test_a_long_stage_is_shown_with_its_time(monkeypatch):
+    monkeypatch.setattr(progress_module, "_STAGE_AFTER", 0.0)
+    stream, shown = io.StringIO(), threading.Event()
+    stream.flush = shown.set
+    with Progress(stream=stream) as progress:
+        progress.stage("meshing the splat")
+        assert shown.wait(20)
+    assert "meshing the splat ... 1 s" in stream.getvalue()
 
 
 def test_quiet_progress_says_nothing():

@@ -141,6 +141,15 @@ def test_whole_run_through_the_command_line(tmp_path: Path) -> None:
     assert "flattening" in done.stdout
     assert (tmp_path / "out" / "section.png").stat().st_size > 20_000
     assert "ns" in done.stderr  # plain progress lines where there is no terminal
+    log = (tmp_path / "out" / "run.log").read_text()
+    for words in (
+        "coldspray run",
+        "thermal_softening",
+        "meshing the target",
+        "kinetic energy left",
+        "highest temperature",
+    ):
+        assert words in log
     assert ">>====" not in done.stdout  # LAMMPS's own chatter
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["run"]["steps"] > 20

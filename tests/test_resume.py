@@ -25,6 +25,7 @@ from coupler.impact.domains import build_target
 from coupler.impact.run import RunOptions
 from coupler.impact.summary import ImpactRecord
 from coupler.plan.record import read_plan
+from coupler.progress import Progress
 from coupler.state.records import Rows, Shape
 
 
@@ -136,7 +137,7 @@ def test_records_that_make_no_summary_are_refused(
     result = shared_run(SHORT)
     deposition = object.__new__(Deposition)
     deposition.plan, deposition.folder = read_plan(result.directory), tmp_path
-    deposition.options, deposition.joins = RunOptions(print, tmp_path / "log"), []
+    deposition.options, deposition.joins = RunOptions(Progress(quiet=True), tmp_path / "log"), []
     deposition._before = deposition._started = 0.0
     bodies = build_target(deposition.plan)
     record = ImpactRecord(result.summary["impacts"][0], [], [], 1.0)

@@ -32,7 +32,7 @@ class Lines:
         self.lines.append(text)
 
     def __getattr__(self, name: str) -> Any:
-        return lambda *_: None
+        return lambda *_, **__: None
 
 
 class Trouble:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import Commands, Option, add_command, add_force, add_quiet, add_scene, path, scene_of
+from .arguments import Commands, Option, add_command, add_force, add_quiet, add_scene, path, scene_of, working
 
 if TYPE_CHECKING:
     from ..plan.bands import Kind
@@ -93,19 +93,16 @@ def same_scene(scene: "Scene", out: Path) -> None:
 
 
 def here(recalibrate: bool = False) -> "Pace":
-    """The pace of this machine; a terminal is told when it has to be measured."""
+    """The pace of this machine; measured where it is not known."""
     from ..studies import pace
-
-    def say(text: str) -> None:
-        if sys.stderr.isatty():
-            print(text, file=sys.stderr, flush=True)
 
     def measure() -> tuple[float, float]:
         from ..studies.timing import measure
 
-        return measure()
+        with working("timing two small impacts, once for this machine"):
+            return measure()
 
-    return pace.of_this_machine(measure, recalibrate, say)
+    return pace.of_this_machine(measure, recalibrate)
 
 
 def kind_of(plan: "Plan") -> "Kind":

@@ -2,7 +2,8 @@
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -10,6 +11,7 @@ from ..errors import ColdsprayError
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
+    from ..progress import Progress
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # what a command is added to
 Option: TypeAlias = Callable[..., argparse.Action]  # `add_argument` of a command
@@ -102,6 +104,16 @@ def add_quiet(option: Option) -> None:
 def add_verbose(option: Option, text: str) -> None:
     """The option for more than the first screen. text: of its help."""
     option("-v", "--verbose", action="store_true", help=text)
+
+
+@contextmanager
+def working(text: str) -> "Iterator[Progress]":
+    """Within it, the user sees that something goes on, and for how long. text: what."""
+    from ..progress import Progress
+
+    with Progress() as progress:
+        progress.stage(text)
+        yield progress
 
 
 def add_force(option: Option) -> None:

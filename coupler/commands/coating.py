@@ -6,7 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
-from .arguments import Commands, add_command, add_force, path, quantity
+from .arguments import Commands, add_command, add_force, path, quantity, working
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
-    with reading(arguments.run):
+    with reading(arguments.run), working("measuring the coating"):
         splats = coating.read(result)
         measures = coating.measure(splats, arguments.window)
         coating_files.write_measures(folder, measures)

@@ -28,6 +28,7 @@ from .arguments import (
     quantity,
     scene_of,
     seconds,
+    working,
 )
 
 if TYPE_CHECKING:
@@ -228,8 +229,8 @@ def _report(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / "report.html"
     claim_file(out, (".html", ".htm"), [arguments.run], arguments.force)
-    with reading(arguments.run):
-        page = write_report(result, out)
+    with reading(arguments.run), working("reading the run") as progress:
+        page = write_report(result, out, progress.stage)
     print(f"page in {page}")
     return 0
 
@@ -241,8 +242,8 @@ def _animate(arguments: argparse.Namespace) -> int:
 
     result, out = Result(arguments.run), arguments.out or arguments.run / f"{arguments.field}.mp4"
     claim_file(out, SUFFIXES, [arguments.run], arguments.force)
-    with reading(arguments.run):
-        film = animate(result, out, arguments.field, arguments.fps)
+    with reading(arguments.run), working("cutting the bodies at each step") as progress:
+        film = animate(result, out, arguments.field, arguments.fps, progress.stage)
     print(f"film in {film}")
     return 0
 
@@ -257,7 +258,7 @@ def _compare(arguments: argparse.Namespace) -> int:
     check_count(len(arguments.runs))
     claim_file(arguments.out, (".png", ".html", ".htm"), arguments.runs, arguments.force)
     try:
-        with reading("the runs"):
+        with reading("the runs"), working("drawing the runs"):
             results = [Result(folder) for folder in arguments.runs]
             table = comparison_table(results)
             compare(results, arguments.out)

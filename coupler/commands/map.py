@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import MEASURES, REBOUNDS, UNDECIDED, axis_label
-from .arguments import Commands, add_command, add_force, path
+from .arguments import Commands, add_command, add_force, path, working
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..files.outputs import MARK, check_folder, claim_file
     from ..studies import maps
 
-    with reading(arguments.folder):
+    with reading(arguments.folder), working("reading the runs"):
         rows = maps.table(arguments.folder)
     out = arguments.out or arguments.folder
     check_folder(out)
@@ -56,8 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
     for row in rows:
         if row["status"] != "done":
             print(f"  {row['point']}: {row['status']}" + (f": {row['reason'][:160]}" if row["reason"] else ""))
-    for line in draw(rows, out, arguments.show):
-        print(line)
+    with working("interpolating and drawing"):
+        lines = draw(rows, out, arguments.show)
+    print("\n".join(lines))
     # last: whoever waits for the table finds the pictures beside it
     maps.write_table(rows, out / "map.csv", f"{MARK} map; SI units")
     print(f"table in {out / 'map.csv'}")

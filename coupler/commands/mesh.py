@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SplatError
-from .arguments import Commands, add_command, add_force, path, quantity
+from .arguments import Commands, add_command, add_force, path, quantity, working
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,7 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
         cloud, notes = of_file(source, arguments.spacing, arguments.unit)
     size = arguments.size or SIZE_OVER_SPACING * cloud.spacing
     require_memory(_MEMORY_EACH * len(cloud.x), f"to mesh {len(cloud.x)} points")
-    splat = convert(cloud, size, arguments.method)
+    with working("meshing the points"):
+        splat = convert(cloud, size, arguments.method)
     write(out, splat)
     _show(cloud, splat, notes)
     print(f"mesh in {out}")

@@ -1,7 +1,7 @@
 """Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
 
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..impact.domains import Domains
 from ..impact.verdict import judge
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
+from ..progress import Progress
 from ..sph.carried_surface import shape_measures
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
@@ -27,9 +28,7 @@ _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
-def join(
-    plan: Plan, i: int, domains: Domains, log: Callable[[str], None], hold: Hold | None = None
-) -> tuple[Bodies, Values]:
+def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None) -> tuple[Bodies, Values]:
     """The bodies that impact i + 1 meets, and what it took to make them.
 
     domains: of the finished impact i; hold: the bond of its particle. A particle that is
@@ -45,18 +44,21 @@ def join(
     report["velocity_ratio"] = ratio = p.velocity_ratio
     left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True
     origin = point_of_impact(bodies, following.offset, None if left else domains)
+    progress.stage("looking at the target's elements")
     bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
     if report["remeshing"]["remeshed"]:
         old, renewed = report["remeshing"]["before"], report["remeshing"]["after"]
-        log(
+        progress.log(
             f"impact {i + 1} has distorted the target: remeshed, its step is {renewed['step_s'] * 1e12:.0f} ps instead of"
             f" {old['step_s'] * 1e12:.0f}"
         )
     if left:
-        log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+        progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+        progress.stage("bringing the target to rest")
         new = bodies.renumbered(origin)
         report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
         return _ready(plan, i, new, origin, kinetic_0, report), report
+    progress.stage("meshing the splat")
     cloud = cloud_of(domains)
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
     report |= {
@@ -80,9 +82,10 @@ def join(
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
+    progress.stage("bringing splat and target to rest")
     report |= settle(new, kinetic_0, release_time(plan))
     if report["left_J"] > RELAXED * kinetic_0:
-        log(
+        progress.log(
             f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
             f" may still be set free, {RELAXED:.0e} is sought"
         )
@@ -93,6 +96,7 @@ def join(
             f"splat {i + 1} set free {report['released']:.2%} of the kinetic energy as it joined, allowed {RELEASED_BOUND:.1%}:"
             " try a finer preset, or another [splat] method"
         )
+    progress.stage("cooling, and preparing the next impact")
     return _ready(plan, i, new, origin, kinetic_0, report), report
 
 

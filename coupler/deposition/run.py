@@ -2,16 +2,18 @@
 
 import hashlib
 import os
-import sys
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+
+from numba.core import event
 
 from .. import __version__, report
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
-from ..files.provenance import provenance
+from ..files.provenance import command, provenance
 from ..files.result import Result
 from ..files.store import PICTURE, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
@@ -24,6 +26,7 @@ from ..measures import UNDECIDED
 from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
+from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from .joining import join, splats_at_end
@@ -40,6 +43,7 @@ def run(
     *,
     force: bool = False,
     progress: Progress | None = None,
+    quiet: bool = False,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
     placement: str | None = None,
@@ -48,11 +52,11 @@ def run(
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
-    out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how
-    far it is; see `coupler.progress`. threads: 2 computes the target beside the particle on a second core, 1 in
-    turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the
-    scheme, values in place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps
-    with the `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
+    out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how far it is; a bar
+    or lines on standard error by default, nothing with quiet. threads: 2 computes the target beside the particle on a second core, 1
+    in turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the scheme, values in
+    place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps with the
+    `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
     there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
@@ -62,7 +66,7 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
-    options = _options(folder, progress, threads, knobs, placement, probe, checkpoint_every)
+    options = _options(folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every)
     deposition = Deposition(decided, folder, options)
     return deposition.run(lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided)))
 
@@ -71,6 +75,7 @@ def resume(
     out: str | Path,
     *,
     progress: Progress | None = None,
+    quiet: bool = False,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
     placement: str | None = None,
@@ -96,7 +101,7 @@ def resume(
         )
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
-    options = _options(folder, progress, threads, knobs, placement, probe, checkpoint_every, until)
+    options = _options(folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until)
     return Deposition(decided, folder, options).run()
 
 
@@ -111,7 +116,7 @@ def _complete(result: Result) -> None:
 
 def _options(
     folder: Path,
-    progress: Progress | None,
+    progress: Progress,
     threads: int | None,
     numerics: dict[str, float],
     placement: str | None,
@@ -121,9 +126,8 @@ def _options(
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world(), placement)
-    log = progress.log if progress is not None else _to_stderr
     threads = (threads or cores()) if ranks.size == 1 else 1
-    return RunOptions(log, folder / "log.lammps", ranks, progress, threads, numerics, probe, checkpoint_every, until)
+    return RunOptions(progress, folder / "log.lammps", ranks, threads, numerics, probe, checkpoint_every, until)
 
 
 @dataclass(frozen=True)
@@ -167,36 +171,41 @@ class Deposition:
                 ranks, lambda i, place: build_particle(plan, i, place, ranks, options.numerics, options.log_file)
             )
             return Result(self.folder)
-        with parallel.leading(ranks):
-            with create() if create is not None else Store.reopen(self.folder) as self.store:
-                scene = (Result(self.folder).scene_text + plan_text(plan)).encode()
-                self._belongs_to = {
-                    "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
-                    "numerics": repr(sorted(options.numerics.items())),
-                }  # fmt: skip
-                bodies, running = (build_target(plan), None) if create is not None else self._restored()
-                for i in range(len(self.records), len(plan.impacts)):
-                    before, outcome = simulated(self.records), None
-                    try:
-                        outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
-                        bodies, running = outcome.domains.bodies, None
-                        self.records.append(outcome.record)
-                        if i + 1 == len(plan.impacts) or self.undecided:
-                            break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-                        bodies, joined = join(plan, i, outcome.domains, options.log, outcome.hold)
-                        self.joins.append(joined)
-                    finally:
-                        if outcome is not None:
-                            outcome.domains.particle.close()
-                        if options.progress is not None:
-                            options.progress.stop()
-                    self._save(None, bodies.state())
-                origin = provenance(Result(self.folder).scene_text, plan.engine)
-                self.store.finish({**self._summary(bodies), "provenance": origin})
-                if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
-                    checkpoint.clear(self.folder)
+        with (
+            parallel.leading(ranks),
+            create() if create is not None else Store.reopen(self.folder) as self.store,
+            _logged(options.progress, self.store),
+        ):
+            options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
+            scene = (Result(self.folder).scene_text + plan_text(plan)).encode()
+            self._belongs_to = {
+                "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
+                "numerics": repr(sorted(options.numerics.items())),
+            }  # fmt: skip
+            options.progress.stage("meshing the target")
+            bodies, running = (build_target(plan), None) if create is not None else self._restored()
+            for i in range(len(self.records), len(plan.impacts)):
+                before, outcome = simulated(self.records), None
+                try:
+                    outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
+                    bodies, running = outcome.domains.bodies, None
+                    self.records.append(outcome.record)
+                    if i + 1 == len(plan.impacts) or self.undecided:
+                        break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
+                    bodies, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
+                    self.joins.append(joined)
+                finally:
+                    if outcome is not None:
+                        outcome.domains.particle.close()
+                self._save(None, bodies.state())
+            origin = provenance(Result(self.folder).scene_text, plan.engine)
+            self.store.finish({**self._summary(bodies), "provenance": origin})
+            if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
+                checkpoint.clear(self.folder)
             result = Result(self.folder)
+            options.progress.stage("drawing the section", of_impact=False)
             report.section_picture(result)
+            options.progress.record(report.screen(result, verbose=True))
         return result
 
     def _restored(self) -> tuple[Bodies, RunningState | None]:
@@ -231,7 +240,7 @@ class Deposition:
 
     def _last_checkpoint(self) -> DepositionState | None:
         """State of the last whole checkpoint, the files brought to its moment; None if there is none."""
-        log, folder = self.options.log, self.folder
+        log, folder = self.options.progress.log, self.folder
         state = checkpoint.latest(folder, DepositionState, self._belongs_to, log)
         if state is None:
             log(f"{folder} has no checkpoint: the run starts from its beginning")
@@ -247,8 +256,35 @@ class Deposition:
         checkpoint.write(self.folder, state, self._belongs_to)
 
 
-def _to_stderr(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
+@contextmanager
+def _logged(progress: Progress, store: Store) -> Iterator[None]:
+    """Within it, the run's log file takes what the progress shows, and the error that ends the run; kernels that are compiled are a
+    stage of the progress."""
+    compiling = _Compiling(progress)
+    progress.record = store.log
+    event.register("numba:compile", compiling)
+    try:
+        yield
+    except BaseException as error:
+        progress.record(f"{type(error).__name__}: {error}")
+        raise
+    finally:
+        event.unregister("numba:compile", compiling)
+        progress.stop()
+        progress.record = lambda text: None
+
+
+class _Compiling(event.Listener):
+    """Shows that kernels are compiled, where the cache does not have them."""
+
+    def __init__(self, progress: Progress):
+        self.progress = progress
+
+    def on_start(self, event: event.Event) -> None:
+        self.progress.stage("compiling the kernels, once on this machine")
+
+    def on_end(self, event: event.Event) -> None:
+        pass
 
 
 def cores() -> int:

@@ -15,7 +15,7 @@ MARK = "written by coldspray"
 MARKER = ".coldspray"
 RUN_FILES = (
     "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf",
-    "section.png", "log.lammps",
+    "section.png", "run.log", "log.lammps",
 )  # fmt: skip
 _ENDS = 8192  # bytes at both ends of a file in which MARK is looked for
 

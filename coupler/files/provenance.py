@@ -32,14 +32,15 @@ def provenance(scene: str, engine: str) -> Values:
         "system": platform.platform(),
         "versions": {"coldspray": __version__, "python": platform.python_version(), **_versions()},
         "commit": _commit(Path(__file__).parents[2]),
-        "command": _command(),
+        "command": command(),
         "scene_sha256": hashlib.sha256(scene.encode()).hexdigest(),
         "seed": coating.get("seed") if isinstance(coating, dict) else None,
         "engine": engine,
     }
 
 
-def _command() -> str:
+def command() -> str:
+    """The command line of this process, the program without its folder."""
     program = Path(sys.argv[0])
     start = ["python", "-m", program.parent.name] if program.name == "__main__.py" else [program.name]
     return shlex.join([*start, *sys.argv[1:]])

@@ -4,6 +4,7 @@ particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
 history.csv                                    one line for each record
 scene.toml                                     the scene with every default filled in
 plan.json                                      every decision about the run: see `coupler.plan.record`
+run.log                                        what the run has shown, with the time of each line
 summary.json                                   written last: its presence says that the run is finished
 checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.files.checkpoint`
 """
@@ -20,6 +21,7 @@ import re
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Annotated, TextIO
@@ -35,7 +37,7 @@ from .result import Result
 from .vtkhdf import VtkHdfWriter
 
 DOMAINS = ("particle", "surface", "target")
-HISTORY, SCENE, PLAN = "history.csv", "scene.toml", "plan.json"
+HISTORY, SCENE, PLAN, LOG = "history.csv", "scene.toml", "plan.json", "run.log"
 SUMMARY, PICTURE = "summary.json", "section.png"
 
 
@@ -85,7 +87,7 @@ class Store:
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
-                for name in (SUMMARY, PLAN, PICTURE, HISTORY, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
+                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 write_text(directory / SCENE, scene_toml)
@@ -207,6 +209,12 @@ class Store:
             self._history.write(_numbers(values))
             self._history.flush()
             self._rows.extend(values)
+
+    def log(self, text: str) -> None:
+        """Append lines to run.log, with date and time. A log that cannot be written ends no run."""
+        stamp = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
+        with contextlib.suppress(OSError), open(self.directory / LOG, "a", encoding="utf-8") as file:
+            file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:
         """Write summary.json whole or not at all, with the number of rows of the history. Numbers that are not finite become null."""

@@ -40,7 +40,7 @@ class Recorder:
     target's window damps velocities.
     """
 
-    def __init__(self, plan: Plan, i: int, store: Store, progress: Progress | None, before: float):
+    def __init__(self, plan: Plan, i: int, store: Store, progress: Progress, before: float):
         self.plan, self.i, self.impact_plan = plan, i, plan.impacts[i]
         self.store, self.progress, self.before = store, progress, before
         self.extremes = Extremes()
@@ -51,8 +51,6 @@ class Recorder:
 
     def start(self, impact: Impact) -> None:
         """Write the fields of the first instant, if a state gone back to does not hold them already."""
-        if self.progress is not None:
-            self.progress.start(self.impact_plan.expected)
         if self.next_output == 0.0:
             self.write_fields(impact)
 
@@ -97,8 +95,7 @@ class Recorder:
         if not np.isfinite(ledger["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
         impact.ledger.check(DRIFT_ALARM)
-        if self.progress is not None:
-            self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
+        self.progress.update(impact.time, ledger["kinetic"] / impact.ledger.kinetic_0, dt, particle.steps)
 
     def is_above(self, impact: Impact) -> bool:
         """Whether the particle's centre is above the target, not beyond its rim."""

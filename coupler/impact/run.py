@@ -30,14 +30,13 @@ class RunOptions:
     """How to run; only `numerics` changes the numbers.
 
     threads: 2 computes the target beside the particle; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
-    called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log: takes lines of text; log_file:
-    LAMMPS's; until: time limit (s) of an impact that goes on after its own one, None for as long again.
+    called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)
+    of an impact that goes on after its own one, None for as long again.
     """
 
-    log: Callable[[str], None]
+    progress: Progress
     log_file: Path
     ranks: Ranks = field(default_factory=Ranks)
-    progress: Progress | None = None
     threads: int = 1
     numerics: Mapping[str, float] = field(default_factory=dict)
     probe: Callable[[Impact], None] | None = None
@@ -94,17 +93,20 @@ def run_impact(
     it is resumed from it; so does one whose verdict is undecided. Raises SolverError when no remedy is left, NoContactError,
     StoreError, or Stopped after a signal.
     """
+    p = plan.impacts[i]
     state, retries, watch = resume_from, Retries[_Kept](options.numerics), _WallClock()
     if state is not None:
         retries, watch = Retries[_Kept](options.numerics, state.retries), _WallClock(state.wall, state.looped)
-        options.log(f"going on from {(before + state.impact.time) * 1e9:.1f} ns")
+        options.progress.log(f"going on from {(before + state.impact.time) * 1e9:.1f} ns")
     with StopSignals() as signals:
         while True:
             level = None if state is None else state.level
+            options.progress.start(p.expected, p.end_time, i, before, plan.shares)
+            options.progress.stage("building the particle")
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
             impact = Impact(domains, options.threads)
             try:
-                ending = _end_criterion(plan.impacts[i], i)
+                ending = _end_criterion(p, i)
                 recorder = Recorder(plan, i, store, options.progress, before)
                 if state is not None:
                     impact.restore(state.impact)
@@ -135,10 +137,10 @@ def run_impact(
             except SolverError as error:
                 _give_up(impact)
                 retry, kept = retries.next_remedy(error, i + 1, before + impact.time)
-                options.log(str(retry))
+                options.progress.log(str(retry))
                 state = kept.state
                 bodies = restored_target(plan, state.impact.bodies)
-                store.go_back(kept.store, options.log)
+                store.go_back(kept.store, options.progress.log)
             except BaseException:
                 _give_up(impact)
                 raise

@@ -116,6 +116,17 @@ class Plan:
         return self.cost.whole
 
     @property
+    def shares(self) -> tuple[float, ...]:
+        """The part of each impact, with the conversion of its splat, in the expected wall time of all."""
+        times, elements = [], self.target.elements_estimate
+        for impact in self.impacts:
+            steps = impact.expected / impact.dt_expected
+            times.append(estimates.step_time(steps, elements) + estimates.point_time(steps, impact.points, self.engine))
+            elements += impact.splat_elements
+            times[-1] += estimates.SECONDS_PER_SPLAT_ELEMENT * impact.splat_elements
+        return tuple(time / sum(times) for time in times)
+
+    @property
     def impact(self) -> ImpactPlan:
         """The first impact."""
         return self.impacts[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import imageio_ffmpeg  # type: ignore[import-untyped]
@@ -24,12 +24,18 @@ PIXELS = 250  # along the particle's longer side
 SUFFIXES = (".mp4", ".gif")
 
 
-def animate(result: Result, path: str | Path | None = None, field: str = "T", fps: float | None = None) -> Path:
+def animate(
+    result: Result,
+    path: str | Path | None = None,
+    field: str = "T",
+    fps: float | None = None,
+    stage: Callable[[str], None] = lambda text: None,
+) -> Path:
     """Write a film of the cut through particle and target, a picture for each stored step.
 
-    path: an .mp4 or .gif file, `<field>.mp4` in the run's folder unless given. field: a name of `fields.FIELDS`. fps: pictures
-    in a second; such that the film lasts some seconds unless given. Returns the path. Raises StoreError if the run
-    lacks what is needed, the name of the file ends otherwise or the file cannot be written.
+    path: an .mp4 or .gif file, `<field>.mp4` in the run's folder unless given. field: a name of `fields.FIELDS`. fps: pictures in a
+    second; such that the film lasts some seconds unless given. stage(text): told what comes next. Returns the path. Raises StoreError
+    if the run lacks what is needed, the name of the file ends otherwise or the file cannot be written.
     """
     path = Path(path) if path is not None else result.directory / f"{field}.mp4"
     if path.suffix.lower() not in SUFFIXES:
@@ -47,7 +53,8 @@ def animate(result: Result, path: str | Path | None = None, field: str = "T", fp
     rate = fps or float(np.clip(count / SECONDS, *RATES))
     write = _mp4 if path.suffix.lower() == ".mp4" else _gif
     with replacing(path) as part:
-        write(part, frames(result, field), rate, round(REST * rate))
+        pictures = _told(frames(result, field), count, stage)
+        write(part, pictures, rate, round(REST * rate))
     return path
 
 
@@ -63,6 +70,14 @@ def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
         picture = np.asarray(canvas.buffer_rgba())[..., :3]
         rows, columns = (length - length % 2 for length in picture.shape[:2])
         yield np.ascontiguousarray(picture[:rows, :columns])
+
+
+def _told(
+    pictures: Iterator[NDArray[np.uint8]], count: int, stage: Callable[[str], None]
+) -> Iterator[NDArray[np.uint8]]:
+    for number, picture in enumerate(pictures, 1):
+        stage(f"picture {number} of {count}")
+        yield picture
 
 
 def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:

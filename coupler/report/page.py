@@ -6,7 +6,7 @@ import base64
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -74,18 +74,21 @@ class Page:
         )
 
 
-def write_report(result: Result, path: str | Path | None = None) -> Path:
-    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given.
+def write_report(
+    result: Result, path: str | Path | None = None, stage: Callable[[str], None] = lambda text: None
+) -> Path:
+    """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text): told what
+    comes next.
 
     Returns the path. Raises StoreError if a file of the run is damaged or the page cannot be written.
     """
     path = Path(path) if path is not None else result.directory / "report.html"
-    write_text(path, report(result))
+    write_text(path, report(result, stage))
     return path
 
 
-def report(result: Result) -> str:
-    """The page about a run as HTML."""
+def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> str:
+    """The page about a run as HTML. stage(text): told what comes next."""
     page, summary, values, scene = Page(), result.summary, result.values, parts.scene_of(result)
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     computed = parts.computed(scene, values) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
@@ -96,11 +99,15 @@ def report(result: Result) -> str:
     if names:
         at, picked = picture.stage(result), picks(result)
         seen = picture.window(result, picked, at)
+        stage("cutting the bodies")
         cuts = [picture.cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
         ranges = {name: picture.colour_range(cuts, name) for name in names}
+        stage("preparing the view in 3D")
         page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
+        stage("drawing the cuts")
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
+        stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:
         page.section("in3d", "In 3D", '<p class="note">No step of particle, surface and target is stored yet.</p>')

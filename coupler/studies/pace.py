@@ -43,19 +43,16 @@ class Pace:
         return plan.cost.steps * self.steps + plan.cost.points * self.points + plan.cost.rest * of_all_else
 
 
-def of_this_machine(
-    measure: Callable[[], tuple[float, float]], anew: bool = False, say: Callable[[str], None] = lambda text: None
-) -> Pace:
+def of_this_machine(measure: Callable[[], tuple[float, float]], anew: bool = False) -> Pace:
     """The pace of this machine, from the cache or measured now (some seconds; half a minute where kernels have to be compiled).
 
-    measure: `timing.measure`, called where the cache has nothing, and with `anew`. say(text): called before measuring. Where
-    the small impacts cannot be computed the factors are 1 and `source` has the reason.
+    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impacts cannot be computed the
+    factors are 1 and `source` has the reason.
     """
     path, key = folder() / "pace.json", machine()
     known = _read(path)
     if not anew and key in known:
         return _pace(known[key])
-    say("timing two small impacts, once for this machine ...")
     try:
         steps, points = measure()
     except (ColdsprayError, ImportError, OSError) as error:

@@ -71,7 +71,7 @@ def _timed(text: str) -> tuple[int, int, float]:
 
     with tempfile.TemporaryDirectory() as place:
         scene = Scene.from_text(text, "pace")
-        result = run(scene, Path(place) / "pace", threads=1, probe=probe, checkpoint_every=math.inf)
+        result = run(scene, Path(place) / "pace", threads=1, probe=probe, quiet=True, checkpoint_every=math.inf)
         points, elements = int(result.points), int(result.elements)
     steps = [(t1 - t0) / (n1 - n0) for (t0, n0), (t1, n1) in itertools.pairwise(marks) if n1 > n0]
     if len(steps) < FEWEST_CHUNKS:
