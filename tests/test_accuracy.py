@@ -287,7 +287,7 @@ def test_the_factors_carry_the_constants_to_another_machine(monkeypatch):
 def test_check_foretells_time_and_accuracy(tmp_path, capsys):
     path = tmp_path / "scene.toml"
     path.write_text(scene_with().to_toml())
-    assert cli.main(["check", str(path)]) == 0
+    assert cli.main(["check", str(path), "-v"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"wall time  about \d+ s on one core here", text)
     assert re.search(r"accuracy   \+- .*flattening [\d.]+ %", text)
