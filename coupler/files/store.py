@@ -90,9 +90,9 @@ class Store:
                 for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
-                write_text(directory / SCENE, scene_toml)
                 if plan_json:
                     write_text(directory / PLAN, plan_json)
+                write_text(directory / SCENE, scene_toml)
             except BaseException:
                 store.close()
                 raise
