@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from coupler.errors import SplatError
+from coupler.geometry import remesh
 from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.geometry.triangles import enclosed_volume, open_or_double
 from coupler.sph import packing
 from coupler.splat import field as fields
-from coupler.splat import quality, remesh, surface
+from coupler.splat import quality, surface
 
 R = 1.0
 BALL = 4.0 / 3.0 * np.pi * R**3

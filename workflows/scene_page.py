@@ -30,6 +30,7 @@ WORDS = {
     " ([effects](../theory/effects.md))",
     "particle.material": "a name of the library or of `[materials.NAME]`",
     "particle.shape": "all shapes have the volume of a sphere of `diameter`",
+    "particle.file": 'with `shape = "file"`: a closed surface (STL, PLY, OBJ), relative to the scene, scaled to `diameter`',
     "particle.diameter": "of the sphere of equal volume",
     "particle.velocity": "of impact; not needed with `[gas]`",
     "particle.angle": "of flight, from the surface normal, in the plane of x and z",
@@ -89,6 +90,7 @@ WORDS = {
     "coating.velocity_spread": "standard deviation about the velocity, cut at two",
     "coating.temperature": "one value, or pairs of a diameter and a value",
     "coating.shapes": "shares of each shape, by number",
+    "coating.files": 'files with shapes in place of `shapes`, relative to the scene, such as `"powder/*.stl"`',
     "coating.dwell": "pause after each impact, in which heat flows",
     "coating.seed": "the same seed gives the same particles",
 }

@@ -43,6 +43,10 @@ class RaySurface:
         signed = self._scene.compute_signed_distance(self._single(x), nthreads=1).numpy()
         return np.maximum(signed.astype(float), 0.0) * self.unit
 
+    def inside(self, x: NDArray) -> NDArray[np.bool_]:
+        """Which places x (k,3) m lie inside a closed surface (k,)."""
+        return self._scene.compute_occupancy(self._single(x), nthreads=1).numpy() > 0.5
+
     def closest(self, x: NDArray) -> NDArray[np.float64]:
         """The point (k,3) m of the surface closest to each of x (k,3) m."""
         points = self._scene.compute_closest_points(self._single(x), nthreads=1)["points"].numpy()

@@ -13,7 +13,10 @@ each word here:
 
 At tilt 0 the longest axis lies along x in the plane of the target and the shortest stands on it. A tilt turns the
 shape about y: positive, the end ahead (+x, where an oblique impact goes) dips; 90 deg puts a rod on its end and a
-flake on its edge. Everything is symmetric about its centre.
+flake on its edge. These are symmetric about their centre.
+
+A shape may also come from a file, a closed surface (`coupler.plan.solids`): "file". It lies as the file has it, its centre of
+volume in the place of the centre.
 """
 
 import itertools
@@ -37,7 +40,8 @@ def sphere_volume(diameter: float) -> float:
 @dataclass(frozen=True)
 class Form:
     """One shape in one size. lengths: whole extents (m) along x, y, z at tilt 0; thinnest: its smallest thickness or
-    wall, m; corners: of the polyhedron, m, else empty."""
+    wall, m; corners: of the polyhedron or of the hull of a
+    file's surface, m, else empty."""
 
     name: str
     lengths: tuple[float, float, float]
@@ -59,11 +63,20 @@ class Form:
 
     def height(self, tilt: float = 0.0) -> float:
         """Extent along z, m, when tilted by `tilt` rad."""
-        return 2.0 * self.support(-math.sin(tilt), 0.0, math.cos(tilt))
+        return self._extent(-math.sin(tilt), 0.0, math.cos(tilt))
 
     def width(self, tilt: float = 0.0) -> float:
         """The larger of its extents along x and y, m, when tilted by `tilt` rad."""
-        return 2.0 * max(self.support(math.cos(tilt), 0.0, math.sin(tilt)), self.support(0.0, 1.0, 0.0))
+        return max(self._extent(math.cos(tilt), 0.0, math.sin(tilt)), self._extent(0.0, 1.0, 0.0))
+
+    def _extent(self, nx: float, ny: float, nz: float) -> float:
+        return self.support(nx, ny, nz) + self.support(-nx, -ny, -nz)
+
+    def scaled(self, factor: float) -> "Form":
+        """The same, larger by a factor."""
+        a, b, c = (factor * length for length in self.lengths)
+        corners = tuple((factor * x, factor * y, factor * z) for x, y, z in self.corners)
+        return Form(self.name, (a, b, c), factor * self.thinnest, corners)
 
 
 def form(name: str, diameter: float) -> Form:

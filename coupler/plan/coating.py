@@ -2,7 +2,9 @@
 
 import math
 import random
+from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from statistics import NormalDist
 
 from .. import units
@@ -14,7 +16,7 @@ _CUT = 2.0  # standard deviations of the velocity
 _BROADER = 3.0  # standard deviations of the logarithm, where smallest or largest are not given
 
 
-def expand(raw: dict[str, object]) -> list[str]:
+def expand(raw: dict[str, object], folder: Path) -> list[str]:
     """Put the particles of a table [coating] into a scene that has none of its own. Returns the problems that only both have.
 
     raw: the scene as nested dicts, changed in place. A scene that was written out holds both: its particles are taken as they
@@ -27,21 +29,25 @@ def expand(raw: dict[str, object]) -> list[str]:
     there = raw.get("particle")
     if there is None:
         problems = []
-        if table.velocity is None and "gas" not in raw:
+        files = sorted(folder.glob(table.files)) if table.files else []
+        if table.files and not files:
+            problems = [f'coating.files = "{table.files[:60]}": no file in {folder} has such a name']
+        elif table.velocity is None and "gas" not in raw:
             problems = ['coating.velocity: missing; add for example velocity = "600 m/s", or a table [gas]']
         stand_in: dict[str, str | list[str]] = {"velocity": _STAND_IN["velocity"]} if problems else {}
-        raw["particle"] = [stand_in | particle for particle in particles(table)]
+        raw["particle"] = [stand_in | particle for particle in particles(table, files)]
         return problems
     if not isinstance(there, list) or len(there) != table.number:
         return ["coating: the scene has particles of its own too; take out the table [coating], or those"]
     return []
 
 
-def particles(table: Coating) -> list[dict[str, str | list[str]]]:
+def particles(table: Coating, files: Sequence[Path] = ()) -> list[dict[str, str | list[str]]]:
     """The particles of a coating as a scene writes them, in the order of their impacts, a layer after the other.
 
     Only `random.Random.random` is drawn from, which Python keeps the same in all versions; quantities are written with so many
-    digits as they are to be read with. Velocity and temperature are left out where the table has none.
+    digits as they are to be read with. Velocity and temperature are left out where the table has none. files: with shapes, in place
+    of those of the table.
     """
     dice = random.Random(table.seed)
     places: list[tuple[float, float]] = []
@@ -53,11 +59,14 @@ def particles(table: Coating) -> list[dict[str, str | list[str]]]:
         x, y = places[-1]
         diameter = _diameter(table, dice.random())
         off = _cut_normal(dice.random())
-        shape, tilt = _shape(table, dice.random()), 180.0 * dice.random() - 90.0
+        u, tilt = dice.random(), 180.0 * dice.random() - 90.0
+        shape = "file" if files else _shape(table, u)
         particle: dict[str, str | list[str]] = {
             "material": table.material, "shape": shape, "diameter": f"{diameter * 1e6:.2f} um",
             "offset": [f"{x * 1e6:.2f} um", f"{y * 1e6:.2f} um"],
         }  # fmt: skip
+        if files:
+            particle["file"] = str(files[int(u * len(files))].absolute())
         if shape != "sphere":
             particle["tilt"] = f"{tilt:.1f} deg"
         if table.velocity is not None:

@@ -2,7 +2,10 @@
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from ..geometry.tetrahedra import COARSEST
 from ..physics.adhesion import Adhesion, critical_velocity
@@ -14,6 +17,7 @@ from .bands import Band, Kind, of_measures
 from .effects import Effects, Situation
 from .gas import describe as describe_gas
 from .reading import Scene
+from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
@@ -30,11 +34,12 @@ class ImpactPlan:
     rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
     component normal to the surface over the critical velocity of material and temperature, None where the material has none.
-    lengths: m, of the shape at tilt 0.
+    lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
     splat_elements: of its splat, an estimate. bands: accuracy of each measure at this resolution."""
 
     material: Material
     shape: str
+    file: str
     tilt: float
     diameter: float
     velocity: tuple[float, float, float]
@@ -82,12 +87,24 @@ class TargetPlan:
 
 
 @dataclass(frozen=True)
+class SolidPlan:
+    """The surface of a shape from a file, as `geometry.solid.Solid` has it."""
+
+    points: tuple[tuple[float, float, float], ...]
+    triangles: tuple[tuple[int, int, int], ...]
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n,3) and triangles (m,3)."""
+        return np.array(self.points), np.array(self.triangles)
+
+
+@dataclass(frozen=True)
 class Plan:
     """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
     impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
     wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
-    about what the gas gives. engine: of the particles (`coupler.sph.engine`).
+    about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
     """
 
     name: str
@@ -109,6 +126,7 @@ class Plan:
     engine: str
     gas: tuple[str, ...]
     warnings: tuple[str, ...]
+    solids: dict[str, SolidPlan]
 
     @property
     def wall_estimate(self) -> float:
@@ -180,6 +198,7 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),
         warnings=tuple(_warnings(scene, impacts, base, decided)),
+        solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
     )
 
 
@@ -206,6 +225,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
     return ImpactPlan(
         material=material,
         shape=particle.shape,
+        file=particle.file or "",
         tilt=particle.tilt,
         diameter=D,
         velocity=(v * math.sin(particle.angle), 0.0, -v * math.cos(particle.angle)),
@@ -229,6 +249,12 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
             Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)
         ),
     )
+
+
+def _solid(file: str) -> SolidPlan:
+    solid = load(Path(file))
+    points = tuple((x, y, z) for x, y, z in solid.points.tolist())
+    return SolidPlan(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
 
 
 def _velocity_ratio(material: Material, temperature: float, velocity: float) -> float | None:

@@ -16,6 +16,7 @@ from .check import problems_of
 from .coating import expand
 from .derived import Derived
 from .gas import fill
+from .solids import read_forms, with_folders
 
 
 class Scene(SceneData):
@@ -86,9 +87,10 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     catalogue, material_problems = materials.from_scene(tables)
     raw.setdefault("name", safe_name(source))
     if "coating" in raw:
-        problems += expand(raw)
+        problems += expand(raw, Path(source).parent)
     if "gas" in raw or "nozzles" in raw:
         problems += fill(raw, catalogue)
+    with_folders(raw, source)
     faulty: set[str] = set()
     read, entries = read_table(Scene, raw)
     scene: SceneData | None = read
@@ -100,6 +102,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
         scene = without(raw, [entry["loc"] for entry in entries])
     problems += material_problems
     if scene is not None:
+        problems += read_forms(scene)
         own = {f"materials.{name}" for name in tables if name not in catalogue}
         for fields, problem in problems_of(scene, catalogue, own):
             if not any(covers(bad, field) for bad in faulty for field in fields):

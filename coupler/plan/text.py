@@ -1,6 +1,7 @@
 """The plan in words, as `coldspray check` prints it."""
 
 import math
+from pathlib import Path
 
 from .. import units
 from . import cost as estimates
@@ -96,10 +97,14 @@ def _impacts(plan: Plan, most: int) -> list[str]:
 def _particle(impact: ImpactPlan) -> str:
     show, (vx, _, vz) = units.rounded, impact.velocity
     return (
-        f"{impact.material.name} {impact.shape.replace('_', ' ')} {show(impact.diameter, 'um')},"
+        f"{impact.material.name} {_shape(impact)} {show(impact.diameter, 'um')},"
         f" {show(math.hypot(vx, vz), 'm/s', 4)} at {show(math.atan2(vx, -vz), 'deg')} from the normal,"
         f" {show(impact.temperature, 'K', 4)}"
     )
+
+
+def _shape(impact: ImpactPlan) -> str:
+    return Path(impact.file).name if impact.file else impact.shape.replace("_", " ")
 
 
 def _place(impact: ImpactPlan) -> str:
@@ -160,7 +165,7 @@ def _shapes(plan: Plan) -> list[str]:
             continue
         lengths = " x ".join(units.rounded(length, "um").removesuffix(" um") for length in particle.lengths)
         tilt = f" tilted {units.rounded(particle.tilt, 'deg')}" if particle.tilt else ""
-        which = f"{particle.shape.replace('_', ' ')}: " if len(plan.impacts) > 1 else ""
+        which = f"{_shape(particle)}: " if len(plan.impacts) > 1 else ""
         volume = f"{units.rounded(particle.diameter, 'um')} is the sphere of equal volume"
         lines.append(f"             {which}{lengths} um{tilt}; {volume}")
     lines = list(dict.fromkeys(lines))

@@ -9,6 +9,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    PrivateAttr,
     StrictBool,
     StrictFloat,
     StrictInt,
@@ -113,12 +114,13 @@ SHAPES: tuple[str, ...] = get_args(Shape)
 class Particle(Section):
     """One impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
 
-    shape: a name of `coupler.physics.shapes`; diameter: of the sphere of equal volume; tilt (rad): of the shape about y;
-    dwell: pause (s) after this impact.
+    shape: a name of `coupler.physics.shapes`, or "file": the closed surface in `file`; diameter: of the sphere of equal volume;
+    tilt (rad): of the shape about y; dwell: pause (s) after this impact.
     """
 
     material: str
-    shape: Shape = "sphere"
+    shape: Literal[Shape, "file"] = "sphere"
+    file: str | None = None
     diameter: Annotated[float, Quantity("um", "1 um", "200 um")]
     velocity: Annotated[float, Quantity("m/s", "10 m/s", "2000 m/s")]
     angle: Annotated[float, Quantity("deg", "0 deg", "80 deg")] = 0.0
@@ -127,6 +129,13 @@ class Particle(Section):
     offset: tuple[Offset, Offset] = (0.0, 0.0)
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
     dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
+
+    @model_validator(mode="after")
+    def _file_of_shape(self) -> "Particle":
+        if (self.shape == "file") != (self.file is not None):
+            raise ValueError('needs file = "powder.stl" with shape = "file", and only with it')
+        return self
 
     @property
     def volume(self) -> float:
@@ -135,7 +144,9 @@ class Particle(Section):
 
     @property
     def form(self) -> morphology.Form:
-        """Its shape in its size."""
+        """Its shape in its size; that of a file is a sphere until the file is read (`coupler.plan.solids`)."""
+        if self.shape == "file":
+            return (self._of_file or morphology.form("sphere", 1.0)).scaled(self.diameter)
         return morphology.form(self.shape, self.diameter)
 
     @property
@@ -156,7 +167,8 @@ class Coating(Section):
     places that are "random" or "even" (each as far as may be from those of its layer). diameter: the median of a log-normal
     distribution by number, spread: its geometric standard deviation, smallest and largest: where it is cut. velocity,
     temperature: one value or by size, from [gas] where there is none; velocity_spread (m/s): standard deviation about it,
-    cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt.
+    cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt;
+    files: a pattern of files with shapes, all alike often, in their place.
     """
 
     material: str
@@ -172,6 +184,7 @@ class Coating(Section):
     velocity_spread: Annotated[float, Quantity("m/s", "0 m/s", "500 m/s")] = 0.0
     temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
     shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
+    files: str | None = None
     dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
     seed: StrictInt = Field(1, ge=0, le=2**31)
 

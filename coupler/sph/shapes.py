@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from ..geometry.triangles import surface_area
+from ..geometry.raycast import RaySurface
+from ..geometry.remesh import even
+from ..geometry.triangles import correct_volume, surface_area
 from ..physics import shapes as morphology
 from . import packing
 
@@ -67,6 +69,24 @@ def shape(
         body = Body(
             cloud, each, vertices, triangles, surface_area(vertices, triangles), -float(vertices[:, 2].min()), inner
         )
+    return _tilted(body, tilt) if tilt else body
+
+
+def of_surface(
+    points: np.ndarray, triangles: np.ndarray, diameter: float, count: int, tilt: float = 0.0, edge: float = 0.8
+) -> Body:
+    """A body inside a closed surface (`geometry.solid.Solid`), with the volume of a sphere of `diameter` m; the rest as in `shape`.
+
+    Its surface has even edges on the one given, and is moved along its normals to the exact volume.
+    """
+    volume, x = np.pi / 6.0 * diameter**3, points * diameter
+    given = RaySurface(x, triangles)
+    a, b, c = np.abs(x).max(axis=0).tolist()
+    cloud, each = packing.fill(given.inside, (a, b, c), volume, count)
+    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), given.closest)
+    vertices, _ = correct_volume(vertices, corners, volume, 0.5 * each ** (1.0 / 3.0))
+    area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
+    body = Body(cloud, each, vertices, corners, area, half)
     return _tilted(body, tilt) if tilt else body
 
 

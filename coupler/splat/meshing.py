@@ -12,13 +12,13 @@ from ..errors import SplatError
 from ..geometry import mesher
 from ..geometry.apart import apart
 from ..geometry.poisson import poisson_surface
+from ..geometry.remesh import even
 from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import enclosed_volume, open_or_double
 from . import field as fields
 from . import quality, surface
 from .cloud import Cloud, Report
-from .remesh import even
 
 T = TypeVar("T")
 MIN_GAMMA = 0.05

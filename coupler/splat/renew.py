@@ -6,9 +6,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
+from ..geometry import remesh
 from ..geometry.raycast import RaySurface
 from ..geometry.triangles import VOLUME_TOLERANCE, correct_volume, edges, enclosed_volume, open_or_double
-from . import remesh
 
 GROWTH = 0.5  # of the edge length with the distance from the cut, from its edges to the size asked for
 MAX_OFFSET = 0.1  # of an edge, by which the surface is moved to correct the volume

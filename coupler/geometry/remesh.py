@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from ..geometry.triangles import edges as directed_edges
-from ..geometry.triangles import vertex_normals
 from ..state.arrays import Floats, Ints
+from .triangles import edges as directed_edges
+from .triangles import vertex_normals
 
 SHORT, LONG = 0.75, 1.35  # over the size: edges between these lengths stay
 MIN_COSINE = 0.3  # between a triangle's normals before and after a collapse

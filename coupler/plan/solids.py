@@ -1,0 +1,59 @@
+"""Shapes of particles from files: read, cleaned and checked once."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from ..errors import ColdsprayError
+from ..files.clouds import read_surface
+from ..geometry.solid import Solid, solid_of
+from ..geometry.triangles import surface_area
+from ..physics.shapes import Form
+from ..scene.model import SceneData
+
+
+def load(path: Path) -> Solid:
+    """The solid in a file. Raises InputError or SplatError with the reason why there is none."""
+    return _loaded(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@cache
+def _loaded(path: Path, changed: int) -> Solid:
+    return solid_of(*read_surface(path))
+
+
+def form_of(solid: Solid) -> Form:
+    """Its extents, its corners, and its least thickness by the mean over the surface, 2 V / A; of diameter 1."""
+    x = solid.points
+    hull = x[ConvexHull(x).vertices]
+    a, b, c = np.ptp(x, axis=0).tolist()
+    thickness = np.pi / 3.0 / surface_area(x, solid.triangles)
+    return Form("file", (a, b, c), float(thickness), tuple((float(p), float(q), float(r)) for p, q, r in hull))
+
+
+def read_forms(scene: SceneData) -> list[str]:
+    """Read the files of the scene's particles, and give these their form. Returns the problems, by field."""
+    problems = []
+    for label, particle in zip(scene.labels, scene.particles, strict=True):
+        if particle.file is not None:
+            try:
+                particle._of_file = form_of(load(Path(particle.file)))
+            except ColdsprayError as error:
+                text = str(error)
+                problems.append(f"{label}.file: {text if particle.file in text else f'{particle.file}: {text}'}")
+    return problems
+
+
+def with_folders(raw: dict[str, object], source: str) -> None:
+    """Make names of files absolute, which are relative to the folder of the scene. raw: nested dicts, changed in place."""
+    particles = raw.get("particle")
+    for particle in particles if isinstance(particles, list) else [particles]:
+        if (
+            isinstance(particle, dict)
+            and isinstance(name := particle.get("file"), str)
+            and len(name) < 4096
+            and "\0" not in name
+        ):
+            particle["file"] = str((Path(source).parent / name).absolute())
