@@ -116,11 +116,20 @@ def test_the_last_measure_raises_the_viscosity_and_then_the_error_stands(tmp_pat
 
     with pytest.raises(SolverError, match="made to fail"):
         run(Scene.from_text(WHOLE, "shared"), tmp_path / "out", probe=probe, progress=log)
-    assert sum("retried" in line for line in log.lines) == len(REMEDIES) == 3
+    assert sum("retried" in line for line in log.lines) == len(REMEDIES) == 4
     assert (seen[0].Q1, seen[0].hourglass) == (0.06, 1.0)
     assert (seen[-1].Q1, seen[-1].hourglass) == (0.2, 3.0)
     assert not (tmp_path / "out" / "summary.json").exists()
     assert len(Result(tmp_path / "out").times("target")) > 0
+
+
+def test_with_hourglass_control_the_enriched_scheme_is_the_compiled_one(shared_run: SharedRuns, tmp_path: Path) -> None:
+    scenes = {name: NI.replace("[resolution]", f'[resolution]\nengine = "{name}"') for name in ("compiled", "enriched")}
+    compiled = shared_run(scenes["compiled"])
+    enriched = run(Scene.from_text(scenes["enriched"], "shared"), tmp_path / "out", numerics={"control": 1.0})
+    for name, value in compiled.values.items():
+        if isinstance(value, float):
+            assert enriched.values[name] == value, name
 
 
 def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path) -> None:
@@ -187,10 +196,13 @@ def test_the_first_and_the_last_two_states_are_kept() -> None:
     assert second.back_to_s == 3.0
     third, state = retries.next_remedy(SolverError("three"), 1, 5.0)
     assert (third.back_to_s, state["i"]) == (0.0, 0)
-    assert third.numerics == {"Q1": 0.5, "hourglass": 3.0}  # raised, never lowered
-    with pytest.raises(SolverError, match="four"):
-        retries.next_remedy(SolverError("four"), 1, 5.0)
-    assert retries.numerics == third.numerics
+    assert third.numerics == {"Q1": 0.5, "control": 1.0}
+    fourth, state = retries.next_remedy(SolverError("four"), 1, 5.0)
+    assert (fourth.back_to_s, state["i"]) == (0.0, 0)
+    assert fourth.numerics == {"Q1": 0.5, "hourglass": 3.0, "control": 1.0}  # raised, never lowered
+    with pytest.raises(SolverError, match="five"):
+        retries.next_remedy(SolverError("five"), 1, 5.0)
+    assert retries.numerics == fourth.numerics
     assert Retries({"Q1": 0.1}).numerics == {"Q1": 0.1}
     with pytest.raises(SolverError, match="early"):
         Retries({}).next_remedy(SolverError("early"), 1, 0.0)

@@ -54,7 +54,8 @@ dissipation, melting); *undecided*, the run says that it did not come to rest; *
   the particle's surface encloses that of its points within {verify.SKIN:.0%}, or the summary has no measure of its shape;
 - the particle has touched, the contact force has taken its momentum, no point of its surface is deeper than a spacing in the target,
   and at rest it does not sink;
-- no von Mises stress is above the law's, no temperature below that at the start, none above melting without a warning;
+- no von Mises stress is above the law's, no temperature below that at the start by more than {verify.UNDERSHOOT:.1%} of the highest
+  rise, none above melting without a warning;
 - the schemes dissipate less than {verify.DISSIPATION:.0%} of the initial kinetic energy, or the run warns of it;
 - the measures of the summary are those of the fields.
 """

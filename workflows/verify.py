@@ -36,6 +36,7 @@ ROWS = 10
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
 FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
 SAME = 1e-3  # figures of the summary against those of the fields
+UNDERSHOOT = 0.005  # of the highest rise of temperature: an error of conduction in distorted linear elements
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
 DISSIPATION = 0.25  # both schemes together; more needs a warning
 STORED = (
@@ -284,14 +285,16 @@ class _ImpactCheck:
         self.hold("dissipated", dissipated, np.inf if warned else DISSIPATION, "dissipated, without a warning")
 
     def contact(self) -> None:
-        """Impulse of the contact force, depth of the particle's surface in the target, motion at the end."""
-        rows, skin, target = self.rows, self.last["surface"].points, self.last["target"]
+        """Impulse of the contact force, depth of the particle in the target, motion at the end."""
+        rows, target = self.rows, self.last["target"]
         taken = self.mass * (rows["velocity_z"][-1] - rows["velocity_z"][0])
         impulse = np.trapezoid(rows["contact_force"], rows["time"]) - taken
         if np.count_nonzero(rows["contact_force"]) > ROWS:
             self.hold("impulse", impulse / (self.mass * self.p.velocity), IMPULSE, "impulse of the contact force")
-        depth = float(depths(skin, target.points, target.cells).max()) / self.scene.derived.spacing
-        self.hold("depth", depth, 1.0, "the particle's surface lies inside the target, spacings")
+        # where the run says that its surface does not follow the points, the points count
+        name = "particle" if value(self.record, "thickness_m") is None else "surface"
+        depth = float(depths(self.last[name].points, target.points, target.cells).max()) / self.scene.derived.spacing
+        self.hold("depth", depth, 1.0, f"the {name} lies inside the target, spacings")
         if self.scene.end.at == "rest" and self.scene.end.time is None and not self.found.undecided:
             self.hold(
                 "sinking", max(-rows["velocity_z"][-1] / self.p.velocity, 0.0), REST, "said to be at rest, but sinks"
@@ -388,10 +391,11 @@ class _ImpactCheck:
         for instant in self.instants:
             parts = [("particle", self.metal, np.full(len(instant["particle"].points), True))]
             parts += [("target", metal, self.body == b) for b, (metal, *_) in enumerate(self.bodies)]
+            hottest = max(float(instant[name].data["T"].max()) for name in ("particle", "target"))
             for name, metal, own in parts:
                 data = {key: instant[name].data[key][own].astype(float) for key in ("T", "eps_p", "von_mises")}
                 place = f"{self.where}: {name} at {data['T'].min():.0f} K, colder than all at the start"
-                self.found.fault(data["T"].min() < coldest, place)
+                self.found.fault(data["T"].min() < coldest - UNDERSHOOT * (hottest - coldest), place)
                 molten = any("melting" in text for text in self.found.warned)
                 self.hold(
                     "melting", data["T"].max() / metal.T_m, np.inf if molten else 1.0, "T over T_m, without a warning"

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
@@ -33,3 +34,20 @@ def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
     twin = np.all(corners[order][1:] == corners[order][:-1], axis=1)
     single = np.sort(order[~(np.append(twin, False) | np.insert(twin, 0, False))])
     return faces[single], single % len(tets)
+
+
+def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArray[np.float64]:
+    """Distance (k,) m of places x (k,3) inside the tetrahedra (m,4) of points (n,3) from the nearest node of their boundary; 0 outside.
+
+    Only the `near` tetrahedra with the nearest centres are looked at.
+    """
+    candidates = np.atleast_2d(cKDTree(points[tets].mean(axis=1)).query(x, np.arange(1, min(near, len(tets)) + 1))[1])
+    corner = points[tets[candidates]]
+    edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
+    weights = np.linalg.solve(edges, (x[:, None] - corner[:, :, 0])[..., None])[..., 0]
+    inside = np.any((weights.min(axis=2) > 0.0) & (weights.sum(axis=2) < 1.0), axis=1)
+    depth = np.zeros(len(x))
+    if inside.any():
+        boundary = points[np.unique(boundary_faces(tets)[0])]
+        depth[inside] = cKDTree(boundary).query(x[inside])[0]
+    return depth

@@ -14,6 +14,8 @@ import numpy as np
 
 from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
+from ..errors import SolverError
+from ..geometry.tetrahedra import depths
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, Adhesion
 from ..ranks.distributed import ParticleState
@@ -28,6 +30,7 @@ from .ledger import Ledger, LedgerState
 WINDOW = (
     10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
 )
+LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 
 @dataclass(frozen=True)
@@ -220,6 +223,16 @@ class Impact:
         beside = np.zeros(len(pressing), bool)
         beside[self.surface.triangles[pressing[self.surface.triangles].any(axis=1)]] = True
         return beside[rows] | pressing[rows]
+
+    def check_contact(self) -> None:
+        """Raise SolverError where the contact has lost points: they lie deeper than a spacing in the target."""
+        depth = depths(self.particle.x, self.target.x, self.target.mesh.conn) / self.particle.spacing
+        lost = int(np.count_nonzero(depth > 1.0))
+        if lost > LOST * len(depth):
+            raise SolverError(
+                f"the contact has lost {lost} of {len(depth)} points of the particle: they lie up to {depth.max():.1f} spacings"
+                " inside the target. Try a finer preset"
+            )
 
     def update_ledger(self) -> dict[str, float]:
         """Energies of this instant (`Ledger.update`)."""

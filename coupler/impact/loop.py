@@ -37,6 +37,7 @@ def advance_to_end(
         if probe is not None:
             probe(impact)
     impact.ledger.check_closure()
+    impact.check_contact()
 
 
 def advance_window(impact: Impact, end_time: float | None = None) -> float:

@@ -38,14 +38,15 @@ class Numerics:
     """What the scheme adds to the physics.
 
     kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
-    and converges more slowly). Q1: linear viscosity. hourglass: amplitude. courant: bound on c dt / dx, and `stretch`: that
-    bound as a share of the smallest principal stretch.
+    and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in the enriched scheme too.
+    courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch.
     """
 
     kernel_radius: float = 0.75
     Q1: float = 0.06
     Q2: float = 0.0
     hourglass: float = 1.0
+    control: float = 0.0
     courant: float = 0.4
     stretch: float = 0.9
 
