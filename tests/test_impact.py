@@ -13,6 +13,8 @@ from scenes import NI, SHORT
 
 from coupler import Result, Scene, run
 from coupler.errors import SolverError, StoreError
+from coupler.geometry.tetrahedra import depths
+from coupler.impact.exchange import Impact
 from coupler.report.picture import section_picture
 
 
@@ -130,6 +132,37 @@ def test_a_ledger_that_does_not_close_is_not_a_result(tmp_path: Path, monkeypatc
         run(Scene.from_text(NI + '[end]\ntime = "5 ns"\n', "open"), tmp_path / "open")
     assert not (tmp_path / "open" / "summary.json").exists()
     assert len(Result(tmp_path / "open").times("target")) > 1  # what was computed stays readable
+
+
+def test_points_that_the_contact_has_lost_are_no_result(tmp_path: Path) -> None:
+    """Three per cent of the points far inside the target end a run; half a per cent does not."""
+
+    def lose(share: float) -> None:
+        def probe(impact: Impact) -> None:
+            impact.check_contact()
+            x = impact.particle.x
+            x[: round(share * len(x))] = impact.target.x.mean(axis=0)
+            impact.check_contact()
+            raise KeyboardInterrupt
+
+        run(Scene.from_text(SHORT, "lost"), tmp_path / "out", probe=probe, force=True)
+
+    with pytest.raises(KeyboardInterrupt):
+        lose(0.005)
+    with pytest.raises(SolverError, match=r"the contact has lost \d+ of \d+ points"):
+        lose(0.03)
+
+
+def test_depths_in_a_cube() -> None:
+    """Of a place in a cube of 6 x 6 x 6 cells: the distance from the nearest node of its faces; outside it is 0."""
+    axis = np.arange(7.0)
+    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    cell = np.array([0, 1, 7, 8, 49, 50, 56, 57])
+    tets = cell[np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])]
+    corners = [49 * i + 7 * j + k for i in range(6) for j in range(6) for k in range(6)]
+    mesh = np.concatenate([tets + c for c in corners])
+    x = np.array([[3.0, 3.0, 2.0], [3.0, 3.0, 5.5], [3.0, 3.0, -0.5], [9.0, 0.0, 0.0]]) + 1e-9
+    assert depths(x, points, mesh) == pytest.approx([2.0, 0.5, 0.0, 0.0], abs=1e-6)
 
 
 def test_whole_run_through_the_command_line(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArra
     corner = points[tets[candidates]]
     edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
     weights = np.linalg.solve(edges, (x[:, None] - corner[:, :, 0])[..., None])[..., 0]
-    inside = np.any((weights.min(axis=2) > 0.0) & (weights.sum(axis=2) < 1.0), axis=1)
+    inside = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
     depth = np.zeros(len(x))
     if inside.any():
         boundary = points[np.unique(boundary_faces(tets)[0])]
