@@ -112,7 +112,7 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
 def test_a_folder_keeps_to_its_scene(tmp_path):
     command.same_scene(scene_with(), tmp_path / "a")
     command.same_scene(scene_with(), tmp_path / "a")
-    with pytest.raises(StoreError, match="the ladder of another scene"):
+    with pytest.raises(StoreError, match="the study of another scene"):
         command.same_scene(scene_with(particle__velocity="501 m/s"), tmp_path / "a")
 
 

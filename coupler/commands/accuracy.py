@@ -80,13 +80,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def same_scene(scene: "Scene", out: Path) -> None:
-    """Keep the scene beside its ladder. Raises StoreError if the folder holds the ladder of another one."""
+    """Keep the scene beside its study. Raises StoreError if the folder holds that of another scene."""
     from ..files.inputs import parse_toml, read_toml
 
     path, text = out / "scene.toml", scene.to_toml()
     if path.exists():
         if read_toml(path) != parse_toml(text):
-            raise StoreError(f"{out} holds the ladder of another scene: name another folder with --out, or remove it")
+            raise StoreError(f"{out} holds the study of another scene: name another folder with --out, or remove it")
         return
     out.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
@@ -144,11 +144,11 @@ def seconds(text: str) -> float:
     return float(match.group(1)) * _SECONDS[match.group(2)]
 
 
-def share(text: str) -> float:
+def share(text: str, option: str = "--accuracy") -> float:
     """An uncertainty such as "2%" as a share. Raises StoreError with what was expected."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        raise StoreError(f'--accuracy {text!r} is no uncertainty: expected a percentage above zero, such as "2%"')
+        raise StoreError(f'{option} {text!r} is no uncertainty: expected a percentage above zero, such as "2%"')
     return float(match.group(1)) / 100.0
 
 

@@ -14,6 +14,7 @@ from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from . import accuracy as accuracy_command
 from . import coating as coating_command
+from . import critical as critical_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
@@ -121,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--until", type=quantity("--until", "time"), metavar="TIME",
            help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
     _add_running(option)
-    for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command):
+    for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command, critical_command):
         command.add(commands)
     option = add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')

@@ -209,6 +209,12 @@ class Bond:
             self.restore(BondState(kept, self.exponent, self.stored, self.dissipated))
         return energy
 
+    def drop(self, gone: np.ndarray) -> None:
+        """Take bonds (mask) out. What they hold is dissipated."""
+        held = 0.5 * self.area[gone] @ ((self.traction[gone] ** 2).sum(axis=1) / self.stiffness[gone])
+        rows = take(collect(BondRows, self), ~gone)
+        self.restore(BondState(rows, self.exponent, self.stored - float(held), self.dissipated + float(held)))
+
     def renumber(self, node: np.ndarray) -> None:
         """Follow a new numbering of the domain. node (N,): new number of each old one."""
         self.nodes, self.triangles = node[self.nodes].astype(np.int64), node[self.triangles].astype(np.int64)

@@ -89,6 +89,16 @@ class Hold:
         both.bond = Bond.joined([self.bond, later.bond])
         return both
 
+    def without(self, gone: np.ndarray) -> "Hold | None":
+        """This hold less the springs of a mask (n,); None where none is left."""
+        if gone.all():
+            return None
+        self.bond.drop(gone)
+        left = np.count_nonzero(~gone)
+        self.bond.renumber(np.concatenate([np.cumsum(~gone) - 1, left + np.arange(len(self.nodes))]))
+        self.rows = self.rows[~gone]
+        return self
+
     def on(self, triangles: np.ndarray) -> "Hold":
         """The hold itself, its points' neighbours taken from the triangles (m,3) of their surface."""
         self._ring = rings(triangles, self.rows)

@@ -189,12 +189,18 @@ class Impact:
     def bond(self, adhesion: Adhesion, velocity_ratio: float | None) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
+        By exposure a place bonds when its pressure has fallen below that of extrusion, and anew when it has risen above it again: until
+        then fresh metal welds as it slides.
         Of both sides the larger strain counts. velocity_ratio: of the impact to the critical velocity. Raises SolverError where
         strength and energy make no bond.
         """
         p, t, s = self.particle, self.target, self.surface
         rows, facets = self.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
         new = self._pressed(rows)
+        if self.hold is not None and self.exposure is not None:
+            again = self.exposure.extruding[self.hold.rows]
+            if again.any() and (hold := self.hold.without(again)) is not None:
+                self.hold = hold.on(s.triangles)
         if self.hold is not None:
             new &= ~np.isin(rows, self.hold.rows)
         rows, facets = rows[new], facets[new]
@@ -206,7 +212,7 @@ class Impact:
         pressure = self.contact.stiffness * self.contact.depth[rows] / area
         if self.exposure is not None:
             sound = self.exposure.sound[rows]
-            chosen = (sound > 0.0) & (area > 0.0)
+            chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
             strength = softer_strength(self.domains, rows[chosen], facets[chosen])
             law: Mapping[str, float | np.ndarray] = adhesion.law_by_exposure(sound[chosen], strength)
         else:

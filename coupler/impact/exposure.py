@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 
 from ..contact.hold import CONTACT_RANGE
 from ..geometry.triangles import areas, rings, vertex_areas
-from ..physics.adhesion import sound_fraction
+from ..physics.adhesion import EXTRUSION, sound_fraction
 from ..physics.constitutive import yield_stresses
 from ..state.records import Shape, assign, collect
 from .domains import Domains
@@ -29,13 +29,14 @@ class Exposure:
 
     exposed (v,): share of clean metal, of the two surfaces the smaller, 1 - A_0 / A by the expansion of each; the largest so far.
     sound (v,): share of the area that has bonded, the largest so far (`physics.adhesion.sound_fraction`).
+    extruding (v,): whether the pressure of this instant brings metal through the cracks.
     """
 
     def __init__(self, domains: Domains):
         surface, mesh = domains.surface, domains.target.mesh
         skin = surface.positions(domains.particle.x)
         self.area_0, self.facet_area_0 = vertex_areas(skin, surface.triangles), areas(domains.target.x, mesh.facets)
-        self.exposed, self.sound = np.zeros(len(skin)), np.zeros(len(skin))
+        self.exposed, self.sound, self.extruding = np.zeros(len(skin)), np.zeros(len(skin)), np.zeros(len(skin), bool)
         start, ring = rings(surface.triangles, np.arange(len(skin)))
         self._ring = csr_matrix((np.ones(len(ring)), ring, start), shape=(len(skin), len(skin)))
 
@@ -43,6 +44,7 @@ class Exposure:
         """Take note of an instant. threshold: exposure at which the oxide cracks."""
         surface, particle, target, contact = domains.surface, domains.particle, domains.target, domains.contact
         rows, facets = contact.touching(len(self.sound), CONTACT_RANGE * particle.spacing)
+        self.extruding[:] = False
         if len(rows) == 0:
             return
         area = vertex_areas(surface.positions(particle.x), surface.triangles)
@@ -50,10 +52,10 @@ class Exposure:
         other = 1.0 - self.facet_area_0[facets] / areas(target.x, target.mesh.facets[facets])
         self.exposed[rows] = np.maximum(self.exposed[rows], np.minimum(own, other))
         force = contact.stiffness * contact.depth[: len(area)]
-        pressure = (force + self._ring @ force)[rows] / (area + self._ring @ area)[
-            rows
-        ]  # of a vertex and its neighbours
-        sound = sound_fraction(self.exposed[rows], threshold, pressure, softer_strength(domains, rows, facets))
+        pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
+        strength = softer_strength(domains, rows, facets)
+        self.extruding[rows] = pressure > EXTRUSION * strength
+        sound = sound_fraction(self.exposed[rows], threshold, pressure, strength)
         self.sound[rows] = np.maximum(self.sound[rows], sound)
 
     def state(self) -> ExposureState:

@@ -26,10 +26,11 @@ def advance_to_end(
         dt = advance_window(impact, end_time)
         if adhesion.criterion == "exposure":
             impact.expose(adhesion.threshold or 0.0)
+            impact.bond(adhesion, recorder.impact_plan.velocity_ratio)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above)
         if ending.turned is not None:
-            if adhesion.in_impact:
+            if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(adhesion, recorder.impact_plan.velocity_ratio)
             if recorder.greatest is None:
                 recorder.record_greatest(impact)

@@ -102,7 +102,7 @@ class Sweep:
         for material, on_axes in itertools.product(materials, itertools.product(*values.values())):
             at = dict(zip(AXES, on_axes, strict=True))
             point, scene = point_name(material, **at), _scene(shared, material, at, sizes)
-            scenes[point] = _toml(scene)
+            scenes[point] = toml_text(scene)
             try:
                 Scene.from_dict(scene, point)
             except SceneError as error:
@@ -113,11 +113,7 @@ class Sweep:
 
     def write(self, out: str | Path, point: str) -> Path:
         """Write the scene of a point into `out`, unless it is there. Returns its path. Raises StoreError."""
-        path = Path(out) / f"{point}.toml"
-        if not path.is_file() or read_text(path) != self.points[point]:
-            claim_folder(path.parent, "sweep", [path.name])
-            write_text(path, self.points[point])
-        return path
+        return _write(Path(out), point, self.points[point])
 
     def run(self, out: str | Path | None = None, jobs: int = 1, log: Callable[[str], None] = print) -> Path:
         """Run every point that has not been, `jobs` at a time, each on one core. Returns the folder, runs/<name> by default.
@@ -127,15 +123,12 @@ class Sweep:
         folder = Path(out) if out is not None else Path("runs") / self.name
         done = itertools.count(1)
 
-        def run_point(point: str) -> None:
-            known, scene = folder / f"{point}.json", self.write(folder, point)
-            fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
-            ended = how_ended(known) if fresh else None
-            ended = compute(scene, known) if ended is None else ended
+        def compute_point(point: str) -> None:
+            ended = run_point(folder, point, self.points[point])
             log(f"{next(done)}/{len(self.points)} {point}: {_status(ended)}")
 
         with ThreadPoolExecutor(max(jobs, 1)) as pool:
-            waiting = [pool.submit(run_point, point) for point in self.points]
+            waiting = [pool.submit(compute_point, point) for point in self.points]
             try:
                 for future in waiting:
                     future.result()
@@ -148,6 +141,23 @@ class Sweep:
 def point_name(material: str, diameter: float, velocity: float, temperature: float) -> str:
     """What a point is called: point_name("Ni", 25e-6, 500.0, 300.0) is "Ni_25um_500ms_300K"; SI units."""
     return f"{material}_{diameter * 1e6:.6g}um_{velocity:.6g}ms_{temperature:.6g}K"
+
+
+def run_point(folder: Path, point: str, text: str, again: bool = False) -> dict[str, object]:
+    """Run a scene (TOML) as a point of a folder, unless it has been; how it ended, as `compute`. again: go on with an undecided one."""
+    known, scene = folder / f"{point}.json", _write(folder, point, text)
+    fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
+    ended = how_ended(known) if fresh and not again else None
+    return compute(scene, known) if ended is None else ended
+
+
+def _write(folder: Path, point: str, text: str) -> Path:
+    """The file of a point's scene, written unless it is there. Raises StoreError."""
+    path = folder / f"{point}.toml"
+    if not path.is_file() or read_text(path) != text:
+        claim_folder(folder, "sweep", [path.name])
+        write_text(path, text)
+    return path
 
 
 def compute(scene: Path, status: Path) -> dict[str, object]:
@@ -257,12 +267,12 @@ def _subtable(shared: Mapping[str, object], name: str) -> Mapping[str, object]:
     return table if isinstance(table, Mapping) else {}
 
 
-def _toml(table: Mapping[str, object], above: str = "") -> str:
+def toml_text(table: Mapping[str, object], above: str = "") -> str:
     """Nested dicts as lines of dotted keys."""
     lines = ""
     for key, value in table.items():
         name = above + (key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else json.dumps(key))
-        lines += _toml(value, f"{name}.") if isinstance(value, Mapping) else f"{name} = {json.dumps(value)}\n"
+        lines += toml_text(value, f"{name}.") if isinstance(value, Mapping) else f"{name} = {json.dumps(value)}\n"
     return lines
 
 

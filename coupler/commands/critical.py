@@ -1,0 +1,112 @@
+"""The command `coldspray critical`: the critical velocity of a scene, bracketed by runs."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..measures import REBOUNDS, STICKS, UNDECIDED
+from .arguments import Commands, add_command, add_force, path, quantity
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from ..studies.critical import Bracket
+
+_NAMES = ("scene.toml", "critical.csv", "critical.png")
+_MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
+
+
+def add(commands: Commands) -> None:
+    """Add the command to a parser's subcommands."""
+    option = add_command(commands, "critical", run, "bracket the velocity from which the particle of a scene sticks")
+    option("scene", type=path, metavar="SCENE", help="scene file (TOML) of one impact with cohesive bonds")
+    option(
+        "--out",
+        type=path,
+        metavar="DIR",
+        help="folder of runs, table and picture (default: runs/critical-<scene name>)",
+    )
+    option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
+    for name, text in (("low", "lowest"), ("high", "highest")):
+        option(f"--{name}", type=quantity(f"--{name}", "velocity"), metavar="VELOCITY",
+               help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
+    add_force(option)
+    option("--quiet", action="store_true", help="print the result only")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Search the critical velocity of a scene, or go on with it, and draw. Returns the exit code."""
+    from ..errors import StoreError
+    from ..files.outputs import claim_folder
+    from ..plan.reading import Scene
+    from ..studies import critical
+    from ..studies.table import StudyTable
+    from .accuracy import same_scene, share
+
+    scene = Scene.load(arguments.scene)
+    critical.check(scene)
+    tolerance = share(arguments.within, "--within")
+    limits = arguments.low or critical.LOWEST, arguments.high or critical.HIGHEST
+    if not limits[0] < limits[1]:
+        raise StoreError(f"--low {limits[0]:g} m/s must be less than --high {limits[1]:g} m/s")
+    out = arguments.out or Path("runs") / f"critical-{scene.name}"
+    claim_folder(out, "critical", _NAMES, [arguments.scene], arguments.force)
+    same_scene(scene, out)
+
+    def say(text: str) -> None:
+        if not arguments.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    table = StudyTable(
+        out / "critical.csv",
+        critical.COLUMNS,
+        ("velocity_m_s",),
+        "remake: coldspray critical (runs in this table are not computed again)",
+    )
+    try:
+        bracket = critical.search(scene, out / "runs", table, limits, tolerance, say)
+    except KeyboardInterrupt:
+        say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} runs")
+        raise
+    draw(critical.sorted_rows(table.rows), bracket, scene.particle.diameter, out / "critical.png")
+    print(bracket.words)
+    if (formula := critical.schmidt(scene)) is not None:
+        print(f"Schmidt's formula: {formula:.4g} m/s")
+    if not arguments.quiet:
+        print(f"table in {table.path}\nfigure in {out / 'critical.png'}")
+    return 0
+
+
+def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: float, picture: Path) -> None:
+    """Restitution, and bonded area over the cross section of the particle (diameter, m), over velocity; markers by verdict."""
+    import math
+
+    from ..report.picture import blank, save
+
+    figure = blank(10.0, 4.0, dpi=130, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    section = 0.25 * math.pi * diameter**2
+    for at, key, factor, colour, label in (
+        (left, "restitution", 1.0, "k", "rebound velocity / impact velocity"),
+        (right, "bonded_area_m2", 1.0 / section, "0.6", "that bonded"),
+        (right, "bonded_area_end_m2", 1.0 / section, "k", "that holds"),
+    ):
+        points = [(float(row["velocity_m_s"]), factor * float(row[key]), row["verdict"]) for row in rows if row[key]]
+        at.plot([v for v, *_ in points], [y for _, y, _ in points], color=colour, linewidth=0.8)
+        for verdict, marker in _MARKERS.items():
+            own = [(v, y) for v, y, word in points if word == verdict]
+            if own:
+                at.scatter(*zip(*own, strict=True), marker=marker, color=colour, s=24, zorder=3,
+                           label=verdict if at is left else f"{label}, {verdict}")  # fmt: skip
+        at.set_ylim(bottom=0.0)
+        at.set_xlabel("impact velocity in m/s")
+    left.set_ylabel("coefficient of restitution")
+    right.set_ylabel("bonded area / cross section")
+    for at in (left, right):
+        if bracket.low is not None and bracket.high is not None:
+            at.axvspan(bracket.low, bracket.high, color="#d55e00", alpha=0.25, linewidth=0.0)
+        if at.get_legend_handles_labels()[0]:
+            at.legend(fontsize=7)
+    figure.suptitle(bracket.words, fontsize=9)
+    save(figure, picture)

@@ -1,0 +1,100 @@
+"""The critical velocity by runs: the search itself, and the command on a scene of 200 points."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from scenes import TINY, scene
+
+from coupler.commands.main import main
+from coupler.measures import REBOUNDS, STICKS, UNDECIDED
+from coupler.studies.critical import Bracket, bracket, next_velocity
+from coupler.studies.table import read_rows
+
+LIMITS = (50.0, 1500.0)
+# strong bonds of little energy: fast particles rebound, slow ones are held
+HELD = '[adhesion]\nkind = "cohesive"\nstrength = "462 MPa"\nenergy = "{} J/m2"\n'
+EXPOSED = '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\nenergy = "{} J/m2"\n'
+
+
+def searched(judge: Callable[[float], str], start: float = 600.0, tolerance: float = 0.05) -> dict[float, str]:
+    verdicts: dict[float, str] = {}
+    while (velocity := next_velocity(verdicts, start, LIMITS, tolerance)) is not None:
+        assert velocity not in verdicts
+        verdicts[velocity] = judge(velocity)
+        assert len(verdicts) < 25
+    return verdicts
+
+
+@pytest.mark.parametrize("critical", [61.0, 333.0, 598.0, 660.0, 1444.0])
+def test_the_search_brackets_a_step(critical: float) -> None:
+    found = bracket(searched(lambda v: STICKS if v >= critical else REBOUNDS))
+    assert found.low is not None
+    assert found.high is not None
+    assert found.low < critical <= found.high
+    assert found.half_width <= max(0.025 * critical * 1.05, 1.0)
+    assert abs(found.velocity - critical) <= found.half_width
+
+
+def test_runs_without_a_verdict_stay_inside_the_bracket() -> None:
+    found = bracket(searched(lambda v: STICKS if v >= 700 else REBOUNDS if v < 640 else UNDECIDED))
+    assert found.low == pytest.approx(640, abs=40)
+    assert found.high == pytest.approx(700, abs=40)
+    assert all(found.low < v < found.high for v in found.undecided)
+    assert found.undecided
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [(REBOUNDS, "rebounds at all velocities up to 1500"), (STICKS, "sticks at all velocities down to 50")],
+)
+def test_a_search_without_a_change_ends_at_its_limit(word: str, says: str) -> None:
+    assert says in bracket(searched(lambda v: word)).words
+
+
+def test_sticking_at_low_velocity_is_no_critical_velocity() -> None:
+    """A bond of constant energy holds slow particles: a critical velocity lies between a rebound and a faster one that sticks."""
+    assert bracket({100.0: STICKS, 400.0: REBOUNDS, 800.0: REBOUNDS}) == Bracket(800.0, None)
+    assert bracket({100.0: STICKS, 400.0: REBOUNDS, 800.0: STICKS}) == Bracket(400.0, 800.0)
+
+
+def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Rebound at the lower limit, sticking at the upper one: the bracket is as wide as asked for after both."""
+    file, out = tmp_path / "ni.toml", tmp_path / "out"
+    file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED.format(100)))
+    call = ["critical", str(file), "--out", str(out), "--low", "300 m/s", "--high", "700 m/s", "--within", "90%"]
+    assert main(call) == 0
+    said = capsys.readouterr()
+    assert "critical velocity" in said.out
+    rows = read_rows(out / "critical.csv")
+    assert {row["verdict"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
+    assert all((out / "runs" / f"{row['velocity_m_s']}ms" / "summary.json").is_file() for row in rows)
+    assert (out / "critical.png").stat().st_size > 10_000
+    assert said.err.count(" ...") == len(rows)
+    (out / "critical.csv").unlink()  # a study killed before it wrote its table: its runs are used again
+    before = {path: path.stat().st_mtime_ns for path in out.glob("runs/*/summary.json")}
+    assert main(call) == 0
+    assert {path: path.stat().st_mtime_ns for path in out.glob("runs/*/summary.json")} == before
+    assert read_rows(out / "critical.csv") == rows
+    assert main(call) == 0
+    assert " ..." not in capsys.readouterr().err.splitlines()[-1:]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (scene(("Ni", 25, 500), **TINY), "no bond is computed"),
+        (scene(("Ni", 25, 500), ("Ni", 25, 500), **TINY, tied=False, more=HELD.format(50)), "one impact"),
+    ],
+)
+def test_a_scene_without_computed_bonds_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, says: str
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(text)
+    assert main(["critical", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    file.write_text(scene(("Ni", 25, 500), **TINY, more=HELD.format(50)))
+    assert main(["critical", str(file), "--low", "500 m/s", "--high", "400 m/s"]) == 2
+    assert "--low" in capsys.readouterr().err
