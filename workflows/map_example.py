@@ -1,4 +1,4 @@
-# A map of 12 points from Python only: nickel on stainless steel, three sizes, four velocities.
+# A map of 16 points from Python only: nickel on stainless steel, four sizes, four velocities.
 #
 # Run it as a whole, python workflows/map_example.py, or cell by cell in an editor with cells (`# %%`). It takes a few minutes; what
 # has been computed is kept in runs/map_example and not computed again.
@@ -11,7 +11,7 @@ sweep = Sweep.from_dict(
         "name": "map_example",
         "points": {
             "material": ["Ni"],
-            "diameter": ["10 um", "20 um", "40 um"],
+            "diameter": ["10 um", "16 um", "25 um", "40 um"],
             "velocity": ["300 m/s", "450 m/s", "650 m/s", "900 m/s"],
         },
         "scene": {"preset": "draft", "substrate": {"material": "SS304"}},
@@ -44,9 +44,9 @@ print(f"25 um at 550 m/s: {mean:.3f} +- {1.96 * std:.3f} (95 %)")
 # %% One run by itself: any field at any stored step
 from coupler import Result  # noqa: E402
 
-result = Result(folder / "Ni_20um_650ms_300K")
+result = Result(folder / "Ni_25um_650ms_300K")
 hottest = result.fields(-1).data["T"].max()
-print(f"20 um at 650 m/s: rebound {result.rebound_velocity_m_s:.0f} m/s, hottest point {hottest:.0f} K")
+print(f"25 um at 650 m/s: rebound {result.rebound_velocity_m_s:.0f} m/s, hottest point {hottest:.0f} K")
 
 # %% The maps as pictures, as `coldspray map runs/map_example` draws them
 from coupler.commands.map import draw  # noqa: E402

@@ -1,11 +1,11 @@
 """The command `coldspray map`: the table of a sweep, and maps of it with their uncertainty."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..measures import MEASURES, REBOUNDS, UNDECIDED, axis_label
+from ..measures import MEASURES, REBOUNDS, UNDECIDED, axis_label, measure
 from .arguments import Commands, add_command, add_force, path, working
 
 if TYPE_CHECKING:
@@ -32,18 +32,32 @@ def add(commands: Commands) -> None:
     )
     option("--show", nargs="+", choices=tuple(COLOURS), default=DRAWN, metavar="QUANTITY",
            help=f"what to draw, of {', '.join(COLOURS)} (default: {', '.join(DRAWN)})")  # fmt: skip
+    option("--axes", nargs="+", default=(), metavar="KEY",
+           help="keys of the scene, such as particle.velocity contact.friction (default: velocity, diameter and temperature,"
+           " those that vary)")  # fmt: skip
+    option("--refine", type=int, default=0, metavar="N",
+           help="first run the N points that tell most of the first quantity, one after another")  # fmt: skip
     add_force(option)
     option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from ..files.inputs import reading
+    from ..errors import StoreError
     from ..files.outputs import MARK, check_folder, claim_file
     from ..studies import maps
 
-    with reading(arguments.folder), working("reading the runs"):
-        rows = maps.table(arguments.folder)
+    if arguments.refine < 0:
+        raise StoreError(f"--refine {arguments.refine}: give the number of points to run, zero or more")
+    rows, axes = _table(arguments)
+    for number in range(arguments.refine):
+        at, _ = maps.best_point(rows, arguments.show[0], axes)
+        if not at:
+            print("no point to run: it needs two neighbours with results")
+            break
+        print(f"running {number + 1} of {arguments.refine}: {place(at)}", flush=True)
+        maps.run_next(arguments.folder, rows, at)
+        rows, axes = _table(arguments)
     out = arguments.out or arguments.folder
     check_folder(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -57,50 +71,125 @@ def run(arguments: argparse.Namespace) -> int:
         if row["status"] != "done":
             print(f"  {row['point']}: {row['status']}" + (f": {row['reason'][:160]}" if row["reason"] else ""))
     with working("interpolating and drawing"):
-        lines = draw(rows, out, arguments.show)
+        lines = draw(rows, out, arguments.show, axes)
     print("\n".join(lines))
     # last: whoever waits for the table finds the pictures beside it
-    maps.write_table(rows, out / "map.csv", f"{MARK} map; SI units")
+    maps.write_table(rows, out / "map.csv", f"{MARK} map; SI units", axes)
     print(f"table in {out / 'map.csv'}")
     return 0
 
 
-def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN) -> list[str]:
-    """Draw quantities of a map's table into out/map_<material>_<quantity>.png, one row of panels for each value of a third axis.
+def _table(arguments: argparse.Namespace) -> "tuple[list[Row], tuple[str, ...]]":
+    """The rows of the folder, and the axes that were asked for."""
+    from ..files.inputs import reading
+    from ..studies import maps
 
-    Returns one remark on each: its file and the error of its interpolation, or why it is not drawn.
+    with reading(arguments.folder), working("reading the runs"):
+        rows = maps.table(arguments.folder)
+        return rows, maps.add_axes(rows, arguments.axes)
+
+
+def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN, axes: Sequence[str] = ()) -> list[str]:
+    """Draw quantities of a map's table into out/map_<material>_<quantity>.png.
+
+    Two axes and more with values enough: a surface and its band, a row of panels for each value of a third axis; one axis: a curve;
+    fewer values: points and straight lines. axes: `maps.add_axes`; those of maps.AXES that vary by default. Returns remarks: file and
+    errors of each interpolation, what it cannot tell, and the next point worth a run.
     """
     from ..errors import StoreError
     from ..files.inputs import reading
-    from ..studies.maps import interpolate, varying
+    from ..studies import maps
 
     remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
-        of_material = [row for row in rows if row["material"] == material]
-        axes = varying([row for row in of_material if row["status"] == "done"])
-        if len(axes) < 2:
+        own = [row for row in rows if row["material"] == material]
+        done = [row for row in own if row["status"] == "done"]
+        used = tuple(axes) or maps.varying(done)
+        if not used or any(row[axis] is None for axis in used for row in done) or len(done) < 2:
             remarks.append(
-                f"{material}: no map; its points that are done vary in {len(axes)} of velocity, diameter and temperature, and a"
-                " map needs two: coldspray compare puts single runs side by side"
+                f"{material}: no map; its {len(done)} points that are done vary in none of the axes: name keys of the scene with --axes"
             )
             continue
+        if others := maps.others_that_vary(done, used):
+            remarks.append(f"{material}: points of the same place differ in {', '.join(others[:5])}, which is no axis")
         for quantity in quantities:
-            path = out / f"map_{material}_{quantity}.png"
-            m = MEASURES[quantity]
-            title, unit, factor = m.label, m.unit, m.factor
+            path, m = out / f"map_{material}_{quantity}.png", MEASURES[quantity]
             try:
                 with reading(path.name):
-                    fit = interpolate(of_material, quantity, axes)
-                    _figure(path, of_material, axes, quantity, fit)
+                    at, fit = maps.best_point(own, quantity, used)
+                    if fit is not None and len(used) in (2, 3):
+                        _figure(path, own, used, quantity, fit)
+                    else:
+                        _lines(path, own, used, quantity, fit)
             except StoreError as error:
-                remarks.append(f"{material}, {title}: no map; {error}")
+                remarks.append(f"{material}, {m.label}: no map; {error}")
                 continue
-            gaps = "".join(f", a whole {MEASURES[axis].short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
             remarks.append(
-                f"{material}, {title}: rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
-                + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band; {path}"
+                f"{material}, {m.label}: {_quality(fit, m.factor, m.unit) if fit else maps.sparse(done, used)}; {path}"
             )
+            remarks += [f"  {text}" for text in (fit.warnings if fit else ())]
+            if at:
+                band = (
+                    f" (band +- {m.factor * maps.BAND * float(fit(*at.values())[1]):.3g} {m.unit}".rstrip() + ")"
+                    if fit
+                    else ""
+                )
+                remarks.append(f"  next point worth a run: {place(at)}{band}; --refine 1 runs it")
     return remarks or ["no map: no point is done"]
+
+
+def place(at: Mapping[str, float]) -> str:
+    """A place on the axes in words."""
+    values = ((measure(axis), value) for axis, value in at.items())
+    return ", ".join(f"{m.short} {value * m.factor:.4g} {m.unit}".rstrip() for m, value in values)
+
+
+def _quality(fit: "Interpolation", factor: float, unit: str) -> str:
+    gaps = "".join(f", a whole {measure(axis).short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
+    return (
+        f"rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
+        + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band"
+    )
+
+
+def _lines(
+    path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation | None"
+) -> None:
+    """A quantity over the axis with the most values, a line for each place on the others: straight, or the interpolation of one axis
+    with its band."""
+    import numpy as np
+
+    from ..report.picture import blank, save
+    from ..studies.maps import BAND, LOGARITHMIC
+
+    m, done = MEASURES[quantity], [row for row in rows if row["status"] == "done" and row[quantity] is not None]
+    x_axis = max(axes, key=lambda axis: len({row[axis] for row in done}))
+    others = [axis for axis in axes if axis != x_axis]
+    across = measure(x_axis).factor
+    figure = blank(6.4, 4.3, dpi=130, layout="constrained")
+    at = figure.subplots()
+    for key in sorted({tuple(row[axis] for axis in others) for row in done}):
+        line = sorted((row for row in done if tuple(row[axis] for axis in others) == key), key=lambda row: row[x_axis])
+        x, y = np.array([row[x_axis] for row in line]), m.factor * np.array([row[quantity] for row in line])
+        (drawn,) = at.plot(
+            across * x, y, "o" if fit else "o-", linewidth=0.8, label=place(dict(zip(others, key, strict=True)))
+        )
+        if fit is not None:
+            fine = (np.geomspace if x_axis in LOGARITHMIC else np.linspace)(x.min(), x.max(), 4 * GRID)
+            mean, std = fit(fine)
+            at.plot(across * fine, m.factor * mean, color=drawn.get_color())
+            band = BAND * std
+            at.fill_between(
+                across * fine, m.factor * (mean - band), m.factor * (mean + band), alpha=0.2, label="95 % band"
+            )
+    if others or fit is not None:
+        at.legend(fontsize=7)
+    at.set_xlabel(axis_label(x_axis))
+    at.set_ylabel(f"{m.label} ({m.unit})" if m.unit else m.label)
+    figure.suptitle(
+        f"{rows[0]['material']} on {', '.join(dict.fromkeys(row['substrate'] for row in done))}", fontsize=11
+    )
+    save(figure, path)
 
 
 def _figure(path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: str, fit: "Interpolation") -> None:
@@ -200,5 +289,5 @@ def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None
         if len(ticks) <= 8:
             axis.set_ticks(ticks)
             axis.set_minor_locator(NullLocator())
-        factor = MEASURES[side].factor
+        factor = measure(side).factor
         axis.set_major_formatter(FuncFormatter(lambda v, _, f=factor: f"{v * f:.4g}"))

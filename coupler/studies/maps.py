@@ -7,6 +7,8 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 from __future__ import annotations
 
 import contextlib
+import itertools
+import re
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,19 +22,29 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_toml, reading
 from ..files.result import Result
+from ..measures import measure
 from ..plan.record import read_plan
-from .sweep import how_ended
+from .sweep import how_ended, run_point, toml_text
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
+KEYS = dict(
+    zip(("particle.velocity", "particle.diameter", "particle.temperature"), AXES, strict=True)
+)  # key of a scene -> axis
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
 COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
-LEAST_POINTS = 6  # of which a map is drawn
+FEWEST_VALUES = 4  # along each axis, of which a map is interpolated
+LONGEST = 3.0  # length of the interpolation over the range of an axis
 LARGEST = 1e30  # a measure beyond it is damage
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
+_UNITS = {
+    "particle.temperature": "K",
+    "substrate.diameter": "um",
+    "substrate.height": "um",
+}  # of keys that a scene may leave out
 Row = dict[str, Any]
 
 
@@ -40,8 +52,8 @@ def table(folder: str | Path) -> list[Row]:
     """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
 
     status: "done", "failed" or "undecided" (then `reason` says why), or "unfinished"; measures, as in the summaries, of points that
-    are not done are missing. verdict: of the run; version: of the program that computed the run. Raises
-    StoreError if the folder is not there or holds no point.
+    are not done are missing. keys: every number of its scene by its key, SI units. verdict: of the run; version: of the program that
+    computed the run. Raises StoreError if the folder is not there or holds no point.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -66,15 +78,16 @@ def _readable_row(folder: Path, name: str) -> Row:
 
 def _row(folder: Path, name: str) -> Row:
     """The row of a point: from its plan, its end status and its summary."""
-    scene, run = folder / f"{name}.toml", folder / name
-    row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": ""}
-    row |= _as_written(scene if scene.is_file() else run / "scene.toml")
+    scene, run = scene_file(folder, name), folder / name
+    row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": "", "keys": {}}
+    row |= _as_written(scene)
     ended = how_ended(folder / f"{name}.json") or {}
     if ended.get("status") == "failed":
         return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}
     result = Result(run) if (run / "scene.toml").is_file() else None
     if result is None or not result.finished:
         return row
+    row["keys"] = scene_numbers(read_toml(run / "scene.toml"))
     values, plan = result.values, read_plan(run)
     if len(plan.impacts) > 1:
         return row | {"status": "failed", "reason": f"has {len(plan.impacts)} impacts; a point of a map is one"}
@@ -86,6 +99,51 @@ def _row(folder: Path, name: str) -> Row:
     row |= {key: _number(values.get(key)) for key in MEASURES}
     row["verdict"] = str(values.get("verdict") or "")
     return row
+
+
+def scene_file(folder: Path, name: str) -> Path:
+    """The scene of a point: beside its run, or in it."""
+    beside = folder / f"{name}.toml"
+    return beside if beside.is_file() else folder / name / "scene.toml"
+
+
+def scene_numbers(table: dict[str, Any], above: str = "") -> dict[str, float]:
+    """The numbers of a scene by their keys, such as "contact.friction", SI units; texts without a unit are left out."""
+    numbers: dict[str, float] = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            numbers |= scene_numbers(value, f"{above}{key}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            numbers[above + key] = float(value)
+        elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S+)", value)):
+            with contextlib.suppress(ValueError, LookupError):
+                numbers[above + key] = units.parse(value, units.dimension_of(match[1]))
+    return numbers
+
+
+def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
+    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of."""
+    names = []
+    for key in keys:
+        name = KEYS.get(key, key)
+        known = sorted({key for row in rows for key in row.get("keys", {})})
+        if name not in AXES:
+            if key not in known:
+                raise StoreError(f"--axes {key}: no scene has a number there{units.nearest(key, known)}")
+            for row in rows:
+                row[name] = row["keys"].get(key)
+        names.append(name)
+    return tuple(names)
+
+
+def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
+    """Keys of the scene that differ between points which are equal on the axes."""
+    seen: dict[tuple[float, ...], dict[str, float]] = {}
+    different: dict[str, None] = {}
+    for row in rows:
+        first = seen.setdefault(tuple(row[axis] for axis in axes), row["keys"])
+        different |= {key: None for key in first.keys() | row["keys"].keys() if first.get(key) != row["keys"].get(key)}
+    return sorted(different)
 
 
 def _number(value: object) -> float | None:
@@ -111,9 +169,9 @@ def _as_written(path: Path) -> Row:
     return row
 
 
-def write_table(rows: Iterable[Row], path: Path, about: str = "") -> None:
-    """The rows as CSV; about: a first line after "# ". Raises StoreError."""
-    write_rows(path, COLUMNS, rows, about)
+def write_table(rows: Iterable[Row], path: Path, about: str = "", axes: Sequence[str] = ()) -> None:
+    """The rows as CSV; about: a first line after "# "; axes: columns beside COLUMNS. Raises StoreError."""
+    write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS)), rows, about)
 
 
 class Regressor(Protocol):
@@ -130,7 +188,7 @@ class Interpolation:
     that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
     left out together, over the inner values of axes that have four or more; spread: standard deviation of the values. In units
     of the quantity.
-    kernel: the fitted one, in words.
+    warnings: lengths that the points cannot tell, in words.
     """
 
     quantity: str
@@ -140,7 +198,7 @@ class Interpolation:
     loo_inside: float
     gap_rms: dict[str, float]
     spread: float
-    kernel: str
+    warnings: tuple[str, ...]
     _model: Regressor
     _centre: NDArray
     _scale: NDArray
@@ -159,19 +217,18 @@ class Interpolation:
 def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
     """Interpolate a column of the table over the axes that vary (or `axes`), from the rows that are done.
 
-    Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal
-    likelihood. Errors of leaving points out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's
+    Matern kernel (nu 5/2) with a length for each standardised axis, between the smallest distance of two values and LONGEST times
+    their range, and white noise; constants by the greatest marginal likelihood. Errors of leaving points out by Rasmussen &
+    Williams, eq. 5.12, with these constants kept: on a grid a point's
     neighbours of the same velocity tell nearly all of it, so that only leaving them out too tests what lies between. Raises
-    StoreError where there are too few points or the quantity is unknown.
+    StoreError where an axis has fewer than FEWEST_VALUES values or the quantity is unknown.
     """
     used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
     names = tuple(axes) if axes is not None else varying(rows)
     if quantity not in COLUMNS:
         raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
-    if len(used) < LEAST_POINTS or not names:
-        raise StoreError(
-            f"{quantity}: {len(used)} points that are done have it; a map needs at least {LEAST_POINTS}, and an axis that varies"
-        )
+    if not names or (problem := sparse(used, names)):
+        raise StoreError(f"{quantity}: {problem if names else 'no axis varies'}")
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
@@ -181,13 +238,22 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     logs = _logs(x, names)
     centre, scale = logs.mean(axis=0), logs.std(axis=0)
     scale[scale == 0.0] = 1.0
-    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(np.ones(len(names)), (0.2, 50.0), nu=2.5) + WhiteKernel(
-        1e-3, (1e-7, 1.0)
-    )
+    standard = _scaled(x, names, centre, scale)
+    values = [np.unique(column.round(9)) for column in standard.T]
+    bounds = [(float(np.diff(v).min()), LONGEST * float(np.ptp(v))) for v in values]
+    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(
+        [float(np.ptp(v)) for v in values], bounds, nu=2.5
+    ) + WhiteKernel(1e-3, (1e-7, 1.0))
     model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=4, random_state=0)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # a length at its bound: the axis has no influence, or all
-        model.fit(_scaled(x, names, centre, scale), y)
+    with warnings.catch_warnings():  # what it says of lengths at their bounds is said in `told` in words
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        model.fit(standard, y)
+    lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
+    told = tuple(
+        f"{quantity} changes along {measure(name).short} within the distance of two points: more of them are needed"
+        for name, length, (low, _) in zip(names, lengths, bounds, strict=True)
+        if length <= 1.01 * low
+    )
     K = model.kernel_(model.X_train_)
     inverse = np.linalg.inv(K)
     unit = float(y.std()) or 1.0
@@ -203,8 +269,82 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     return Interpolation(
         quantity, names, tuple(used), float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std)),
         gaps,
-        unit, str(model.kernel_), model, centre, scale,
+        unit, told, model, centre, scale,
     )  # fmt: skip
+
+
+def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
+    """Which axes have too few values to be interpolated, in words; "" where none has."""
+    counts = {axis: len({row[axis] for row in rows}) for axis in axes}
+    few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
+    return f"{' and '.join(few)}; an interpolation needs {FEWEST_VALUES} along each axis" if few else ""
+
+
+def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> dict[str, float]:
+    """The place, axis -> SI value, at which a run tells most of a quantity: of those between two values of each axis and of these
+    values themselves the one with the widest band; without an interpolation the middle of the two neighbours along an axis that differ
+    most. Empty where every place has its run."""
+    used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
+    known = {tuple(row[axis] for axis in axes): float(row[quantity]) for row in used}
+    values = [sorted({at[k] for at in known}) for k in range(len(axes))]
+    best: tuple[float, tuple[float, ...]] = (-1.0, ())
+    if fit is not None:
+        places = [
+            [*v, *(_middle(a, b, axis) for a, b in itertools.pairwise(v))] for v, axis in zip(values, axes, strict=True)
+        ]
+        for place in itertools.product(*places):
+            if place not in known:
+                best = max(best, (float(fit(*place)[1]), place))
+    else:
+        for k, at in itertools.product(range(len(axes)), known):
+            later = [b for b in known if b[k] > at[k] and b[:k] + b[k + 1 :] == at[:k] + at[k + 1 :]]
+            if later:
+                b = min(later, key=lambda other: other[k])
+                best = max(best, (abs(known[b] - known[at]), (*at[:k], _middle(at[k], b[k], axes[k]), *at[k + 1 :])))
+    return dict(zip(axes, best[1], strict=True)) if best[1] else {}
+
+
+def best_point(
+    rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
+) -> tuple[dict[str, float], Interpolation | None]:
+    """The next point (`next_point`), and the interpolation of the quantity, None where the points are too few for it. axes: those of
+    AXES that vary by default."""
+    done = [row for row in rows if row["status"] == "done"]
+    names = tuple(axes) or varying(done)
+    fit = None if not names or sparse(done, names) else interpolate(done, quantity, names)
+    return (next_point(done, quantity, fit, names) if names else {}), fit
+
+
+def _middle(a: float, b: float, axis: str) -> float:
+    middle = (a * b) ** 0.5 if axis in LOGARITHMIC else 0.5 * (a + b)
+    return float(f"{middle:.4g}")
+
+
+def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
+    """Run the scene of the nearest finished point, changed to the place `at`, as a new point of the folder. Returns its name.
+
+    The target keeps its ratio to the particle's diameter where it has one ratio in all points. Raises StoreError.
+    """
+    done = [row for row in rows if row["status"] == "done"]
+    spread = {axis: float(np.ptp([row[axis] for row in done])) or 1.0 for axis in at}
+    near = min(done, key=lambda row: sum(abs(row[axis] - value) / spread[axis] for axis, value in at.items()))
+    data = read_toml(scene_file(folder, near["point"]))
+    changes = {key: at[axis] for key, axis in KEYS.items() if axis in at} | {k: v for k, v in at.items() if "." in k}
+    if "diameter_m" in at:
+        for key in ("substrate.diameter", "substrate.height"):
+            ratios = {round(row["keys"].get(key, 0.0) / row["diameter_m"], 6) for row in done}
+            if len(ratios) == 1 and ratios != {0.0}:
+                changes[key] = ratios.pop() * at["diameter_m"]
+    for key, value in changes.items():
+        *tables, last = key.split(".")
+        table = data
+        for name in tables:
+            table = table.setdefault(name, {})
+        unit = str(table.get(last, "")).partition(" ")[2] or _UNITS.get(key, "")
+        table[last] = units.show(value, unit) if unit else value
+    point = "_".join([near["material"], *(f"{key.rpartition('.')[2]}{value:.4g}" for key, value in changes.items())])
+    run_point(folder, point, toml_text(data))
+    return point
 
 
 def varying(rows: Sequence[Row]) -> tuple[str, ...]:
