@@ -183,3 +183,14 @@ def mesh_parser():
     from coupler.commands.main import _parser
 
     return _parser()
+
+
+def test_doubles_and_lonely_points_of_a_file_are_left_out(tmp_path: Path) -> None:
+    x, volume = packing.sphere(20e-6, 600)
+    dx = volume ** (1.0 / 3.0)
+    far = np.array([[90e-6, 0.0, 0.0], [0.0, -80e-6, 5e-6]])
+    np.savez(tmp_path / "cloud.npz", points=np.concatenate([x, x[:7] + 1e-6 * dx, far]), T=np.arange(len(x) + 9.0))
+    cloud, notes = mesh_command.of_file(tmp_path / "cloud.npz", dx)
+    np.testing.assert_array_equal(cloud.x, x)
+    np.testing.assert_array_equal(cloud.T, np.arange(len(x)))
+    assert notes[-2:] == ["7 points on top of others left out", "2 points far from all others left out"]

@@ -117,6 +117,7 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
     import numpy as np
 
     from ..files.clouds import read_points
+    from ..geometry.points import cleaned
     from ..splat.cloud import Cloud
 
     points, data = read_points(path, tuple(name.lower() for name in _COLUMNS))
@@ -142,11 +143,12 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
             )
     if volume is None:
         volume = np.full(len(x), spacing**3)
+    index, left_out = cleaned(x, spacing)
     cloud = Cloud(
         x, volume, spacing, 1.0, velocity=fields.get("velocity"), stress=fields.get("stress"), eps_p=fields.get("eps_p"),
         T=fields.get("T"), J=fields.get("J"), energy=fields.get("energy"),
     )  # fmt: skip
-    return cloud, notes
+    return cloud.part(index) if left_out else cloud, [*notes, *left_out]
 
 
 def estimated_spacing(x: "np.ndarray") -> float:

@@ -208,9 +208,9 @@ def _longest_file() -> float:
     return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
-def _fields(data: Mapping[str, ArrayLike], count: int, what: str) -> dict[str, NDArray[np.float32]]:
+def _fields(data: Mapping[str, ArrayLike], count: int, owner: str) -> dict[str, NDArray[np.float32]]:
     fields = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in data.items()}
     for name, values in fields.items():
         if values.ndim not in (1, 2) or len(values) != count:
-            raise ValueError(f"{what} data {name!r} must be ({count},) or ({count}, k), got {values.shape}")
+            raise ValueError(f"{owner} data {name!r} must be ({count},) or ({count}, k), got {values.shape}")
     return fields

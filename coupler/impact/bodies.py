@@ -23,9 +23,8 @@ from ..state.records import Shape, check_indices
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
 LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
-FITTED_VOLUME = (
-    0.01  # change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
-)
+# Change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
+FITTED_VOLUME = 0.01
 MOST_OFFSET = 0.25  # ... which may move by this part of an element size
 LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it the mesh is not the splat
 

@@ -7,9 +7,8 @@ Grip = Literal["free", "failing", "held", "secure"]
 STILL = 0.005  # of the impact speed: a particle on earlier splats that sinks more slowly is at rest
 QUIET_FORCE = 0.02  # of the peak contact force: below it the contact counts as silent
 QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
-HELD_STILL = (
-    0.02  # of the impact speed: a bonded particle swings on its bonds, and is at rest when it has swung more slowly ...
-)
+# A bonded particle swings on its bonds: it is at rest when it has swung more slowly than this part of the impact speed ...
+HELD_STILL = 0.02
 HELD_TIME = 0.5  # ... for this part of D / v, about a period
 
 

@@ -27,9 +27,8 @@ from .ending import Grip
 from .exposure import Exposure, ExposureState, softer_strength
 from .ledger import Ledger, LedgerState
 
-WINDOW = (
-    10  # steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable
-)
+# Steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable.
+WINDOW = 10
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 

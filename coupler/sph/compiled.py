@@ -197,7 +197,7 @@ class CompiledParticle(Particle):
             text = f"point {self.ids[point]} was distorted beyond what the kernel can follow"
         else:
             text = f"the stress at point {self.ids[point]} is no longer a number"
-        raise SolverError(self._where(text, point))
+        raise SolverError(self._failure(text, point))
 
     def _strain(self) -> np.ndarray:
         F = self.F.reshape(-1, 3, 3)

@@ -66,10 +66,10 @@ class PointConduction:
 
     def _fastest(self, kD: np.ndarray, c: np.ndarray, capacity: np.ndarray) -> float:
         """A bound on the fastest decay, 1/s (Gershgorin, with the absolute values of the operators of `_flow`)."""
-        one = np.ones(len(c))
-        g = np.stack([G @ one for G in self._G1], axis=1)
+        ones = np.ones(len(c))
+        g = np.stack([G @ ones for G in self._G1], axis=1)
         q = np.einsum("nab,nb->na", np.abs(kD), g)
-        rows = sum(GT @ q[:, a] for a, GT in enumerate(self._G1T)) + self._R1T @ (c * (self._R1 @ one))
+        rows = sum(GT @ q[:, a] for a, GT in enumerate(self._G1T)) + self._R1T @ (c * (self._R1 @ ones))
         return float(np.max(rows / capacity))
 
 

@@ -32,7 +32,7 @@ class MachdynParticle(Particle):
         )  # fmt: skip
         if not np.isfinite(self.sums[0]):
             bad = int(np.argmin(np.isfinite(self.work)))
-            raise SolverError(self._where(f"the stress at point {self.ids[bad]} is no longer a number", bad))
+            raise SolverError(self._failure(f"the stress at point {self.ids[bad]} is no longer a number", bad))
 
     def _strain(self) -> np.ndarray:
         return self.lmp.numpy.extract_compute("strain", 1, 2)[: self.n]

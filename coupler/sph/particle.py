@@ -243,7 +243,7 @@ class Particle(ABC):
                 self.lmp.command(f"timestep {dt:.17g}")
                 self.lmp.command(f"run {steps} pre no post no")
         except Exception as problem:
-            raise self.failure or SolverError(self._where(str(problem).splitlines()[0])) from problem
+            raise self.failure or SolverError(self._failure(str(problem).splitlines()[0])) from problem
         finally:
             self._on_step = None
         if self.failure is not None:
@@ -251,7 +251,7 @@ class Particle(ABC):
         if self._molecule.min(initial=1) < 0:
             lost = int(np.argmin(self._molecule))
             raise SolverError(
-                self._where(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
+                self._failure(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
             )
         self._end_window()
 
@@ -318,17 +318,17 @@ class Particle(ABC):
         stretch, where = k.smallest_stretch(self._strain())
         if not stretch > 0.02:
             raise SolverError(
-                self._where(f"point {self.ids[where]} is compressed to {stretch:.3g} of its length", where)
+                self._failure(f"point {self.ids[where]} is compressed to {stretch:.3g} of its length", where)
             )
         self.stretch_min = float(stretch)
         return self.spacing / self.wave_speed * min(self.numerics.courant, self.numerics.stretch * stretch)
 
-    def _where(self, what: str, point: int | None = None) -> str:
+    def _failure(self, reason: str, point: int | None = None) -> str:
         place = ""
         if point is not None and point >= 0:
             at = self.x[point] * 1e6
             place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
-        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {what}. Try more points, or a smaller time step"
+        return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try more points, or a smaller time step"
 
     def kinetic(self) -> float:
         """Kinetic energy in J (between runs): sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work."""

@@ -80,10 +80,10 @@ def of_surface(
     Its surface has even edges on the one given, and is moved along its normals to the exact volume.
     """
     volume, x = np.pi / 6.0 * diameter**3, points * diameter
-    given = RaySurface(x, triangles)
+    source = RaySurface(x, triangles)
     a, b, c = np.abs(x).max(axis=0).tolist()
-    cloud, each = packing.fill(given.inside, (a, b, c), volume, count)
-    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), given.closest)
+    cloud, each = packing.fill(source.inside, (a, b, c), volume, count)
+    vertices, corners = even(x, triangles, edge * each ** (1.0 / 3.0), source.closest)
     vertices, _ = correct_volume(vertices, corners, volume, 0.5 * each ** (1.0 / 3.0))
     area, half = surface_area(vertices, corners), -float(vertices[:, 2].min())
     body = Body(cloud, each, vertices, corners, area, half)

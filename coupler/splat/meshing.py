@@ -30,10 +30,8 @@ MAX_CELLS = 2e6  # ... in total: more cost time on fine clouds and change nothin
 POINT_SMOOTHING = 0.6  # least smoothing of a cloud, in spacings: below it single points show
 MIN_VOID = 30  # spacing^3: smaller voids and fragments are noise
 MAX_OFFSET = 0.25  # of an element size, by which the surface is moved to correct the volume
-CARRIED_VOLUME_ERROR = (
-    -0.22,
-    0.06,
-)  # of the carried surface against the points; beyond it, the surface is not the body's
+# Of the carried surface against the points; beyond it, the surface is not the body's.
+CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 
 @dataclass(frozen=True)
