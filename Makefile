@@ -132,6 +132,7 @@ maps: test-setup
 
 docs: test-setup
 	$(VENV)/bin/python workflows/scene_page.py
+	$(VENV)/bin/coldspray schema --out workflows/scene.schema.json
 	$(VENV)/bin/sphinx-build -q -E -W --keep-going -b html docs docs/_build
 	@echo "site in docs/_build/index.html"
 

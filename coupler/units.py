@@ -88,6 +88,14 @@ def dimension_of(unit: str) -> str:
     return _DIMENSION_OF[unit]
 
 
+def pattern(dimension: str) -> str:
+    """A regular expression (of JSON schemas) for a number with a unit of a dimension."""
+    known = "|".join(
+        re.escape(unit).replace("u", "[uµμ]").replace("deg", "(deg|°)") for unit in _DIMENSIONS[dimension][1]
+    )
+    return rf"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*({known})\s*$"
+
+
 def nearest(word: str, known: object) -> str:
     """A hint such as ' (did you mean "velocity"?)' if a known word is close, else an empty text.""" ""
     words = {str(k).lower(): str(k) for k in known}  # type: ignore[attr-defined]

@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     nozzles = _nozzles(arguments.nozzles)
     if arguments.list:
-        print("\n\n".join(_shown(nozzle) for nozzle in nozzles.values()))
+        print("\n\n".join(shown(nozzle) for nozzle in nozzles.values()))
         return 0
     inputs = [arguments.nozzles] if arguments.nozzles else []
     for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
@@ -112,7 +112,7 @@ def _nozzles(file: Path | None) -> "dict[str, Nozzle]":
     return known
 
 
-def _shown(nozzle: "Nozzle") -> str:
+def shown(nozzle: "Nozzle") -> str:
     from ..units import show
 
     lengths = ("inlet", "throat", "exit", "converging", "diverging", "barrel", "chamber")

@@ -18,6 +18,7 @@ from . import critical as critical_command
 from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
+from . import new as new_command
 from .arguments import (
     Option,
     add_command,
@@ -122,8 +123,9 @@ def _parser() -> argparse.ArgumentParser:
     option("--until", type=quantity("--until", "time"), metavar="TIME",
            help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
     _add_running(option)
-    for command in (gas_command, mesh_command, coating_command, accuracy_command, map_command, critical_command):
+    for command in (new_command, gas_command, mesh_command, coating_command, accuracy_command, map_command, critical_command):
         command.add(commands)
+    map_command.add_sweep(commands)
     option = add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
     return parser

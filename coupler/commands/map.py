@@ -41,6 +41,23 @@ def add(commands: Commands) -> None:
     option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 
+def add_sweep(commands: Commands) -> None:
+    """Add the command `sweep` to a parser's subcommands."""
+    option = add_command(commands, "sweep", run_sweep, "compute all points of a sweep; finished ones are kept")
+    option("sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME")
+    option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
+    option("--jobs", type=int, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+
+
+def run_sweep(arguments: argparse.Namespace) -> int:
+    """Run the command `sweep`. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..studies.sweep import Sweep
+
+    folder = Sweep.load(arguments.sweep).run(arguments.out, arguments.jobs)
+    print(f"runs in {folder}; maps: coldspray map {folder}")
+    return 0
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import StoreError

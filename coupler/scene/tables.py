@@ -9,6 +9,7 @@ from pydantic import (
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
     PrivateAttr,
     StrictBool,
     StrictFloat,
@@ -18,6 +19,7 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from .. import units
@@ -57,6 +59,10 @@ class Quantity:
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
 
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        text = units.pattern(units.dimension_of(self.unit))
+        return {"type": "string", "pattern": text, "description": f"{self.low} to {self.high}", "unit": self.unit}
+
 
 @dataclass(frozen=True)
 class BySize:
@@ -80,6 +86,10 @@ class BySize:
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.no_info_plain_validator_function(self.read)
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        one, size = (q.__get_pydantic_json_schema__(schema, handler) for q in (self.of, _Diameter))
+        return {"anyOf": [one, {"type": "array", "items": {"type": "array", "items": [size, one]}}]}
 
 
 _Diameter = Quantity("um", "1 um", "200 um")

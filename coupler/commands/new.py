@@ -1,0 +1,111 @@
+"""The commands `coldspray new`, `shapes`, `nozzles`, `schema` and `completion`: what a scene is written with."""
+
+import argparse
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+from ..errors import ColdsprayError
+from .arguments import Commands, add_command, add_force, path
+
+SCHEMA = "scene.schema.json"
+KINDS = {
+    "single": "one particle on a flat target",
+    "pair": "two particles, one onto the other",
+    "coating": "particles drawn from a seed, with a gas and a nozzle",
+    "map": "a sweep over size and velocity",
+    "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
+}
+
+
+def add(commands: Commands) -> None:
+    """Add the commands to a parser's subcommands."""
+    option = add_command(commands, "new", new, "write a commented scene that runs")
+    option("kind", choices=tuple(KINDS), help="; ".join(f"{kind}: {text}" for kind, text in KINDS.items()))
+    option("name", type=path, metavar="NAME", help="of the file, without or with its ending")
+    option("--force", action="store_true", help="replace a file of this name")
+    add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
+    add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
+    option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
+    option("--out", type=path, metavar="FILE", help="write it there, as .json")
+    add_force(option)
+
+
+def new(arguments: argparse.Namespace) -> int:
+    """Write a scene, and the schema beside it. Returns the exit code."""
+    from ..files.outputs import claim_file, write_text
+
+    kind, name = arguments.kind, arguments.name
+    suffix = ".csv" if kind == "mesh" else ".toml"
+    out: Path = name if name.suffix == suffix else name.with_name(f"{name.name}{suffix}")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", out.stem):
+        raise ColdsprayError(f"{out.stem}: use letters, digits, '_', '.', '-' (at most 64, a letter or digit first)")
+    if out.exists() and not arguments.force:
+        raise ColdsprayError(f"{out} is there: add --force to replace it, or choose another name")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if kind == "mesh":
+        text = _points(out.stem)
+    else:
+        text = (files(__package__) / "templates" / f"{kind}.toml").read_text(encoding="utf-8").replace("NAME", out.stem)
+    write_text(out, text)
+    print(f"{KINDS[kind]} in {out}; its first lines say how to go on")
+    if text.startswith("#:schema"):
+        write_text(claim_file(out.parent / SCHEMA, (".json",), force=arguments.force), _schema())
+        print(f"{SCHEMA} beside it, for editors that check TOML")
+    return 0
+
+
+def shapes(arguments: argparse.Namespace) -> int:
+    """Print the shapes. Returns the exit code."""
+    from ..physics.shapes import SHAPES, form
+
+    print("lengths along x, y, z at tilt 0, over the diameter of the sphere of equal volume; tilt turns about y\n")
+    for name in SHAPES:
+        shape = form(name, 1.0)
+        thin = f", wall {shape.thinnest:.3f}" if name == "hollow_sphere" else ""
+        print(f"{name:14} {' x '.join(f'{length:.3f}' for length in shape.lengths)}{thin}")
+    return 0
+
+
+def nozzles(arguments: argparse.Namespace) -> int:
+    """Print the nozzles. Returns the exit code."""
+    from ..spray.nozzles import library
+    from .gas import shown
+
+    print("\n\n".join(shown(nozzle) for nozzle in library().values()))
+    return 0
+
+
+def schema(arguments: argparse.Namespace) -> int:
+    """Print the schema, or write it. Returns the exit code."""
+    from ..files.outputs import claim_file, write_text
+
+    if arguments.out is None:
+        print(_schema(), end="")
+    else:
+        write_text(claim_file(arguments.out, (".json",), force=arguments.force), _schema())
+        print(f'schema in {arguments.out}; a scene names it in its first line: "#:schema {arguments.out}"')
+    return 0
+
+
+def _schema() -> str:
+    from ..files.outputs import MARK
+    from ..scene.json_schema import scene_schema
+
+    return json.dumps(scene_schema() | {"description": MARK}, indent=1, ensure_ascii=False) + "\n"
+
+
+def _points(name: str) -> str:
+    """A lens of points on a cubic lattice, 34 x 34 x 12 um, as a table in um."""
+    step, (a, c) = 1.5, (17.0, 6.0)
+    reach = [[step * (k + 0.5) for k in range(-n, n)] for n in (12, 12, 4)]
+    points = [
+        (x, y, z)
+        for x in reach[0]
+        for y in reach[1]
+        for z in reach[2]
+        if (x / a) ** 2 + (y / a) ** 2 + (z / c) ** 2 < 1.0
+    ]
+    head = f"# coldspray mesh {name}.csv --unit um --spacing {step}um\nx,y,z\n"
+    return head + "".join(f"{x:.3f},{y:.3f},{z:.3f}\n" for x, y, z in points)

@@ -1,0 +1,54 @@
+"""The tables of a scene as a JSON schema (Draft 4), from which editors complete and check keys, as taplo does for TOML."""
+
+from typing import Any
+
+from .. import units
+from .effects import NAMES, WHOLE
+from .model import SceneData
+
+DRAFT = "http://json-schema.org/draft-04/schema#"
+
+
+def scene_schema() -> dict[str, Any]:
+    """The schema, as nested dicts. What only several keys together decide (`[gas]` gives velocities) is left to `coldspray check`."""
+    whole = SceneData.model_json_schema(ref_template="#/definitions/{model}")
+    schema: dict[str, Any] = {"$schema": DRAFT, "title": "a scene of coldspray", "description": ""} | _draft_4(whole)
+    properties, tables = schema["properties"], schema["definitions"]
+    particle = {"$ref": "#/definitions/Particle"}
+    properties["particle"] = {"anyOf": [particle, {"type": "array", "items": particle}]}
+    names = [sign + name for sign in ("", "+", "-") for name in NAMES]
+    properties["effects"] = {
+        "anyOf": [{"enum": [*WHOLE]}, {"type": "array", "items": {"enum": ["auto", "all", "none", *names]}}]
+    }
+    tables["AdhesionTable"]["properties"]["threshold"] = {"type": ["number", "string"]}
+    # [coating] takes the place of the particles, [gas] gives their velocities
+    schema["required"] = ["substrate"]
+    tables["Particle"]["required"].remove("velocity")
+    return schema
+
+
+def _draft_4(node: Any) -> Any:
+    """A part of a schema of Draft 2020-12 in the words of Draft 4; defaults with their units; no nulls, which TOML does not have."""
+    if isinstance(node, list):
+        return [_draft_4(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    node = {
+        {"$defs": "definitions", "prefixItems": "items"}.get(key, key): _draft_4(value) for key, value in node.items()
+    }
+    choices = [choice for choice in node.get("anyOf", ()) if choice != {"type": "null"}]
+    if len(choices) == 1:
+        node = {**choices[0], **{key: value for key, value in node.items() if key != "anyOf"}}
+    if "const" in node:
+        node["enum"] = [node.pop("const")]
+    unit = node.pop("unit", None)
+    if isinstance(node.get("title"), str):  # of pydantic: the key again
+        del node["title"]
+    default = node.get("default")
+    if unit is not None and isinstance(default, float):
+        node["default"] = units.show(default, unit)
+    elif default is None or not isinstance(default, str | bool | int | float):
+        node.pop("default", None)
+    if isinstance(node.get("description"), str):
+        node["description"] = " ".join(node["description"].split())
+    return node
