@@ -123,7 +123,15 @@ def _parser() -> argparse.ArgumentParser:
     option("--until", type=quantity("--until", "time"), metavar="TIME",
            help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
     _add_running(option)
-    for command in (new_command, gas_command, mesh_command, coating_command, accuracy_command, map_command, critical_command):
+    for command in (
+        new_command,
+        gas_command,
+        mesh_command,
+        coating_command,
+        accuracy_command,
+        map_command,
+        critical_command,
+    ):
         command.add(commands)
     map_command.add_sweep(commands)
     option = add_command(commands, "completion", _completion, "print the completion script of a shell")
