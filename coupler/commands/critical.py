@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import REBOUNDS, STICKS, UNDECIDED
-from .arguments import Commands, add_command, add_force, path, quantity
+from .arguments import Commands, add_command, add_force, add_quiet, add_scene, path, quantity, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -19,8 +19,10 @@ _MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "critical", run, "bracket the velocity from which the particle of a scene sticks")
-    option("scene", type=path, metavar="SCENE", help="scene file (TOML) of one impact with cohesive bonds")
+    option = add_command(
+        commands, "critical", run, "bracket the velocity from which a particle with cohesive bonds sticks"
+    )
+    add_scene(option)
     option(
         "--out",
         type=path,
@@ -32,19 +34,18 @@ def add(commands: Commands) -> None:
         option(f"--{name}", type=quantity(f"--{name}", "velocity"), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
     add_force(option)
-    option("--quiet", action="store_true", help="print the result only")
+    add_quiet(option)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Search the critical velocity of a scene, or go on with it, and draw. Returns the exit code."""
     from ..errors import StoreError
     from ..files.outputs import claim_folder
-    from ..plan.reading import Scene
     from ..studies import critical
     from ..studies.table import StudyTable
     from .accuracy import same_scene, share
 
-    scene = Scene.load(arguments.scene)
+    scene = scene_of(arguments)
     critical.check(scene)
     tolerance = share(arguments.within, "--within")
     limits = arguments.low or critical.LOWEST, arguments.high or critical.HIGHEST
