@@ -7,7 +7,8 @@ import pytest
 
 from coupler.errors import ColdsprayError, SceneError
 from coupler.physics import materials
-from coupler.physics.adhesion import Adhesion, critical_velocity, critical_velocity_linear
+from coupler.physics.adhesion import Adhesion, PairBond, critical_velocity, critical_velocity_linear
+from coupler.physics.constitutive import is_metal, law_record
 
 
 def test_schmidts_formula_by_hand() -> None:
@@ -96,6 +97,34 @@ def test_what_makes_no_sense_is_said_by_field(fields: dict, says: str) -> None:
     with pytest.raises(SceneError, match=says) as caught:
         Adhesion(**fields)
     assert len(caught.value.problems) == 1
+
+
+def test_each_pair_of_metals_has_its_law() -> None:
+    law = Adhesion(
+        kind="cohesive", strength=4e8, energy=60.0,
+        pairs=(PairBond(("Ni", "Cu"), energy=10.0), PairBond(("Cu", "Cu"), strength=1e8, shear_strength=5e7)),
+    )  # fmt: skip
+    arrays = law.law_on("Cu", ["Ni", "Cu", "Al"])
+    assert arrays["strength"].tolist() == [4e8, 1e8, 4e8]
+    assert arrays["energy"].tolist() == arrays["shear_energy"].tolist() == [10.0, 60.0, 60.0]
+    assert arrays["shear_strength"].tolist() == [4e8, 5e7, 4e8]
+    assert law.between("Al", "Ni") is law
+    assert Adhesion(kind="tied").law_on("Cu", ["Ni"]) == {}
+    for pairs, kind, says in (
+        ((PairBond(("Ni", "Cu")), PairBond(("Cu", "Ni"))), "cohesive", "named twice"),
+        ((PairBond(("Ni", "Cu"), strength=-1.0),), "cohesive", "pair Ni - Cu: strength must be positive"),
+        ((PairBond(("Ni", "Cu")),), "tied", "pair has no effect"),
+    ):
+        strong = {"strength": 4e8, "energy": 60.0} if kind == "cohesive" else {}
+        with pytest.raises(SceneError, match=says):
+            Adhesion(kind=kind, pairs=pairs, **strong)
+
+
+def test_a_law_record_is_known_as_its_metal() -> None:
+    laws = np.concatenate(
+        [law_record(materials.material(name), {"rate_hardening": False}, 1e-9) for name in ("Ni", "SS304", "Ni")]
+    )
+    assert is_metal(laws, materials.material("Ni")).tolist() == [True, False, True]
 
 
 def test_all_problems_at_once() -> None:

@@ -112,6 +112,15 @@ def test_strong_bonds_hold_and_weak_ones_do_not(runs: dict[str, Result]) -> None
     assert strong["deposition_efficiency"] == 1.0
 
 
+def test_two_metals_bond_by_the_law_of_their_pair(runs: dict[str, Result], tmp_path: Path) -> None:
+    """Nickel on steel by the weak law, all others by the strong one: digit by digit the run with the weak law."""
+    pair = '[[adhesion.pair]]\nmetals = ["SS304", "Ni"]\nenergy = "8 J/m2"\n'
+    paired = run(Scene.from_text(ONE + STRONG + pair, "paired"), tmp_path / "paired").values
+    for name in ("verdict", "bonded_area_m2", "velocity_z_m_s", "energy_drift"):
+        assert paired[name] == runs["weak"].values[name]
+    assert paired["verdict_criterion"].endswith("; SS304 on Ni by its own law")
+
+
 def test_a_held_particle_goes_on_from_a_checkpoint(runs: dict[str, Result], tmp_path: Path) -> None:
     def probe(impact: Any) -> None:
         if impact.hold is not None and impact.time > 45e-9:

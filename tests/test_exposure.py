@@ -37,7 +37,7 @@ def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
     law = scene_with(adhesion=table).derived.adhesion_law
     assert law.in_impact
     assert law.words == "cohesive, 100 J/m2 of sound metal, by exposure and pressure, oxide cracks at an exposure of 0"
-    own = law.law_by_exposure(np.array([0.5, 1.0]), np.array([4e8, 6e8]))
+    own = law.by_exposure(law.law_on("Ni", ["Ni", "Ni"]), np.array([0.5, 1.0]), np.array([4e8, 6e8]))
     assert own["strength"].tolist() == [2e8, 6e8]
     assert own["energy"].tolist() == [50.0, 100.0]
     assert own["shear_strength"] == pytest.approx(own["strength"] / np.sqrt(3.0))

@@ -65,6 +65,7 @@ WORDS = {
     "adhesion.energy": "of fracture in tension, of a cohesive bond; 0 is brittle",
     "adhesion.shear_strength": "in shear; that in tension by default",
     "adhesion.shear_energy": "in shear; that in tension by default",
+    "adhesion.pair": "tables `[[adhesion.pair]]`: `metals`, two names, and the strengths and energies between them where they differ",
     "splat.mass_scaling": "share of the next particle's mass that the elements with the shortest steps may be made heavier by; 0 for"
     " none ([sequences](sequences.md))",
     "splat.method": "where the surface of a finished splat comes from ([splats](../theory/splats.md))",
@@ -265,6 +266,8 @@ def _kinds(annotation: Any) -> str:
         return _kinds(typing.get_args(annotation)[0])
     if origin is list:
         return "a list of texts"
+    if origin is tuple:
+        return "tables"
     if origin is dict:
         return "a table"
     return {str: "a text", float: "a number", int: "a whole number", bool: "`true` `false`"}[annotation]

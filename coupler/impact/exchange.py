@@ -5,7 +5,6 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
-from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,7 +16,9 @@ from ..contact.penalty import ContactState
 from ..errors import SolverError
 from ..geometry.tetrahedra import depths
 from ..geometry.triangles import vertex_areas
-from ..physics.adhesion import HELD_STIFFNESS, Adhesion
+from ..physics.adhesion import HELD_STIFFNESS
+from ..physics.constitutive import is_metal
+from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..sph.threads import SecondThread
 from ..state.records import Shape, assign, check_indices, collect
@@ -185,14 +186,14 @@ class Impact:
             self.exposure = Exposure(self.domains)
         self.exposure.update(self.domains, threshold)
 
-    def bond(self, adhesion: Adhesion, velocity_ratio: float | None) -> None:
+    def bond(self, plan: Plan, impact_plan: ImpactPlan) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
         By exposure a place bonds when its pressure has fallen below that of extrusion, and anew when it has risen above it again: until
         then fresh metal welds as it slides.
-        Of both sides the larger strain counts. velocity_ratio: of the impact to the critical velocity. Raises SolverError where
-        strength and energy make no bond.
+        Of both sides the larger strain counts. Raises SolverError where strength and energy make no bond.
         """
+        adhesion = plan.adhesion
         p, t, s = self.particle, self.target, self.surface
         rows, facets = self.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
         new = self._pressed(rows)
@@ -212,15 +213,25 @@ class Impact:
         if self.exposure is not None:
             sound = self.exposure.sound[rows]
             chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
-            strength = softer_strength(self.domains, rows[chosen], facets[chosen])
-            law: Mapping[str, float | np.ndarray] = adhesion.law_by_exposure(sound[chosen], strength)
         else:
-            chosen = adhesion.bonded(len(rows), strain, pressure, velocity_ratio) & (area > 0.0)
-            law = adhesion.law()
+            chosen = adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
         if chosen.any():
+            law = adhesion.law_on(impact_plan.material.name, self._metals(plan, facets[chosen]))
+            if self.exposure is not None:
+                strength = softer_strength(self.domains, rows[chosen], facets[chosen])
+                law = adhesion.by_exposure(law, sound[chosen], strength)
             rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
             later = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **law)
             self.hold = (later if self.hold is None else self.hold.joined(later)).on(s.triangles)
+
+    def _metals(self, plan: Plan, facets: np.ndarray) -> list[str]:
+        """Names of the metals behind facets (n,) of the target."""
+        law_of = self.target.law_of[self.target.mesh.facet_element[facets]]
+        names = np.full(len(self.target.laws), plan.target.material.name, object)
+        for impact in plan.impacts:
+            names[is_metal(self.target.laws, impact.material)] = impact.material.name
+        names[is_metal(self.target.laws, plan.target.material)] = plan.target.material.name
+        return [str(name) for name in names[law_of]]
 
     def _pressed(self, rows: np.ndarray) -> np.ndarray:
         """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does."""

@@ -26,12 +26,12 @@ def advance_to_end(
         dt = advance_window(impact, end_time)
         if adhesion.criterion == "exposure":
             impact.expose(adhesion.threshold or 0.0)
-            impact.bond(adhesion, recorder.impact_plan.velocity_ratio)
+            impact.bond(recorder.plan, recorder.impact_plan)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above)
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
-                impact.bond(adhesion, recorder.impact_plan.velocity_ratio)
+                impact.bond(recorder.plan, recorder.impact_plan)
             if recorder.greatest is None:
                 recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))

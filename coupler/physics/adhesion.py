@@ -1,7 +1,8 @@
 """Will it stick? Critical velocities, and the adhesion of a scene: where a splat is bonded and how strongly. SI units."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -79,6 +80,20 @@ def stored_at_strength(strength: float, stiffness: float) -> float:
 
 
 @dataclass(frozen=True)
+class PairBond:
+    """Strengths (Pa) and energies (J/m2) of the bonds between two metals, in any order; those of all metals where None."""
+
+    metals: tuple[str, str]
+    strength: float | None = None
+    energy: float | None = None
+    shear_strength: float | None = None
+    shear_energy: float | None = None
+
+
+LAW = ("strength", "energy", "shear_strength", "shear_energy")
+
+
+@dataclass(frozen=True)
 class Adhesion:
     """What holds a splat to what it lies on, decided when it joins the target.
 
@@ -89,7 +104,8 @@ class Adhesion:
     the critical one (threshold 1 unless given), or by "exposure" (cohesive only): the share of each place that has bonded by
     `sound_fraction`, with the strength of the softer metal there and the energy times this share; the threshold is the
     exposure at which the oxide cracks, 0 unless given. Thresholds of strain and pressure hang on the pair of metals and on the
-    mesh, no published one holds in general, and there is no default. Raises SceneError with every problem.
+    mesh, no published one holds in general, and there is no default. pairs: laws of two metals in place of that of all. Raises
+    SceneError with every problem.
     """
 
     kind: Kind = "none"
@@ -99,6 +115,7 @@ class Adhesion:
     shear_energy: float | None = None
     criterion: Criterion = "all"
     threshold: float | None = None
+    pairs: tuple[PairBond, ...] = ()
 
     def __post_init__(self) -> None:
         problems = [
@@ -106,8 +123,7 @@ class Adhesion:
             for name, known in (("kind", get_args(Kind)), ("criterion", get_args(Criterion)))
             if getattr(self, name) not in known
         ]
-        law = ("strength", "energy", "shear_strength", "shear_energy")
-        for name in law:
+        for name in LAW:
             value = getattr(self, name)
             if self.criterion == "exposure" and "strength" in name:
                 if value is not None:
@@ -128,8 +144,26 @@ class Adhesion:
             problems.append('threshold has no effect with criterion = "all": leave it out, or choose another criterion')
         if self.threshold is not None and not (self.threshold > 0.0 and math.isfinite(self.threshold)):
             problems.append("threshold must be a positive number")
+        metals = [frozenset(pair.metals) for pair in self.pairs]
+        if self.pairs and self.kind != "cohesive":
+            problems.append(f'pair has no effect with kind = "{self.kind}": leave it out, or choose "cohesive"')
+        if len(set(metals)) < len(metals):
+            problems.append("pair: two metals are named twice")
+        for pair in self.pairs if not problems else ():
+            try:
+                self.between(*pair.metals)
+            except SceneError as error:
+                problems += [f"pair {' - '.join(pair.metals)}: {problem}" for problem in error.problems]
         if problems:
             raise SceneError(problems, "adhesion")
+
+    def between(self, first: str, second: str) -> "Adhesion":
+        """The adhesion of two metals: with the law of their pair, or that of all."""
+        for pair in self.pairs:
+            if set(pair.metals) == {first, second}:
+                own = {name: value for name in LAW if (value := getattr(pair, name)) is not None}
+                return replace(self, pairs=(), **own)
+        return self
 
     def bonded(
         self,
@@ -186,15 +220,26 @@ class Adhesion:
             "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
             "velocity": f"where the velocity has reached {reached:g} of the critical one",
         }
-        return f"{text}, {where[self.criterion]}"
+        own = "".join(f"; {' on '.join(pair.metals)} by its own law" for pair in self.pairs)
+        return f"{text}, {where[self.criterion]}{own}"
 
     def law(self) -> dict[str, float]:
         """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""
-        names = ("strength", "energy", "shear_strength", "shear_energy")
-        return {name: float(value) for name in names if (value := getattr(self, name)) is not None}
+        return {name: float(value) for name in LAW if (value := getattr(self, name)) is not None}
 
-    def law_by_exposure(self, sound: np.ndarray, strength: np.ndarray) -> dict[str, np.ndarray]:
-        """The same for n places by "exposure". sound (n,): bonded share; strength (n,) Pa: of the softer metal there, in tension; in
+    def law_on(self, metal: str, others: Sequence[str]) -> dict[str, np.ndarray]:
+        """The same for n bonds of a metal to each of `others`, as arrays (n,); in shear as in tension unless said."""
+        laws = {other: self.between(metal, other).law() for other in set(others)}
+        arrays = {}
+        for name in LAW:
+            values = [laws[other].get(name, laws[other].get(name.removeprefix("shear_"))) for other in others]
+            if None not in values:
+                arrays[name] = np.array(values, float)
+        return arrays
+
+    @staticmethod
+    def by_exposure(law: Mapping[str, np.ndarray], sound: np.ndarray, strength: np.ndarray) -> dict[str, np.ndarray]:
+        """A `law_on` n places by "exposure". sound (n,): bonded share; strength (n,) Pa: of the softer metal there, in tension; in
         shear by von Mises."""
-        energies = {name: value * sound for name, value in self.law().items()}
+        energies = {name: value * sound for name, value in law.items()}
         return energies | {"strength": strength * sound, "shear_strength": strength * sound / math.sqrt(3.0)}

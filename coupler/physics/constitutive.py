@@ -77,6 +77,12 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
     return law
 
 
+def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
+    """Which LAW records (k,) are of a material (k,), whatever effects are on."""
+    names = ("rho", "G", "K", "A", "B", "n", "m", "eps_dot_0", "T_ref", "T_m")
+    return np.all([laws[name] == getattr(material, name) for name in names], axis=0)
+
+
 def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
     """LAW records (k,) seen with those of the `numbers` that are zero in all of them as integers: kernels without their effects.
 

@@ -175,7 +175,11 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
             "adhesion: several particles need something that holds them, and the critical velocity of one is not known (no sigma_TS):"
             ' give kind = "cohesive" with strength and energy, "tied", or "none" if nothing holds them',
         )
-    yield from _bond_energy(d, law, catalogue)
+    for pair in law.pairs:
+        if unknown := [name for name in pair.metals if name not in catalogue]:
+            yield ("adhesion.pair",), f"adhesion.pair: {materials.unknown(unknown[0], catalogue)}"
+    for each in (law, *(law.between(*pair.metals) for pair in law.pairs)):
+        yield from _bond_energy(d, each, catalogue)
     if law.criterion != "velocity" or law.kind == "none":
         return
     hits = {p.material: (label, p.temperature) for label, p in zip(scene.labels, scene.particles, strict=True)}

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from ..errors import SceneError
 from ..physics import materials
-from ..physics.adhesion import Adhesion
+from ..physics.adhesion import Adhesion, PairBond
 from ..physics.materials import Material
 from ..scene.model import SceneData
 from ..scene.tables import Particle, Substrate
@@ -87,6 +87,7 @@ class Derived:
     def adhesion_law(self) -> Adhesion:
         """The adhesion of splats. Raises SceneError for a table [adhesion] that makes no law: checked scenes have one."""
         table = self.scene.adhesion.model_dump()
+        table["pairs"] = tuple(PairBond(**pair) for pair in table.pop("pair") or ())
         if table["kind"] is None and table["criterion"] is None:
             metals = [self._catalogue[0].get(p.material) for p in self.scene.particles]
             known = all(metal is None or metal.sigma_TS is not None for metal in metals)

@@ -261,6 +261,16 @@ _Stress = Quantity("MPa", "0 MPa", "100 GPa")
 _SurfaceEnergy = Quantity("J/m2", "0 J/m2", "1000000 J/m2")
 
 
+class PairTable(Section):
+    """The bonds between two metals, in place of those of all: a table [[adhesion.pair]]. Pa, J/m2."""
+
+    metals: tuple[str, str]
+    strength: Annotated[float | None, _Stress] = None
+    energy: Annotated[float | None, _SurfaceEnergy] = None
+    shear_strength: Annotated[float | None, _Stress] = None
+    shear_energy: Annotated[float | None, _SurfaceEnergy] = None
+
+
 class AdhesionTable(Section):
     """What holds splats, as `coupler.physics.adhesion.Adhesion` has it. Pa, J/m2; threshold in Pa, a strain or a ratio, as the
     criterion wants it. Unless kind or criterion is said, particles are tied by their velocity over the critical one, and by
@@ -273,6 +283,7 @@ class AdhesionTable(Section):
     energy: Annotated[float | None, _SurfaceEnergy] = None
     shear_strength: Annotated[float | None, _Stress] = None
     shear_energy: Annotated[float | None, _SurfaceEnergy] = None
+    pair: tuple[PairTable, ...] | None = None
 
     @field_validator("threshold", mode="before")
     @classmethod

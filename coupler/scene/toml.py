@@ -133,6 +133,12 @@ def _value(text: str) -> Any:
         return tomlkit.string(text)
 
 
+def _inline(table: Section) -> str:
+    """A table in one line."""
+    said = {field: value for field in type(table).model_fields if (value := getattr(table, field)) is not None}
+    return "{ " + ", ".join(f"{field} = {_written(table, field, value)}" for field, value in said.items()) + " }"
+
+
 def _written(table: Section, field: str, value: Any) -> str:
     """A value as the scene says it."""
     by_size = next((m for m in type(table).model_fields[field].metadata if isinstance(m, BySize)), None)
@@ -141,6 +147,8 @@ def _written(table: Section, field: str, value: Any) -> str:
         return json.dumps(pairs[0][1] if len(value) == 1 and value[0][0] == 0.0 else pairs)
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{json.dumps(name)} = {json.dumps(item)}" for name, item in value.items()) + " }"
+    if field == "pair":
+        return f"[{', '.join(_inline(row) for row in value)}]"
     quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
     if field == "offset":
         return json.dumps([units.show(x, "um") for x in value])
