@@ -86,7 +86,7 @@ def mesh(way: str, cloud: Cloud, size: float) -> Report:
                 )
                 report: Report = {"volume_error_before": before, **meshing.check_mesh(*filled, solid, size)}
             else:
-                *filled, report = meshing.build_mesh(strategy, shape, size, {}, 120.0)
+                *filled, report = meshing.build_mesh(strategy, shape, size, {}, 40.0)
         finally:
             meshing.even = kept
         if not worst or report["gamma_min"] < worst["gamma_min"]:
