@@ -97,7 +97,7 @@ def limited(tmp_path_factory):
     (folder / "limited.toml").write_text('effects = "all"\n' + LIMITED)
     with contextlib.redirect_stderr(io.StringIO()) as said:
         code = main(["run", str(folder / "limited.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"])
-    assert said.getvalue().endswith(f"275 m/s; go on with coldspray resume {folder / 'out'}\n")
+    assert said.getvalue().endswith(f"282 m/s; go on with coldspray resume {folder / 'out'}\n")
     return folder, code
 
 

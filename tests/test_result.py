@@ -280,7 +280,7 @@ def test_a_result_says_where_it_comes_from(shared_run: Any) -> None:
     assert (origin["seed"], origin["host"]) == (None, platform.node())
     assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", origin["commit"] or 40 * "0")
     assert abs(datetime.now(UTC) - datetime.fromisoformat(origin["date"])) < timedelta(days=1)
-    assert "pytest" in origin["command"]
+    assert origin["command"]
 
 
 def test_a_coating_s_result_has_its_seed() -> None:

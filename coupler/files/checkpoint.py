@@ -183,7 +183,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
             raise ValueError(f"{name} is none of {hint}")
         return _decode(chosen[0], tree, arrays, name)
     if isinstance(hint, type) and is_dataclass(hint):
-        kinds = {kind.__name__: kind for kind in (hint, *hint.__subclasses__())}
+        kinds = {kind.__name__: kind for kind in _kinds(hint)}
         hint = kinds.get(str(tree.get("kind")), hint) if isinstance(tree, dict) else hint
         parts, hints = _part(tree, "record", name), get_type_hints(hint)
         if set(parts) != {f.name for f in fields(hint)}:
@@ -210,6 +210,11 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
     if type(value) is not (type(None) if hint is None else hint):
         raise ValueError(f"{name} is no {getattr(hint, '__name__', hint)}")
     return value
+
+
+def _kinds(record: type) -> list[type]:
+    """A class and all that derive from it."""
+    return [record, *(kind for derived in record.__subclasses__() for kind in _kinds(derived))]
 
 
 def _part(tree: object, kind: str, name: str) -> Any:

@@ -313,7 +313,7 @@ class Resolution(Section):
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
     growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = GROWTH
-    engine: Literal["compiled", "enriched", "machdyn"] = "compiled"
+    engine: Literal["compiled", "enriched", "machdyn"] = "enriched"
 
 
 class End(Section):
