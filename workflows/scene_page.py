@@ -73,7 +73,7 @@ WORDS = {
     "resolution.spacing": "of the particle's points; by the preset by default",
     "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
     "resolution.growth": "of the edges, for each unit of distance from the impact",
-    "resolution.engine": "of the particle's stress and internal forces: compiled passes or MACHDYN (one scheme), or the enriched one"
+    "resolution.engine": "of the particle's internal forces: the enriched scheme, or MACHDYN's in compiled passes or by LAMMPS"
     " ([particle](../theory/particle.md))",
     "end.at": '`"rest"` unless `at` or `time` is there; `"greatest"` is the greatest deformation',
     "end.time": "after the start of each impact; with `at`, whichever comes first",
