@@ -212,9 +212,10 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
     return value
 
 
-def _kinds(record: type) -> list[type]:
+def _kinds(record: type[object]) -> list[type[object]]:
     """A class and all that derive from it."""
-    return [record, *(kind for derived in record.__subclasses__() for kind in _kinds(derived))]
+    derived: list[type[object]] = record.__subclasses__()
+    return [record, *(kind for each in derived for kind in _kinds(each))]
 
 
 def _part(tree: object, kind: str, name: str) -> Any:
