@@ -112,6 +112,11 @@ def _parser() -> argparse.ArgumentParser:
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
     option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
     add_force(option)
+    option = add_command(commands, "export", _export, "write the fields for tools that cannot read VTKHDF in time")
+    option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
+    option("--format", choices=("pvd",), default="pvd", help="pvd: a .vtu file for each step, and their times")
+    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/pvd)")
+    add_force(option)
     option = add_command(commands, "compare", _compare, "print runs side by side and draw them")
     option("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
     option("--out", type=path, default=Path("comparison.png"), metavar="FILE",
@@ -256,6 +261,19 @@ def _animate(arguments: argparse.Namespace) -> int:
     with reading(arguments.run), working("cutting the bodies at each step") as progress:
         film = animate(result, out, arguments.field, arguments.fps, progress.stage)
     print(f"film in {film}")
+    return 0
+
+
+def _export(arguments: argparse.Namespace) -> int:
+    from ..files.export import NAMES, write_pvd
+    from ..files.outputs import claim_folder
+    from ..files.result import Result
+
+    result, out = Result(arguments.run), arguments.out or arguments.run / arguments.format
+    claim_folder(out, "export", NAMES, [arguments.run], arguments.force)
+    with reading(arguments.run), working("reading the run") as progress:
+        written = write_pvd(result, out, progress.stage)
+    print(f"{', '.join(path.name for path in written)} in {out}")
     return 0
 
 

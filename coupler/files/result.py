@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 import h5py
 import numpy as np
@@ -23,11 +23,16 @@ from ..measures import UNDECIDED
 from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory
 from .summary import Summary, Values, impact_values, read_summary, run_values
 
+if TYPE_CHECKING:
+    import pandas
+    import pyvista
+
 # Names are repeated here so that reading needs nothing of the writing side.
 DOMAINS = ("particle", "surface", "target")
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
 DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
 FARTHEST = 1e3  # m from the origin: no run has a point beyond it
+_VTK_TYPES = {columns: kind for kind, columns in CELL_COLUMNS.items()}
 H = TypeVar("H")
 _CSV_MEMORY = 12  # bytes while reading over bytes of the file
 
@@ -36,14 +41,19 @@ _CSV_MEMORY = 12  # bytes while reading over bytes of the file
 class Fields:
     """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points.
 
-    data: name -> (n, ...) for values at points, (m, ...) for values in cells; SI units; stress (.., 6) in the
-    order xx yy zz xy yz xz. A name that is given both at points and in cells holds the values at points.
+    data: name -> (n, ...) for values at points, (m, ...) for values in cells, float32 (int32: whole numbers); SI units; stress (.., 6)
+    in the order xx yy zz xy yz xz. A name that is given both at points and in cells holds the values at points.
     """
 
     time: float
     points: NDArray[np.float64]
     cells: NDArray[np.int64]
-    data: dict[str, NDArray[np.float32]]
+    data: dict[str, NDArray]
+
+    def split(self) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
+        """Data at points and data in cells. A particle's cells are its points: all of its data is at points."""
+        inside = {} if self.cells.shape[1] == 1 else {n: v for n, v in self.data.items() if len(v) != len(self.points)}
+        return {name: values for name, values in self.data.items() if name not in inside}, inside
 
 
 class Result:
@@ -167,6 +177,29 @@ class Result:
                 raise IndexError(f"{path} has {len(times)} steps, there is no step {step}")
             return _read_step(root, step % len(times), times)
 
+    def mesh(self, step: int = -1, domain: str = "particle") -> pyvista.UnstructuredGrid:
+        """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"].
+
+        Raises as `fields`, and StoreError without pyvista.
+        """
+        with _optional("pyvista"):
+            import pyvista
+
+        fields = self.fields(step, domain)
+        grid = pyvista.UnstructuredGrid({_VTK_TYPES[fields.cells.shape[1]]: fields.cells}, fields.points)
+        at_points, in_cells = fields.split()
+        grid.point_data.update(at_points)
+        grid.cell_data.update(in_cells)
+        grid.field_data["time"] = [fields.time]
+        return grid
+
+    def history_frame(self) -> pandas.DataFrame:
+        """history.csv as a table of pandas, which has to be installed. Raises as `history`, and StoreError without pandas."""
+        with _optional("pandas"):
+            import pandas
+
+        return pandas.DataFrame(self.history())
+
     @overload
     def history(self) -> dict[str, NDArray[np.float64]]: ...
     @overload
@@ -206,6 +239,14 @@ class Result:
         if domain not in DOMAINS:
             raise ValueError(f"unknown domain {domain!r}, have {', '.join(DOMAINS)}")
         return self.directory / f"{domain}.vtkhdf"
+
+
+@contextmanager
+def _optional(name: str) -> Iterator[None]:
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise StoreError(f"this needs the package {name}: pip install {name}") from error
 
 
 @contextmanager
@@ -298,9 +339,10 @@ def _read_step(root: _Root, step: int, times: NDArray[np.float64]) -> Fields:
     cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
     if cells.size and (cells.min() < 0 or cells.max() >= point_count):
         raise ValueError("cells refer to points that are not there")
-    data: dict[str, NDArray[np.float32]] = {}
+    data: dict[str, NDArray] = {}
     for group, count in (("CellData", cell_count), ("PointData", point_count)):
         for name in root.names(group):
             offset = root.number(f"Steps/{group}Offsets/{name}", step)
-            data[name] = root.rows(f"{group}/{name}", offset, count, kinds="f").astype(np.float32)
+            values = root.rows(f"{group}/{name}", offset, count)
+            data[name] = values.astype(np.float32 if values.dtype.kind == "f" else np.int32)
     return Fields(float(times[step]), points, cells, data)

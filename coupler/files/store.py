@@ -160,11 +160,7 @@ class Store:
         try:
             for step in range(steps):
                 f = old.fields(step, domain)
-                at_points = {name: data for name, data in f.data.items() if len(data) == len(f.points)}
-                in_cells = {name: data for name, data in f.data.items() if name not in at_points}
-                if domain == "particle":
-                    at_points, in_cells = f.data, {}
-                writer.write(f.time, f.points, f.cells, at_points, in_cells)
+                writer.write(f.time, f.points, f.cells, *f.split())
         except (StoreError, IndexError) as error:
             log(f"{path} cannot be read ({error}): it starts anew at the checkpoint")
             writer.close()

@@ -26,6 +26,12 @@ from numpy.typing import ArrayLike, NDArray
 # Columns of the connectivity -> VTK cell type: vertex, triangle, tetrahedron.
 CELL_TYPES = {1: 1, 3: 5, 4: 10}
 
+# Name of a data set -> its unit; columns -> their names. Attributes `units` and `components` of the data sets hold them.
+UNITS = {
+    "Points": "m", "Values": "s", "velocity": "m/s", "stress": "Pa", "von_mises": "Pa", "eps_p": "1", "eps_p_rate": "1/s", "T": "K",
+    "body": "1",
+}  # fmt: skip
+COMPONENTS = {3: ["x", "y", "z"], 6: ["xx", "yy", "zz", "xy", "yz", "xz"]}
 SPARE = 2**20  # bytes that a step may need beside its data: headers and indices
 
 
@@ -78,8 +84,8 @@ class VtkHdfWriter:
         """Append one step; it counts only once all of it is in the file.
 
         time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points, stored again only on a change.
-        point_data, cell_data: name -> (n,) or (n, k); (n, 6) are symmetric tensors, xx yy zz xy yz xz as VTK
-        has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
+        point_data, cell_data: name -> (n,) or (n, k), whole numbers stay; (n, 6) are symmetric tensors, xx yy zz xy yz xz as
+        VTK has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
         OSError if the file cannot be written; it then takes no more steps and keeps those it has.
         """
         if not self._file:
@@ -194,6 +200,10 @@ class VtkHdfWriter:
                 name, (0, *tail), values.dtype, maxshape=(None, *tail), chunks=(len(values) if long else 256, *tail),
                 compression=1 if long else None, shuffle=long,
             )  # fmt: skip
+            if (unit := UNITS.get(name.rpartition("/")[2])) is not None and "Offsets" not in name:
+                self._data[name].attrs["units"] = np.bytes_(unit)
+                if (names := COMPONENTS.get(sum(tail))) is not None:
+                    self._data[name].attrs["components"] = np.array(names, dtype="S2")
         data = self._data[name]
         data.resize(start + len(values), axis=0)
         if len(values):
@@ -208,8 +218,13 @@ def _longest_file() -> float:
     return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
-def _fields(data: Mapping[str, ArrayLike], count: int, owner: str) -> dict[str, NDArray[np.float32]]:
-    fields = {name: np.ascontiguousarray(values, dtype=np.float32) for name, values in data.items()}
+def _fields(data: Mapping[str, ArrayLike], count: int, owner: str) -> dict[str, NDArray]:
+    """The fields as they are stored: whole numbers as int32, all others as float32."""
+    arrays = {name: np.asarray(values) for name, values in data.items()}
+    fields = {
+        name: np.ascontiguousarray(values, np.int32 if values.dtype.kind in "iu" else np.float32)
+        for name, values in arrays.items()
+    }
     for name, values in fields.items():
         if values.ndim not in (1, 2) or len(values) != count:
             raise ValueError(f"{owner} data {name!r} must be ({count},) or ({count}, k), got {values.shape}")
