@@ -156,7 +156,7 @@ def test_bands_narrow_with_points_and_say_what_they_rest_on():
         assert 0.0 < narrow.share < wide.share
         assert "at 500 m/s" in wide.why
     assert bands.band("T_max_K", bands.Kind(1000, 500.0)) is None
-    crater = [bands.band("crater_depth_m", bands.Kind(1000, v)) for v in (500.0, 750.0, 1000.0, 1250.0)]
+    crater = [bands.band("crater_depth_m", bands.Kind(1000, v)) for v in (725.0, 862.5, 1000.0, 1250.0)]
     shares = [one.share for one in crater if one is not None]
     assert shares[1] == pytest.approx((shares[0] + shares[2]) / 2)
     assert shares[3] == shares[2]
