@@ -55,11 +55,14 @@ class EndCriterion:
             s = replace(s, risen=True)
         if s.risen and sinking >= 0.0 and grip in ("held", "secure"):
             s = replace(s, arrested=True)
-        if grip in ("free", "failing") or (grip == "held" and (s.risen or abs(sinking) > self.held_slow)):
+        is_tearing = grip == "failing" or (
+            grip != "free" and s.risen
+        )  # energy of waves and of rotation may still part bonds
+        if grip == "free" or is_tearing or (grip == "held" and abs(sinking) > self.held_slow):
             s = replace(s, fast=time)
         if above:
             s = replace(s, above=time)
-        is_loud = grip == "failing" or (grip == "held" and s.risen) or abs(force) > QUIET_FORCE * s.peak
+        is_loud = is_tearing or abs(force) > QUIET_FORCE * s.peak
         self._state = replace(s, loud=time) if is_loud else s
 
     @property
