@@ -32,7 +32,7 @@ from coupler.studies.table import Row
 POINTS = 400
 ALIAS = {"Cu": "OFHC_Cu"}
 SLIDE, STEEP = 4.0, 60.0  # diameters that a particle slides beyond an angle, degrees
-PATIENCE = 90.0  # s of processor time for one scene
+PATIENCE = 240.0  # s of processor time for one scene
 COLUMNS = (
     "scene", "verdict", "points", "steps", "end ns", "flattening", "drift", "momentum", "dissipated", "volume", "heat", "depth",
     "stretch", "eps_p max", "T max over T_m", "rescues", "cpu s", "why",
