@@ -19,6 +19,7 @@ from . import gas as gas_command
 from . import map as map_command
 from . import mesh as mesh_command
 from . import new as new_command
+from . import watch as watch_command
 from .arguments import (
     Option,
     add_command,
@@ -130,6 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_running(option)
     for command in (
         new_command,
+        watch_command,
         gas_command,
         mesh_command,
         coating_command,

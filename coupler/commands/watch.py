@@ -1,0 +1,99 @@
+"""The command `coldspray watch`: follows a run, from its files alone."""
+
+import argparse
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..files.inputs import reading
+from .arguments import Commands, add_command, add_force, path, seconds
+
+if TYPE_CHECKING:
+    from ..files.result import Result
+
+# column of the history: label, factor, unit
+_SHOWN = {
+    "height": ("height above surface", 1e6, "um"), "crater_depth": ("crater depth", 1e6, "um"),
+    "velocity_z": ("velocity upwards", 1.0, "m/s"), "contact_force": ("contact force", 1e3, "mN"),
+    "eps_p_mean": ("mean plastic strain", 1.0, ""), "T_max": ("highest temperature, particle", 1.0, "K"),
+    "drift": ("energy drift", 100.0, "%"), "momentum_error": ("momentum error", 1.0, ""),
+}  # fmt: skip
+_LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", "boundary", "bodies", "bond")
+
+
+def add(commands: Commands) -> None:
+    """Add the command to a parser's subcommands."""
+    option = add_command(
+        commands, "watch", run, "follow a run: measures, energies, time to go; writes nothing into its folder"
+    )
+    option("run", type=path, metavar="DIR", help="folder of a run")
+    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="between two looks (default: 5)")
+    option("--picture", type=path, metavar="FILE", help="a .png file for the section, drawn anew with each stored step")
+    option("--once", action="store_true", help="look once")
+    add_force(option)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Show a run until it is finished. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from rich.console import Console
+    from rich.live import Live
+
+    from ..files.outputs import claim_file
+    from ..files.result import Result
+    from ..report import screen, section_picture
+
+    if arguments.picture is not None:
+        claim_file(arguments.picture, (".png",), [arguments.run], arguments.force)
+    console, drawn = Console(highlight=False, markup=False), 0
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while not (result := Result(arguments.run)).finished:
+            with reading(arguments.run):
+                text = state(result)
+                steps = min(len(result.times(domain)) for domain in ("particle", "surface", "target"))
+                if arguments.picture is not None and steps > drawn:
+                    section_picture(result, arguments.picture)
+                    drawn = steps
+            if arguments.once or not console.is_terminal:
+                console.print(text)
+            else:
+                live.update(text, refresh=True)
+            if arguments.once:
+                return 0
+            time.sleep(arguments.every)
+    if arguments.picture is not None:
+        section_picture(result, arguments.picture)
+    print(screen(result))
+    return 0
+
+
+def state(result: "Result") -> str:
+    """The last line of the log, the last row of the history and its ledger over the energy at the start, as lines of text."""
+    history = result.history() if (result.directory / "history.csv").is_file() else {}
+    lines = [_last_line(result.directory / "run.log")]
+    if not len(history.get("time", ())):
+        return "\n".join([*lines, "no row of the history yet"])
+    age = time.time() - (result.directory / "history.csv").stat().st_mtime
+    lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}; last written {age:.0f} s ago")
+    lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
+    of_impact = history["impact"] == history["impact"][-1]
+    whole = history["kinetic_particle"][of_impact][0]
+    parts = {name: sum(history[column][-1] for column in _columns(name, history)) for name in _LEDGER}
+    lines.append("  energy, % of the particle's at the start of the impact: " + ", ".join(
+        f"{name} {100.0 * value / whole:.3g}" for name, value in parts.items() if abs(value) > 1e-4 * whole))  # fmt: skip
+    return "\n".join(lines)
+
+
+def _columns(name: str, history: Mapping[str, object]) -> list[str]:
+    """The columns of a term of the ledger: its own, or those of both domains."""
+    return [name] if name in history else [column for column in history if column.startswith(f"{name}_")]
+
+
+def _last_line(log: Path) -> str:
+    """The last line of a log, "" if there is none."""
+    try:
+        with open(log, "rb") as file:
+            file.seek(max(log.stat().st_size - 4096, 0))
+            return file.read().decode("utf-8", "replace").strip().splitlines()[-1]
+    except (OSError, IndexError):
+        return ""
