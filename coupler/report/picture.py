@@ -253,6 +253,9 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
     return figure.add_axes((left / across, bottom / down, width / across, height / down))
 
 
+LONGEST_HEADING = 56  # characters that fit beside the time at the full size of the font
+
+
 def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
     """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other."""
     left, right, bottom, top = section.window
@@ -266,9 +269,10 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
         colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends)
     scale_bar(figure.axes[0], section.window)
     height = 1 - 0.27 / size[1]
-    figure.text(margin / size[0], height, heading, fontsize=13, va="center", parse_math=False)
+    font = 13 * min(1.0, LONGEST_HEADING / max(len(heading), 1))
+    figure.text(margin / size[0], height, heading, fontsize=font, va="center", parse_math=False)
     when = f"t = {section.time * 1e9:.1f} ns"
-    figure.text((margin + width) / size[0], height, when, fontsize=13, va="center", ha="right")
+    figure.text(1 - margin / size[0], height, when, fontsize=13, va="center", ha="right")
     return figure
 
 
