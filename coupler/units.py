@@ -21,7 +21,7 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "angle": ("30 deg", {"rad": "1", "deg": math.pi / 180}),
     "temperature": ("300 K", {"K": "1", "degC": "1"}),
     "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12"}),
-    "pressure": ("180 MPa", {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9", "bar": "1e5"}),
+    "pressure": ("180 MPa", {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9", "bar": "1e5", "HV": "9806650"}),
     "density": (
         "8906 kg/m^3",
         {"kg/m^3": "1", "kg/m3": "1", "g/cm^3": "1e3", "g/cm3": "1e3"},

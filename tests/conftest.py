@@ -11,6 +11,7 @@ import pytest
 from runs import SharedRuns
 
 from coupler.physics.materials import material
+from coupler.physics.strength import Strength
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -54,8 +55,9 @@ def shared_run(tmp_path_factory: pytest.TempPathFactory) -> SharedRuns:
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:
     """A linear elastic material in the shape of Material: it never yields and does not heat."""
     return SimpleNamespace(
-        rho=rho, G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, A=1e20, B=0.0, n=1.0, C=0.0, m=1.0,
-        eps_dot_0=1.0, T_ref=300.0, T_m=2000.0, taylor_quinney=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
+        rho=rho, G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, T_m=2000.0,
+        strength=Strength("johnson_cook", dict(A=1e20, B=0.0, n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=300.0)),
+        taylor_quinney=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
     )  # fmt: skip
 
 

@@ -19,9 +19,10 @@ def test_johnson_cook_is_the_published_formula(name: str) -> None:
     record = law.law_record(m)[0]
     eps, rate, T = 0.3, 2e6, 700.0
     theta = (T - m.T_ref) / (m.T_m - m.T_ref)
-    expected = (m.A + m.B * eps**m.n) * (1 + m.C * np.log(rate)) * (1 - theta**m.m)
+    A, B, n, C, exponent = (m.strength[key] for key in ("A", "B", "n", "C", "m"))
+    expected = (A + B * eps**n) * (1 + C * np.log(rate)) * (1 - theta**exponent)
     assert law.yield_stress(record, eps, rate, T) == pytest.approx(expected, rel=1e-14)
-    assert law.yield_stress(record, 0.0, 0.0, 200.0) == m.A  # no hardening, no rate, no heat
+    assert law.yield_stress(record, 0.0, 0.0, 200.0) == m.strength["A"]  # no hardening, no rate, no heat
     assert law.yield_stress(record, 1.0, 1e6, m.T_m + 50) == 0.0  # molten
 
 
@@ -32,10 +33,10 @@ def test_effects_leave_the_law_one_by_one() -> None:
     slow = law.yield_stress(law.law_record(m, {"rate_hardening": False})[0], *state)
     full = law.yield_stress(law.law_record(m)[0], *state)
     theta = (900.0 - m.T_ref) / (m.T_m - m.T_ref)
-    assert full / cold == pytest.approx(1 - theta**m.m)
-    assert full / slow == pytest.approx(1 + m.C * np.log(1e7))
+    assert full / cold == pytest.approx(1 - theta ** m.strength["m"])
+    assert full / slow == pytest.approx(1 + m.strength["C"] * np.log(1e7))
     no_heat = law.law_record(m, {"plastic_heating": False})[0]
-    assert law.harden(no_heat, 0.1, 1e-9, 1.0, m.A, m.A, 0.0, 0.0, 300.0)[2] == 300.0
+    assert law.harden(no_heat, 0.1, 1e-9, 1.0, m.strength["A"], m.strength["A"], 0.0, 0.0, 300.0)[2] == 300.0
     linear = law.law_record(m, {"mie_gruneisen": False})[0]
     assert law.mie_gruneisen(linear, 1.0, 0.9, 0.0, 0.0, 1e9)[0] == pytest.approx(0.1 * m.K)
 
@@ -43,7 +44,7 @@ def test_effects_leave_the_law_one_by_one() -> None:
 def test_plastic_work_becomes_heat_by_the_taylor_quinney_share() -> None:
     m = material("SS304")
     record = law.law_record(m, rate_filter=1e-10)[0]
-    eps_p, rate, T, sigma_y, total = 0.0, 0.0, 300.0, m.A, 0.0
+    eps_p, rate, T, sigma_y, total = 0.0, 0.0, 300.0, m.strength["A"], 0.0
     for _ in range(4000):
         eps_p, rate, T, sigma_y, work = law.harden(record, 2.5e-4, 1e-11, 1.0, sigma_y, sigma_y, eps_p, rate, T)
         total += work

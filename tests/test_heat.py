@@ -34,7 +34,7 @@ class Block:
     def run(self, time: float) -> float:
         m = self.mesh
         return self.conduction.conduct(
-            time, len(m.points), len(m.conn), m.points, m.V0, self.T, self.heat, self.sigma_y
+            time, len(m.points), len(m.conn), m.points, m.V0, self.T, self.heat, self.sigma_y, np.zeros(len(m.conn))
         )
 
 

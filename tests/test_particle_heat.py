@@ -83,7 +83,7 @@ def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_le
         rise = float(p.T[0]) - 400.0
         assert metal.rho * (metal.cp_at(400.0) * rise + 0.5 * slope * rise**2) == pytest.approx(heat, rel=1e-12)
         theta = (np.array([400.0, 400.0 + rise]) - metal.T_ref) / (metal.T_m - metal.T_ref)
-        assert p.sigma_y / sigma == pytest.approx(np.divide(*(1 - theta**metal.m)[::-1]), rel=1e-12)
+        assert p.sigma_y / sigma == pytest.approx(np.divide(*(1 - theta ** metal.strength["m"])[::-1]), rel=1e-12)
         assert p.elastic() == pytest.approx(0.0, abs=1e-9 * heat * volume * p.n)
         p.run(1, 1e-14, lambda: None)
         assert p.p == pytest.approx(metal.Gamma0 * heat, rel=1e-6)
@@ -148,7 +148,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     time, steps = 0.3**2 / ALPHA, 60
     for _ in range(steps):
         paths.flow(time / steps)
-        t.conduction.conduct(time / steps, len(m.points), len(m.conn), m.points, m.V0, t.T, t.heat, t.sigma_y)
+        t.conduction.conduct(time / steps, len(m.points), len(m.conn), m.points, m.V0, t.T, t.heat, t.sigma_y, t.eps_p)
     gained = 15600.0 * CP * float(m.V0 @ (t.T - 300.0))
     lost = RHO * CP * body.volume * float(np.sum(600.0 - p.T))
     assert gained == pytest.approx(lost, rel=1e-9)

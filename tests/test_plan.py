@@ -39,7 +39,8 @@ def test_nickel_on_steel():
 def test_the_time_limit_follows_from_what_stops_the_particle():
     """Poncelet's time for a hardness far below the inertia: pi / 3 rho_p D / sqrt(H rho_t / 2)."""
     nickel, aluminium = scene_with().derived.material("Ni"), scene_with().derived.material("Al")
-    soft = replace(aluminium, A=1e3, B=1e3)
+    strength = replace(aluminium.strength, numbers=aluminium.strength.numbers | {"A": 1e3, "B": 1e3})
+    soft = replace(aluminium, strength=strength)
     slow, fast = (estimates.stopping_time((nickel, soft), (300, 300), v, 25e-6) for v in (250.0, 1000.0))
     resistance = [estimates.HARDNESS_OVER_YIELD * estimates.flow_stress(soft, 300, v / 25e-6) for v in (250, 1000)]
     for time, H in zip((slow, fast), resistance, strict=True):
@@ -119,7 +120,7 @@ def test_numbers_of_the_reference_table():
     assert row(made, "mie_gruneisen").value == pytest.approx(0.13, abs=0.005)
     nickel = made.impact.material
     assert effects.heating(nickel, 300, 600) == pytest.approx(355, abs=1)
-    rate = nickel.C * math.log(24e6)
+    rate = nickel.strength["C"] * math.log(24e6)
     assert row(made, "rate_hardening").value >= rate
 
 

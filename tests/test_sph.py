@@ -70,7 +70,7 @@ def test_the_law_in_lammps_is_the_law_of_the_target(engine: str) -> None:
     p.v[:] = p.X * np.array([4e7, 4e7, -8e7])  # isochoric to first order, 1e8 1/s
     p._vest[:] = p.v
     p.run(150, dt, watch)
-    eps_p, rate, T, sy, J, pr, e = 0.0, 0.0, 300.0, m.A, 1.0, 0.0, 0.0
+    eps_p, rate, T, sy, J, pr, e = 0.0, 0.0, 300.0, m.strength["A"], 1.0, 0.0, 0.0
     assert path[-1][0] > 0.05
     for eps_now, *rest in path:
         deps = max(eps_now - eps_p, 0.0)

@@ -89,9 +89,8 @@ def rebound(metal: str, velocity: float, stiffness: float) -> dict[str, object]:
 
 
 def flow_stress(m: Material, velocity: float) -> float:
-    """Johnson-Cook at FLOW_STRAIN and the strain rate v / D, without heating, Pa."""
-    rate = max(velocity / DIAMETER, 1.0)
-    return (m.A + m.B * FLOW_STRAIN**m.n) * (1.0 + m.C * math.log(rate))
+    """At FLOW_STRAIN and the strain rate v / D, without heating, Pa."""
+    return m.flow_stress(FLOW_STRAIN, velocity / DIAMETER, m.T_ref)
 
 
 def johnson(m: Material, velocity: float) -> float:

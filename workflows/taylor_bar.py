@@ -25,6 +25,7 @@ from coupler.fe.explicit import Target
 from coupler.fe.mesh import cylinder, prepare
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
+from coupler.physics.strength import Strength
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
 from coupler.sph import shapes
 from coupler.sph.carried_surface import CarriedSurface
@@ -102,9 +103,9 @@ def _linear_hardening(law: dict[str, float]) -> Any:
     """The material of the copper case: sigma_y = A + B eps_p, neither rate nor heat, a linear equation of state."""
     E, nu = law["E"], law["nu"]
     return SimpleNamespace(
-        rho=law["rho"], G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, A=law["A"], B=law["B"],
-        n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=1000.0, T_m=2000.0, taylor_quinney=0.0,
-        cp=((300.0, 385.0),), k=((300.0, 400.0),),
+        rho=law["rho"], G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, T_m=2000.0,
+        strength=Strength("johnson_cook", dict(A=law["A"], B=law["B"], n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=1000.0)),
+        taylor_quinney=0.0, cp=((300.0, 385.0),), k=((300.0, 400.0),),
     )  # fmt: skip
 
 

@@ -152,9 +152,10 @@ def heat(metal: Material, T_0: Array, T: Array, varies: bool) -> Array:
 
 
 def greatest_flow_stress(metal: Material, eps_p: Array) -> Array:
-    """(n,) Pa at plastic strains (n,): Johnson-Cook when cold, at a strain rate of 1e10 1/s."""
-    rate = 1.0 + metal.C * np.log(1e10 / metal.eps_dot_0)
-    return (metal.A + metal.B * np.maximum(eps_p, 0.0) ** metal.n) * rate
+    """(n,) Pa at plastic strains (n,): when cold, at a strain rate of 1e10 1/s."""
+    strains = np.linspace(0.0, max(float(np.max(eps_p, initial=0.0)), 1e-9), 400)
+    stress = np.array([metal.flow_stress(eps, 1e10, min(metal.T_ref, 250.0)) for eps in strains])
+    return stress[np.minimum(np.searchsorted(strains, eps_p), 399)]  # at the next larger strain: a bound
 
 
 def value(record: Mapping[str, Any], name: str) -> Any:

@@ -69,7 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple[GasConditions, list[float]]":
     """The checked conditions and the diameters, m. Raises SceneError with every problem."""
-    from ..errors import SceneError
+    from ..errors import ColdsprayError, SceneError
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..spray.nozzles import unknown
@@ -82,8 +82,10 @@ def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple
         problems.append(f"{_option(field)}{value} {problem}")
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
-    if arguments.material not in materials.names():
-        problems.append(f"--material: {materials.unknown(arguments.material, dict.fromkeys(materials.names()))}")
+    try:
+        materials.material(arguments.material)
+    except ColdsprayError as error:
+        problems.append(f"--material: {error}")
     diameters = []
     for text in arguments.diameter:
         try:

@@ -9,7 +9,7 @@ from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
 from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
-from ..plan.planning import RATE_REMARK, Plan
+from ..plan.planning import BEYOND_FIT, Plan
 from ..ranks.ranks import Ranks
 
 # What an impact loses to the scheme: key of its record, its limit, the warning.
@@ -40,7 +40,7 @@ def summary(
     (`joining.splats_at_end`); wall: s of wall time.
     """
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
-    expected = [text for text in plan.warnings if RATE_REMARK not in text or not any(RATE_REMARK in at for at in own)]
+    expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts say what they reached
     undecided = impacts[-1]["undecided"]
     for i, shape in enumerate(standing):
         refused = dict(impacts[i]["refused"])

@@ -81,7 +81,7 @@ def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Li
             )
         # each element gets what its nodes gained, and gives what it had above them
         gains(0, m, t.mesh.conn, share, change, own, gain)
-        take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y)
+        take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y, t.eps_p)
         taken -= float(gain.sum())
         T += change
         nodal(t.T)

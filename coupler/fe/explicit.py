@@ -243,7 +243,9 @@ class Target:
         k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
         self.f_ext[:] = 0.0
         if self.conduction is not None:
-            supplied = self.conduction.advance(dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y)
+            supplied = self.conduction.advance(
+                dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y, self.eps_p
+            )
             self.sums[2] += float(self.laws["expansion"][0]) * supplied
         self.dt_last = dt
         self.time += dt
@@ -376,7 +378,16 @@ class Target:
             self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.T)), float)
         self.sums[2] += take_heat(
-            0, self.active_elements, gain, self.mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y
+            0,
+            self.active_elements,
+            gain,
+            self.mesh.V0,
+            self.laws,
+            self.law_of,
+            self.T,
+            self.heat,
+            self.sigma_y,
+            self.eps_p,
         )
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:

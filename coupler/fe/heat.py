@@ -75,7 +75,7 @@ class Conduction:
 
     def advance(
         self, dt: float, nodes: int, elements: int, x: np.ndarray, volume: np.ndarray, T: np.ndarray, heat: np.ndarray,
-        sigma_y: np.ndarray,
+        sigma_y: np.ndarray, eps_p: np.ndarray,
     ) -> float:  # fmt: skip
         """Note a mechanical step of dt (s); in every EVERY-th conduct over all the time since the last.
 
@@ -87,26 +87,28 @@ class Conduction:
         self.steps += 1
         if self.steps % EVERY:
             return 0.0
-        supplied = self.conduct(self.elapsed, nodes, elements, x, volume, T, heat, sigma_y)
+        supplied = self.conduct(self.elapsed, nodes, elements, x, volume, T, heat, sigma_y, eps_p)
         self.elapsed = 0.0
         return supplied
 
     def conduct(
         self, time: float, nodes: int, elements: int, x: np.ndarray, volume: np.ndarray, T: np.ndarray, heat: np.ndarray,
-        sigma_y: np.ndarray,
+        sigma_y: np.ndarray, eps_p: np.ndarray,
     ) -> float:  # fmt: skip
         """Conduct for a time (s) in as many stable steps as it takes; see `advance`."""
         if elements == 0:
             return 0.0
-        supplied, left = self._sync_nodes(nodes, elements, T, heat, sigma_y), time
+        supplied, left = self._sync_nodes(nodes, elements, T, heat, sigma_y, eps_p), time
         while left > 0.0:
             fastest = self._flows(elements, x, volume)
             dt = left / ceil(left * fastest / (2.0 * CONDUCTION_SAFETY)) if fastest > 0.0 else left
-            supplied += self._step(dt, nodes, elements, T, heat, sigma_y)
+            supplied += self._step(dt, nodes, elements, T, heat, sigma_y, eps_p)
             left = left - dt if left > 1.5 * dt else 0.0
         return supplied
 
-    def _sync_nodes(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> float:
+    def _sync_nodes(
+        self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray, eps_p: np.ndarray
+    ) -> float:
         """Add to the nodes the rise of temperature of their elements since the last call, and set held nodes to their temperature.
 
         Returns the heat that the held nodes supply, J.
@@ -128,7 +130,7 @@ class Conduction:
         self.change[held] = self.held_T[active] - self.T[held]
         self.own[:elements] = 0.0
         supplied = float(self.capacity[held] @ self.change[held])
-        self._apply_increment(nodes, elements, T, heat, sigma_y)
+        self._apply_increment(nodes, elements, T, heat, sigma_y, eps_p)
         return supplied
 
     def _means(self, nodes: int, elements: int, T: np.ndarray, value: np.ndarray) -> None:
@@ -142,7 +144,14 @@ class Conduction:
         return 4.0 * largest
 
     def _step(
-        self, dt: float, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray
+        self,
+        dt: float,
+        nodes: int,
+        elements: int,
+        T: np.ndarray,
+        heat: np.ndarray,
+        sigma_y: np.ndarray,
+        eps_p: np.ndarray,
     ) -> float:
         excesses(0, elements, dt, self.mesh.conn, self.T, T, self.rate, self.own)
         self._means(nodes, elements, T, self.own)
@@ -150,14 +159,16 @@ class Conduction:
         held = self.held[self.known[self.held]]
         supplied = -float(self.capacity[held] @ self.change[held])
         self.change[held] = 0.0
-        self._apply_increment(nodes, elements, T, heat, sigma_y)
+        self._apply_increment(nodes, elements, T, heat, sigma_y, eps_p)
         return supplied
 
-    def _apply_increment(self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray) -> None:
+    def _apply_increment(
+        self, nodes: int, elements: int, T: np.ndarray, heat: np.ndarray, sigma_y: np.ndarray, eps_p: np.ndarray
+    ) -> None:
         """Add the increment `change` to nodes and elements; elements lose their `own` excess."""
         self.T[:nodes] += self.change[:nodes]
         gains(0, elements, self.mesh.conn, self.share, self.change, self.own, self.gain)
-        take_heat(0, elements, self.gain, self.mesh.V0, self.laws, self.law_of, T, heat, sigma_y)
+        take_heat(0, elements, self.gain, self.mesh.V0, self.laws, self.law_of, T, heat, sigma_y, eps_p)
         self.last[:elements] = T[:elements]
 
 
@@ -249,10 +260,11 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 @njit(cache=True, nogil=True)
 def take_heat(
     lo: int, hi: int, gain: Floats, V0: Floats, laws: Laws, law_of: Ints, T: Floats, heat: Floats, sigma_y: Floats,
+    eps_p: Floats,
 ) -> float:  # fmt: skip
-    """Give elements heat, gain (m,) J: T by enthalpy, softening of sigma_y (m,); heat (m,) J, what of it makes pressure.
+    """Give elements heat, gain (m,) J: T by enthalpy, softening of sigma_y (m,) at the plastic strains eps_p (m,).
 
-    Returns that part of all of it, J.
+    heat (m,) J: what of it makes pressure. Returns that part of all of it, J.
     """
     total = 0.0
     for e in range(lo, hi):
@@ -263,5 +275,5 @@ def take_heat(
         T[e] = heated(law, old, gain[e] / (law.rho * V0[e]))
         heat[e] += law.expansion * gain[e]
         total += law.expansion * gain[e]
-        sigma_y[e] = softened(law, sigma_y[e], old, T[e])
+        sigma_y[e] = softened(law, sigma_y[e], eps_p[e], old, T[e])
     return total

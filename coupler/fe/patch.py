@@ -211,7 +211,7 @@ def _made_up(domain: Domain, patch: Patch, new: ElementState, V0: np.ndarray) ->
     )
     lost = float(before - elastic_shear_energy(0, len(V0), new.volume, V0, laws, of_new, new.s))
     T, heat, sigma_y = new.T.copy(), new.heat.copy(), new.sigma_y.copy()
-    warmth = take_heat(0, len(V0), lost * V0 / V0.sum(), V0, laws, of_new, T, heat, sigma_y)
+    warmth = take_heat(0, len(V0), lost * V0 / V0.sum(), V0, laws, of_new, T, heat, sigma_y, new.eps_p)
     return replace(new, T=T, heat=heat, sigma_y=sigma_y), lost, float(warmth)
 
 

@@ -1,9 +1,9 @@
 """Where a run has left the range its material models were fitted in: what is noted on the way, and the warnings of it.
 
-Limits: the strain rates that Johnson-Cook sets are measured at (Hopkinson bars, `plan.FITTED_RATE`), nine tenths of the melting
-point (`plan.NEAR_MELTING`), and the pressure of a shock at the particle velocity to which the linear fit U = c0 + s u of a
-metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without Mie-Grueneisen, the compression at which
-a linear equation of state is off by a twentieth.
+Limits: strain rate, temperature and strain that the strength set of a metal is fitted at, where its source says them, else the rate of
+Hopkinson bars and nine tenths of the melting point (`plan.NEAR_MELTING`); the pressure of a shock at the particle velocity to which
+the linear fit U = c0 + s u of a metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without Mie-Grueneisen,
+the compression at which a linear equation of state is off by a twentieth.
 """
 
 import re
@@ -13,17 +13,17 @@ import numpy as np
 from ..errors import CheckpointError
 from ..fe.explicit import Target
 from ..physics.materials import Material
-from ..plan.planning import FITTED_RATE, NEAR_MELTING, RATE_REMARK
+from ..plan.planning import BEYOND_FIT, NEAR_MELTING
 from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
 LINEAR_ERROR = 0.05
-_NAMES = ("rate", "melting", "compression")
+_NAMES = ("rate", "melting", "strain", "compression")
 
 
 class Extremes:
     """The largest of an impact so far, by body: 99th percentile of the plastic strain rate, 1/s, where something flows;
-    temperature over the melting point of the metal there; compression 1 - J."""
+    temperature over the melting point of the metal there; 99th percentile of the plastic strain; compression 1 - J."""
 
     def __init__(self) -> None:
         self.extremes: dict[str, dict[str, float]] = {
@@ -33,15 +33,16 @@ class Extremes:
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Look at the particle and the active part of the target."""
         n, m = target.active_nodes, target.active_elements
-        self._keep("particle", particle.rate, particle.T / particle.law["T_m"][0], particle.J)
+        self._keep("particle", particle.rate, particle.T / particle.law["T_m"][0], particle.eps_p, particle.J)
         melting = target.T[:m] / target.laws["T_m"][target.law_of[:m]]
-        self._keep("target", target.rate[:m], melting, target.J[:n])
+        self._keep("target", target.rate[:m], melting, target.eps_p[:m], target.J[:n])
 
-    def _keep(self, body: str, rate: np.ndarray, melting: np.ndarray, J: np.ndarray) -> None:
+    def _keep(self, body: str, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
         flows = rate[rate > 0.0]
         now = (
             float(np.percentile(flows, 99)) if len(flows) else 0.0,
             float(np.max(melting, initial=0.0)),
+            float(np.percentile(eps_p[eps_p > 0.0], 99)) if np.any(eps_p > 0.0) else 0.0,
             1.0 - float(np.min(J, initial=1.0)),
         )
         kept = self.extremes[body]
@@ -62,16 +63,10 @@ class Extremes:
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
         """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
-        texts = []
+        texts, left = [], []
         for body, kept in self.extremes.items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
-            if kept["rate"] > FITTED_RATE:
-                texts.append(f"{where} strain rates went to {kept['rate']:.1e} 1/s (99 %), {RATE_REMARK}")
-            if kept["melting"] > NEAR_MELTING:
-                texts.append(
-                    f"{where} the temperature went to {kept['melting']:.2f} of the melting point, beyond {NEAR_MELTING:g} of it:"
-                    " Johnson-Cook's softening is an extrapolation there"
-                )
+            left += _beyond_fit(body, metal, kept)
             limit = greatest_compression(metal, mie_gruneisen)
             if kept["compression"] > limit:
                 shock, linear = "the fit of the shock equation of state", "what a linear equation of state is good for"
@@ -81,7 +76,22 @@ class Extremes:
                     f"{where} the volume went down by {kept['compression']:.1%}, {GPa:.3g} GPa, beyond {law}"
                     f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
                 )
-        return texts
+        return [f"impact {impact}: {BEYOND_FIT}: {'; '.join(left)}", *texts] if left else texts
+
+
+def _beyond_fit(body: str, metal: Material, kept: dict[str, float]) -> list[str]:
+    """What a body reached beyond the range that the strength of its metal is fitted in, as one text, or none."""
+    fitted, T = metal.strength.fitted, kept["melting"] * metal.T_m
+    parts = []
+    if kept["rate"] > metal.fitted_rate:
+        parts.append(f"strain rate {kept['rate']:.1e} 1/s (99 %; fitted to {metal.fitted_rate:.0e})")
+    if fitted.temperature and T > fitted.temperature[1]:
+        parts.append(f"{T:.0f} K (to {fitted.temperature[1]:.0f} K)")
+    elif kept["melting"] > NEAR_MELTING:
+        parts.append(f"{kept['melting']:.2f} of the melting point (to {NEAR_MELTING:g})")
+    if fitted.strain and kept["strain"] > fitted.strain:
+        parts.append(f"strain {kept['strain']:.2g} (99 %; to {fitted.strain:g})")
+    return [f"{body} ({metal.name}, {metal.strength.set or metal.strength.law}) {', '.join(parts)}"] if parts else []
 
 
 def merged(texts: list[str]) -> list[str]:

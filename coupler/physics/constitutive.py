@@ -1,20 +1,18 @@
-"""One constitutive law for both domains: Johnson-Cook strength with plastic heat, Mie-Grueneisen pressure.
+"""One constitutive law for both domains: strength with plastic heat, Mie-Grueneisen pressure.
 
 Everything here works on one material point and is compiled by numba; the SPH particle and the FE target call the
 same functions. The yield stress is explicit by one step: a step returns the trial deviator to the sigma_y that the
 step before left behind, and `harden` then moves plastic strain, rate and temperature on and evaluates the next
 sigma_y. That is what MACHDYN allows (its stress update takes a given yield stress), and at explicit time steps
-(plastic strain per step about 1e-4) the lag is far below the discretisation error.
+(plastic strain per step about 1e-4) the lag is far below the discretisation error. The strength laws are those of `physics.strength`.
 
-Johnson & Cook (1983): sigma_y = (A + B eps_p^n)(1 + C ln(rate/eps_dot_0))(1 - theta^m), theta = (T - T_ref)/(T_m -
-T_ref).
-
-An effect that is off is a zero among the law's numbers. In the records that `specialised` gives, such zeros are integers: the type
-tells the compiler that they are zero, and what `on` guards is not in the kernel it makes.
+An effect that is off is a zero among the law's numbers, and so is the switch of a strength law that no metal follows. In the records
+that `specialised` gives, such zeros are integers: the type tells the compiler that they are zero, and what `on` guards is not in the
+kernel it makes.
 """
 
 from collections.abc import Callable, Mapping
-from math import log, sqrt
+from math import sqrt
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +21,9 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ..state.arrays import Floats, Laws
+from . import strength
 from .materials import Material
+from .strength import on as on
 
 
 class Law(Protocol):
@@ -35,19 +35,19 @@ class Law(Protocol):
 #: One record per material: the numbers of the law in SI units. `softening`, `expansion` and
 #: `dissipation` (what the scheme dissipates becomes heat) are 1.0 or 0.0.
 LAW = np.dtype([(name, np.float64) for name in (
-    "rho", "G", "K", "s", "Gamma0", "A", "B", "n", "C", "m", "eps_dot_0", "T_ref", "T_m", "softening", "taylor_quinney",
-    "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0", "k_slope", "rate_filter", "expansion", "dissipation",
+    "rho", "G", "K", "s", "Gamma0", "T_m", "softening", "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0",
+    "k_slope", "rate_filter", "expansion", "dissipation", *strength.FIELDS, *strength.LAWS,
 )])  # fmt: skip
 #: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
-FLOW = ("C", "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation")
+FLOW = ("C", "C_high", *strength.LAWS, "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation")
 
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
     """Pack a material into a LAW record of shape (1,), with effects switched off where `on` says False.
 
     rate_filter: s, the time constant
-    over which the plastic strain rate is averaged before Johnson-Cook sees it (0: not averaged). A linear equation
+    over which the plastic strain rate is averaged before the strength law sees it (0: not averaged). A linear equation
     of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
     energy that makes pressure; what compression itself stores there stays. Heat of what the scheme dissipates only where `on`
     names it ("dissipation_heat"): it is the scheme's, not the metal's.
@@ -59,12 +59,13 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
 
     law = np.zeros(1, LAW)
     r = law[0]
-    for name in ("rho", "G", "K", "A", "B", "n", "m", "eps_dot_0", "T_ref", "T_m"):
+    for name in ("rho", "G", "K"):
         r[name] = getattr(material, name)
+    softens, rate_hardens = active("thermal_softening"), active("rate_hardening")
+    for name, value in material.strength.fields(material.T_m, material.rho, softens, rate_hardens).items():
+        r[name] = value
     if active("mie_gruneisen"):
         r["s"], r["Gamma0"] = material.s, material.Gamma0
-    r["C"] = material.C if active("rate_hardening") else 0.0
-    r["softening"] = 1.0 if active("thermal_softening") else 0.0
     r["taylor_quinney"] = material.taylor_quinney if active("plastic_heating") else 0.0
     for name, table in (("cp", material.cp), ("k", material.k)):
         (T0, v0), (T1, v1) = table[0], table[-1]
@@ -92,14 +93,6 @@ def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) ->
     bits = np.ascontiguousarray(laws, LAW).view(np.int64).reshape(len(laws), -1)
     off = {name for name, seen in zip(LAW.names or (), bits.T, strict=True) if name in numbers and not seen.any()}
     return laws.view([(name, np.int64 if name in off else np.float64) for name in LAW.names or ()])
-
-
-def on(number: float) -> bool:
-    """Whether a kernel holds the effect of this number of the law: not if it is an integer. Known when the kernel is compiled.
-
-    A zero in a plain record goes through the arithmetic of its effect, and changes nothing.
-    """
-    return not isinstance(number, int | np.integer)
 
 
 @overload(on)
@@ -144,29 +137,41 @@ def heated(law: Law, T: float, q: float) -> float:
     return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
 
 
-@njit(cache=True, nogil=True, inline="always")
-def softened(law: Law, sigma_y: float, old: float, T: float) -> float:
-    """A yield stress (Pa) after the temperature has gone from `old` to T (K) without plastic flow: Johnson-Cook's 1 - theta^m."""
-    if law.softening == 0.0 or max(old, T) <= law.T_ref:
-        return sigma_y
-    span = law.T_m - law.T_ref
-    before = max(1.0 - (max(old - law.T_ref, 0.0) / span) ** law.m, 0.0)
-    after = max(1.0 - (max(T - law.T_ref, 0.0) / span) ** law.m, 0.0)
-    return sigma_y * after / before if before > 0.0 else sigma_y
+_johnson_cook = njit(cache=True, nogil=True)(strength.johnson_cook)
+_zerilli_armstrong = njit(cache=True, nogil=True)(strength.zerilli_armstrong)
+_steinberg_guinan = njit(cache=True, nogil=True)(strength.steinberg_guinan)
+_preston_tonks_wallace = njit(cache=True, nogil=True)(strength.preston_tonks_wallace)
 
 
 @njit(cache=True, nogil=True)
 def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
-    """Johnson-Cook flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K)."""
-    sigma = law.A
-    if eps_p > 0.0:
-        sigma += law.B * eps_p**law.n
-    if on(law.C) and rate > law.eps_dot_0:
-        sigma *= 1.0 + law.C * log(rate / law.eps_dot_0)
-    if on(law.softening) and T > law.T_ref:
-        theta = (T - law.T_ref) / (law.T_m - law.T_ref)
-        sigma *= max(1.0 - law.softening * theta**law.m, 0.0)
-    return sigma
+    """Flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K), by the law of the record."""
+    if on(law.preston_tonks_wallace) and law.preston_tonks_wallace > 0.0:
+        return _preston_tonks_wallace(law, eps_p, rate, T)
+    if on(law.zerilli_armstrong) and law.zerilli_armstrong > 0.0:
+        return _zerilli_armstrong(law, eps_p, rate, T)
+    if on(law.steinberg_guinan) and law.steinberg_guinan > 0.0:
+        return _steinberg_guinan(law, eps_p, rate, T)
+    return _johnson_cook(law, eps_p, rate, T)
+
+
+@njit(cache=True, nogil=True)
+def softened(law: Law, sigma_y: float, eps_p: float, old: float, T: float) -> float:
+    """A yield stress (Pa) at the plastic strain eps_p after the temperature has gone from `old` to T (K) without plastic flow.
+
+    By the ratio that the law gives: Johnson-Cook's 1 - theta^m, else that of the flow stresses at the slowest rate.
+    """
+    if law.softening == 0.0:
+        return sigma_y
+    if law.johnson_cook > 0.0:
+        if max(old, T) <= law.T_ref:
+            return sigma_y
+        span = law.T_m - law.T_ref
+        before = max(1.0 - (max(old - law.T_ref, 0.0) / span) ** law.m, 0.0)
+        after = max(1.0 - (max(T - law.T_ref, 0.0) / span) ** law.m, 0.0)
+    else:
+        before, after = yield_stress(law, eps_p, 0.0, old), yield_stress(law, eps_p, 0.0, T)
+    return sigma_y * after / before if before > 0.0 else sigma_y
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from importlib.resources import files
 from typing import TypeVar
@@ -29,14 +29,17 @@ def read_record(
     read: Callable[[str, object], object],
     values: Mapping[str, object],
     hint: str = "",
+    found: Collection[str] = (),
+    lacks: Collection[str] = (),
 ) -> R:
     """A record, a dataclass with a name, from a table of its other fields.
 
     read(field, value): reads a value, raises ValueError with what is wrong; values: for fields that the table lacks; hint: what to
-    do where both lack some. Raises SceneError with every problem, each beginning with the field at fault.
+    do where both lack some; found, lacks: problems and missing fields of the
+    same table that are known already. Raises SceneError with every problem, each beginning with the field at fault.
     """
     known = [field.name for field in fields(kind) if field.name != "name"]  # type: ignore[arg-type]
-    problems, values = [], dict(values)
+    problems, values = list(found), dict(values)
     if not SAFE_NAME.fullmatch(name):
         problems.append("its name must be made of letters, digits, '_', '.' and '-' (at most 40)")
     for key, value in table.items():
@@ -47,7 +50,7 @@ def read_record(
             values[key] = read(key, value)
         except ValueError as error:
             problems.append(f"{key} {error}")
-    if missing := [key for key in known if key not in values and key not in table]:
+    if missing := [*(key for key in known if key not in values and key not in table), *lacks]:
         problems.append(f"missing: {', '.join(missing)}{hint}")
     refuse(problems, name)
     return kind(**{"name": name, **values})

@@ -1,20 +1,25 @@
-"""Materials: the numbers of Johnson-Cook, the shock equation of state and heat, with their sources.
+"""Materials: a metal's strength law, its shock equation of state and its heat, with their sources.
 
 The library is `materials.toml`; a scene may add materials or change numbers of these, in the same form.
 """
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 
+from .. import units
 from ..errors import ColdsprayError, SceneError
 from . import library
+from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Fitted, Strength
 
-Pairs = tuple[tuple[float, float], tuple[float, float]]
+Pairs = tuple[tuple[float, float], ...]
 
-_SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,400}", re.ASCII)
+_SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
+_HV = 9.80665e6  # Pa
+HOPKINSON_RATE = 1e4  # 1/s
+_HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
 # field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
 _LIMITS: dict[str, tuple[str, float, float]] = {
@@ -23,26 +28,18 @@ _LIMITS: dict[str, tuple[str, float, float]] = {
     "c0": ("m/s", 100.0, 2e4),
     "s": ("", 0.0, 5.0),
     "Gamma0": ("", 0.0, 5.0),
-    "A": ("MPa", 1e5, 2e10),
-    "B": ("MPa", 0.0, 1e11),
-    "n": ("", 0.01, 2.0),
-    "C": ("", 0.0, 1.0),
-    "m": ("", 0.01, 10.0),
-    "eps_dot_0": ("1/s", 1e-6, 1e6),
-    "T_ref": ("K", 1.0, 2000.0),
     "T_m": ("K", 200.0, 5000.0),
     "taylor_quinney": ("", 0.0, 1.0),
-    "thermal_expansion": ("1/K", 0.0, 1e-3),
     "sigma_TS": ("MPa", 1e6, 1e10),
 }
 _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
     "k": ("W/(m K)", 0.01, 5000.0),
+    "thermal_expansion": ("1/K", 0.0, 1e-3),
 }
-_DEFAULTS: dict[str, float | str | None] = {
-    "eps_dot_0": 1.0,
+_DEFAULTS: dict[str, float | str | Pairs | None] = {
     "taylor_quinney": 0.9,
-    "thermal_expansion": 0.0,
+    "thermal_expansion": ((300.0, 0.0),),
     "sigma_TS": None,
     "source": "",
     "note": "",
@@ -51,12 +48,11 @@ _DEFAULTS: dict[str, float | str | None] = {
 
 @dataclass(frozen=True)
 class Material:
-    """A metal: Johnson-Cook flow stress, shock equation of state, heat. SI units.
+    """A metal: strength law, shock equation of state, heat. SI units.
 
-    rho kg/m^3; G, A, B Pa; c0 m/s; s, Gamma0, n, C, m, taylor_quinney without unit; eps_dot_0 1/s;
-    T_ref, T_m K; cp ((T, J/(kg K)), (T, J/(kg K))), k ((T, W/(m K)), (T, W/(m K))): linear between the
-    points, constant outside; thermal_expansion (linear) 1/K; sigma_TS Pa: tensile strength at 293 K, for critical velocities,
-    None where it is not known.
+    rho kg/m^3; G Pa; c0 m/s; s, Gamma0, taylor_quinney without unit; T_m K; cp ((T, J/(kg K)), ...), k ((T, W/(m K)), ...),
+    thermal_expansion (linear) ((T, 1/K), ...): one pair, a constant, or two, linear between them and constant outside; sigma_TS Pa:
+    tensile strength at 293 K, for critical velocities, None where it is not known.
     """
 
     name: str
@@ -65,21 +61,15 @@ class Material:
     c0: float
     s: float
     Gamma0: float
-    A: float
-    B: float
-    n: float
-    C: float
-    m: float
-    eps_dot_0: float
-    T_ref: float
     T_m: float
     taylor_quinney: float
     cp: Pairs
     k: Pairs
-    thermal_expansion: float
+    thermal_expansion: Pairs
     sigma_TS: float | None
     source: str
     note: str
+    strength: Strength
 
     @property
     def K(self) -> float:
@@ -101,6 +91,21 @@ class Material:
         """Speed of longitudinal elastic waves, m/s: sqrt((K + 4/3 G) / rho)."""
         return math.sqrt((self.K + 4 / 3 * self.G) / self.rho)
 
+    @property
+    def T_ref(self) -> float:
+        """Temperature without thermal softening, K."""
+        return self.strength["T_ref"]
+
+    @property
+    def fitted_rate(self) -> float:
+        """Fastest strain rate that the strength is fitted at, 1/s: as its source says, else about that of Hopkinson bars."""
+        rates = self.strength.fitted.rate
+        return rates[1] if rates else HOPKINSON_RATE
+
+    def flow_stress(self, eps_p: float, rate: float, T: float) -> float:
+        """Flow stress, Pa, at a plastic strain, a strain rate (1/s) and a temperature (K)."""
+        return self.strength.flow_stress(eps_p, rate, T, self.T_m, self.rho)
+
     def cp_at(self, T: float) -> float:
         """Specific heat at T (K), J/(kg K)."""
         return _interpolate(self.cp, T)
@@ -109,9 +114,62 @@ class Material:
         """Conductivity at T (K), W/(m K)."""
         return _interpolate(self.k, T)
 
+    def thermal_expansion_at(self, T: float) -> float:
+        """Coefficient of linear thermal expansion at T (K), 1/K."""
+        return _interpolate(self.thermal_expansion, T)
+
     def effusivity(self, T: float) -> float:
         """sqrt(k rho c_p) at T (K), W s^(1/2)/(m^2 K): half-spaces in contact share heat in proportion to it."""
         return math.sqrt(self.k_at(T) * self.rho * self.cp_at(T))
+
+    def initial_strain(self, hardness: float | None, yield_strength: float | None) -> float:
+        """Plastic strain that gives the metal a hardness or a yield strength, Pa, at 293 K and the slowest rate of its law.
+
+        Hardness: after a further strain of 0.08 the flow stress is a third of it (Tabor 1951). Raises ValueError with the range that
+        the law reaches.
+        """
+        if hardness is None and yield_strength is None:
+            return 0.0
+        factor, further = (1.0, 0.0) if hardness is None else (HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT)
+        wanted = yield_strength if hardness is None else hardness
+
+        def reached(eps_p: float) -> float:
+            return factor * self.flow_stress(eps_p + further, 0.0, 293.0)
+
+        low, high = 0.0, _HARDEST
+        if wanted is None or not reached(low) * (1 - 1e-9) <= wanted <= reached(high):
+            unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
+            annealed, hardest = reached(low) / scale, reached(high) / scale
+            raise ValueError(
+                f"is outside {annealed:.4g} to {hardest:.4g} {unit}, from the metal without plastic strain to a plastic strain of"
+                f" {_HARDEST:g}, by the strength law of {self.name}, {self.strength.label}"
+            )
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if reached(middle) < wanted else (low, middle)
+        return high
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A material of the library: with its first strength set, and the tables of all sets by name; other names of it."""
+
+    material: Material
+    sets: Mapping[str, Mapping[str, object]]
+    aliases: tuple[str, ...]
+
+    def with_set(self, choice: str) -> Material:
+        """The material with a set, by its name or by that of its law (the first of it). Raises ValueError, naming those there are."""
+        for name, table in self.sets.items():
+            if choice in (name, table["law"]):
+                return _with_set(self.material, name, table)
+        there = ", ".join(f"{name} ({table['law']})" for name, table in self.sets.items())
+        raise ValueError(f"{choice[:40]!r}: {self.material.name} has no such strength set or law; it has {there}")
+
+    @property
+    def materials(self) -> list[Material]:
+        """The material with each of its sets."""
+        return [_with_set(self.material, name, table) for name, table in self.sets.items()]
 
 
 def names() -> list[str]:
@@ -119,64 +177,190 @@ def names() -> list[str]:
     return list(_library())
 
 
-def material(name: str) -> Material:
-    """A material of the library. Raises ColdsprayError, which offers the nearest name, for any other."""
-    if name not in _library():
-        raise ColdsprayError(unknown(name, _library()))
-    return _library()[name]
+def entry(name: str) -> Entry:
+    """A material of the library with all its sets, by its name or another.
+
+    Raises ColdsprayError, with the nearest name, for any other.
+    """
+    known = _library() | _aliases()
+    if name not in known:
+        raise ColdsprayError(unknown(name, {key: found.material for key, found in known.items()}))
+    return known[name]
 
 
-def unknown(name: str, known: Mapping[str, object]) -> str:
-    """The message for a material that is not there. known: materials by name."""
-    return library.unknown("material", name, known)
+def material(name: str, strength: str = "") -> Material:
+    """A material of the library, by its name or another. strength: a set or a law; the first set unless said.
+
+    Raises ColdsprayError, which offers the nearest name, for any other.
+    """
+    try:
+        return entry(name).with_set(strength) if strength else entry(name).material
+    except ValueError as error:
+        raise ColdsprayError(f"strength = {error}") from None
+
+
+def fitted_at(metal: Material, rate: float) -> list[str]:
+    """Names of the strength sets that the library has for this metal, fitted up to a strain rate (1/s) at least."""
+    known = _library().get(metal.name)
+    ranges = {other.strength.set: other.strength.fitted.rate for other in known.materials} if known else {}
+    return [name for name, limits in ranges.items() if limits and limits[1] >= rate]
+
+
+def unknown(name: str, known: Mapping[str, Material]) -> str:
+    """The message for a material that is not there. known: materials by name and other names."""
+    proper = {key: metal for key, metal in known.items() if key == metal.name}
+    return f"unknown material{units.nearest(name, known)}; known: {', '.join(proper)}"
 
 
 def from_table(name: str, table: Mapping[str, object], base: Material | None = None) -> Material:
     """Make a material from a table of numbers and texts with units.
 
-    table: fields of Material as in materials.toml; what it lacks is from `base`, else the defaults.
-    Raises SceneError with all problems, each beginning with the field at fault.
+    table: fields of Material as in materials.toml, `law` and the parameters of that law; what it lacks is from `base`, else the
+    defaults. Raises SceneError with all problems, each beginning with the field at fault.
     """
-    values = _DEFAULTS if base is None else {f.name: getattr(base, f.name) for f in fields(base) if f.name != "name"}
+    values: dict[str, object] = (
+        dict(_DEFAULTS) if base is None else {f.name: getattr(base, f.name) for f in fields(base) if f.name != "name"}
+    )
+    problems: list[str] = []
+    strength, own, lacks = _strength(table, base, problems)
+    known = [f.name for f in fields(Material) if f.name not in ("name", "strength")]
+    every = [*known, *own]
+    foreign = [key for key in table if key not in every]
+    problems += [f"{key[:40]!r}: unknown key{units.nearest(key, every)}; known: {', '.join(every)}" for key in foreign]
+    rest = {key: value for key, value in table.items() if key in known}
     hint = ' (or name a material to start from: base = "Ni")'
-    metal = library.read_record(Material, name, table, _read, values, hint)
-    problems = []
+    metal = library.read_record(Material, name, rest, _read, values | {"strength": strength}, hint, problems, lacks)
     if metal.T_m <= metal.T_ref:
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
+    if not problems and not metal.flow_stress(0.0, 0.0, metal.T_ref) > 0.0:
+        law = LAWS[strength.law].parameters
+        problems.append(f"{', '.join(law)} give no yield stress above zero at {metal.T_ref:g} K; it must be above zero")
     library.refuse(problems, name)
     return metal
 
 
-def from_scene(tables: Mapping[str, Mapping[str, object]]) -> tuple[dict[str, Material], list[str]]:
-    """The library with the materials of a scene added or changed.
+def from_scene(
+    tables: Mapping[str, Mapping[str, object]], strength: str = "", used: Collection[str] = ()
+) -> tuple[dict[str, Material], list[str]]:
+    """The library with the materials of a scene added or changed, by their names and other names.
 
-    tables: the scene's [materials.NAME] tables; `base = "Ni"` starts from a material of the library,
-    and a table that has the name of one starts from that. Returns (materials by name, problems).
+    tables: the scene's [materials.NAME] tables; `base = "Ni"` starts from a material of the library, and a table that has the name
+    of one starts from that; `strength` is the set or the law to start from. strength: the set or law of the metals in `used` whose
+    own table names none. Returns (materials by name, problems).
     """
-    catalogue, problems = dict(_library()), []
-    for name, table in tables.items():
+    known, problems = _library() | _aliases(), []
+    catalogue = {name: found.material for name, found in known.items()}
+    for name, table in {**{name: {} for name in used if strength and name in known}, **tables}.items():
         where = f"materials.{name[:40]!r}" if not library.SAFE_NAME.fullmatch(name) else f"materials.{name}"
-        base_name = table.get("base", name if name in _library() else None)
-        if base_name is not None and (not isinstance(base_name, str) or base_name not in _library()):
-            problems.append(f"{where}.base: {unknown(str(base_name)[:40], _library())}")
+        base_name = table.get("base", name if name in known else None)
+        if base_name is not None and (not isinstance(base_name, str) or base_name not in known):
+            problems.append(f"{where}.base: {unknown(str(base_name)[:40], catalogue)}")
             continue
-        base = _library()[base_name] if base_name is not None else None
-        rest = {key: value for key, value in table.items() if key != "base"}
+        base, choice = None, table.get("strength", strength if name in used and "law" not in table else "")
+        rest = {key: value for key, value in table.items() if key not in ("base", "strength")}
         try:
-            metal = from_table(name, rest, base)
+            if base_name is not None:
+                base = known[base_name].with_set(str(choice)) if choice else known[base_name].material
+            elif choice and "strength" in table:
+                raise ValueError('needs a material of the library to start from, such as base = "Ni"')
+            metal = from_table(name if name in tables or base is None else base.name, rest, base)
             if base is not None and rest and "source" not in rest:
                 metal = replace(metal, source=f"{base.source}; changed in the scene: {', '.join(rest)}")
             catalogue[name] = metal
         except SceneError as error:
             problems += [f"{where}: {problem}" for problem in error.problems]
+        except ValueError as error:
+            problems.append(f"{where}.strength = {error}" if "strength" in table else f"strength = {error}")
     return catalogue, problems
 
 
 @cache
-def _library() -> dict[str, Material]:
-    return library.load(__package__, "materials.toml", from_table)
+def _library() -> dict[str, Entry]:
+    return library.load(__package__, "materials.toml", _entry)
+
+
+@cache
+def _aliases() -> dict[str, Entry]:
+    return {alias: found for found in _library().values() for alias in found.aliases}
+
+
+def _entry(name: str, table: Mapping[str, object]) -> Entry:
+    """A material of the library: its own fields, aliases, and sets, the first of which it has unless another is chosen."""
+    rest = {key: value for key, value in table.items() if key not in ("aliases", "sets")}
+    sets, aliases = table["sets"], table.get("aliases", [])
+    assert isinstance(sets, Mapping)
+    assert isinstance(aliases, list)
+    first = next(iter(sets))
+    # what a set changes of the metal itself (its melting point, say) goes with the set
+    metal = from_table(name, rest | {key: value for key, value in sets[first].items() if key != "source"})
+    strength = replace(metal.strength, set=first, source=str(sets[first]["source"]))
+    return Entry(replace(metal, strength=strength), sets, tuple(aliases))
+
+
+def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Material:
+    """A material of the library with one of its sets."""
+    if name == metal.strength.set:
+        return metal
+    other = from_table(metal.name, {key: value for key, value in table.items() if key != "source"}, metal)
+    return replace(other, strength=replace(other.strength, set=name, source=str(table["source"])))
+
+
+def _strength(
+    table: Mapping[str, object], base: Material | None, problems: list[str]
+) -> tuple[Strength, list[str], list[str]]:
+    """The strength law of a table: (law, keys of the table that are its, parameters that are missing). problems: grows.
+
+    What the table does not say is from the base, if that has the same law.
+    """
+    old = base.strength if base else None
+    law = table.get("law", old.law if old else "johnson_cook")
+    if not isinstance(law, str) or law not in LAWS:
+        problems.append(f"law = {str(law)[:40]!r}: expected one of {', '.join(LAWS)}{units.nearest(str(law), LAWS)}")
+        law = "johnson_cook"
+    schema = LAWS[law].parameters
+    same = old is not None and old.law == law
+    numbers = {key: p.default for key, p in schema.items() if p.default is not None}
+    if old is not None and same:
+        numbers |= old.numbers
+    for key, p in schema.items():
+        if key in table:
+            try:
+                numbers[key] = library.read_number(table[key], p.unit, p.low, p.high)
+            except ValueError as error:
+                problems.append(f"{key} {error}")
+                numbers[key] = p.low
+    own = ["law", "fitted", *schema]
+    changed = any(key in table for key in own)
+    fitted, name, source = Fitted(), "", ""
+    if old is not None and not changed:
+        fitted, name, source = old.fitted, old.set, old.source
+    if "fitted" in table:
+        try:
+            fitted = _fitted(table["fitted"])
+        except ValueError as error:
+            problems.append(f"fitted {error}")
+    lacks = [key for key in schema if key not in numbers]
+    return Strength(law, numbers | dict.fromkeys(lacks, 1.0), name, fitted, source), own, lacks
+
+
+def _fitted(value: object) -> Fitted:
+    """A range such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K", "1000 K"], strain = 0.5 }; any of them may be absent."""
+    if not isinstance(value, Mapping) or not set(value) <= {"rate", "temperature", "strain"}:
+        raise ValueError("must be a table of rate, temperature, strain")
+    ranges: dict[str, tuple[float, float] | None] = {"rate": None, "temperature": None}
+    for key, unit, low, high in (("rate", "1/s", 0.0, 1e13), ("temperature", "K", 0.0, 5000.0)):
+        if key in value:
+            pair = value[key]
+            if not isinstance(pair, list) or len(pair) not in (1, 2):
+                raise ValueError(f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or the first alone')
+            first, last = [*(library.read_number(end, unit, low, high) for end in pair), math.inf][:2]
+            if first > last:
+                raise ValueError(f"{key} must have the smaller value first")
+            ranges[key] = (first, last)
+    strain = library.read_number(value["strain"], "", 0.0, 20.0) if "strain" in value else None
+    return Fitted(ranges["rate"], ranges["temperature"], strain)
 
 
 def _read(key: str, value: object) -> float | Pairs | str:
@@ -188,18 +372,21 @@ def _read(key: str, value: object) -> float | Pairs | str:
 
 
 def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
-    example = f'[["300 K", "... {unit}"], ["1073 K", "... {unit}"]]'
+    """One value, or two pairs of a temperature and a value."""
+    if isinstance(value, str):
+        return ((300.0, library.read_number(value, unit, low, high)),)
+    example = f'"... {unit}", or [["300 K", "... {unit}"], ["1073 K", "... {unit}"]]'
     if not isinstance(value, list) or [len(p) if isinstance(p, list) else 0 for p in value] != [2, 2]:
-        raise ValueError(f"must be two pairs, {example}")
-    (T0, v0), (T1, v1) = value
-    first = (library.read_number(T0, "K", 1.0, 5000.0), library.read_number(v0, unit, low, high))
-    second = (library.read_number(T1, "K", 1.0, 5000.0), library.read_number(v1, unit, low, high))
+        raise ValueError(f"must be one value or two pairs, {example}")
+    first, second = (
+        (library.read_number(T, "K", 1.0, 5000.0), library.read_number(v, unit, low, high)) for T, v in value
+    )
     if first[0] >= second[0]:
         raise ValueError("must have the lower temperature first")
     return first, second
 
 
 def _interpolate(pairs: Pairs, T: float) -> float:
-    (T0, v0), (T1, v1) = pairs
-    x = min(max((T - T0) / (T1 - T0), 0.0), 1.0)
+    (T0, v0), (T1, v1) = pairs[0], pairs[-1]
+    x = min(max((T - T0) / (T1 - T0), 0.0), 1.0) if T1 > T0 else 0.0
     return v0 + x * (v1 - v0)

@@ -87,10 +87,9 @@ def splat_elements(volume: float, element_size: float) -> int:
 
 
 def flow_stress(material: Material, T: float, rate: float) -> float:
-    """Johnson-Cook flow stress, Pa, at a plastic strain of STRAIN_OF_FLOW. T: K, rate: 1/s."""
-    m = material
-    softened = 1.0 - min(max((T - m.T_ref) / (m.T_m - m.T_ref), 0.0), 0.95) ** m.m
-    return (m.A + m.B * STRAIN_OF_FLOW**m.n) * (1.0 + m.C * math.log(max(rate / m.eps_dot_0, 1.0))) * softened
+    """Flow stress, Pa, at a plastic strain of STRAIN_OF_FLOW. T: K, short of melting; rate: 1/s."""
+    hottest = material.T_ref + 0.95 * (material.T_m - material.T_ref)
+    return material.flow_stress(STRAIN_OF_FLOW, rate, min(T, hottest))
 
 
 def damage_numbers(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from ..physics.materials import Material
 from ..scene.effects import WHOLE, Switches
+from .cost import STRAIN_OF_FLOW
 
 
 class Criterion(NamedTuple):
@@ -25,7 +26,7 @@ class Criterion(NamedTuple):
 THRESHOLDS = {
     "thermal_softening": Criterion("heating or preheat / (T_m - T)", 0.006,
         "the metal gets warm enough to lose strength", "heating is too small to matter"),
-    "rate_hardening": Criterion("C ln(v/D / eps_dot_0)", 0.0005,
+    "rate_hardening": Criterion("rise of the flow stress at v/D", 0.0005,
         "the strain rate raises the flow stress", "the flow stress does not depend on the rate"),
     "plastic_heating": Criterion("Taylor-Quinney coefficient", 0.0,
         "temperature is a result", "no plastic work becomes heat"),
@@ -144,7 +145,7 @@ def numbers(situation: Situation) -> dict[str, float]:
     k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
         "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
-        "rate_hardening": max(m.C * math.log(max(rate / m.eps_dot_0, 1.0)) for m, _ in bodies),
+        "rate_hardening": max(_rate_hardening(m, T, rate) for m, T in bodies),
         "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
         "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
         "temperature_dependent_k": k_change * max(in_target, in_particle),
@@ -202,6 +203,13 @@ def heating(material: Material, T: float, velocity: float) -> float:
 def diffusivity(material: Material, T: float) -> float:
     """Thermal diffusivity k / (rho cp) at T (K), m^2/s."""
     return material.k_at(T) / (material.rho * material.cp_at(T))
+
+
+def _rate_hardening(material: Material, T: float, rate: float) -> float:
+    """Share by which a strain rate (1/s) raises the flow stress at T (K), short of melting."""
+    T = min(T, material.T_ref)
+    slow = material.flow_stress(STRAIN_OF_FLOW, 0.0, T)
+    return material.flow_stress(STRAIN_OF_FLOW, rate, T) / slow - 1.0
 
 
 def _preheat(material: Material, T: float) -> float:

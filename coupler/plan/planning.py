@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.tetrahedra import COARSEST
 from ..physics.adhesion import Adhesion, critical_velocity
-from ..physics.materials import Material
+from ..physics.materials import Material, fitted_at
 from ..scene.tables import Face
 from . import cost as estimates
 from . import effects
@@ -20,8 +20,7 @@ from .reading import Scene
 from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
-FITTED_RATE = 1e4  # 1/s: about the highest strain rate Johnson-Cook sets are fitted at (Hopkinson bars)
-RATE_REMARK = f"beyond the {FITTED_RATE:.0e} 1/s that Johnson-Cook is fitted at"
+BEYOND_FIT = "beyond the fitted range"
 CONTACT_STIFFNESS = 1.0  # factor on the penalty stiffness of the contact
 NEAR_MELTING = 0.9  # of the melting point
 
@@ -316,9 +315,8 @@ def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
 
 def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, decided: Effects) -> list[str]:
     warnings = []
-    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
-    if rate > FITTED_RATE:
-        warnings.append(f"strain rates near v/D = {rate:.1e} 1/s lie {RATE_REMARK}")
+    if text := _extrapolation([i.material for i in impacts] + [base], impacts):
+        warnings.append(text)
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
@@ -332,6 +330,16 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
     if absorbing.on and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
         warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
     return warnings
+
+
+def _extrapolation(metals: list[Material], impacts: tuple[ImpactPlan, ...]) -> str:
+    """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
+    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
+    short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
+    limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
+    valid = [f"{name} {set_name}" for name, metal in short.items() for set_name in fitted_at(metal, rate)]
+    others = f"; fitted there: {', '.join(valid)} (key strength of [materials.NAME])" if valid else ""
+    return f"{BEYOND_FIT}: strain rates near v/D = {rate:.1e} 1/s; {', '.join(limits)}{others}" if limits else ""
 
 
 def _hot(material: Material, T: float) -> str:

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from textwrap import fill
 
 from .. import units
 from . import cost as estimates
@@ -40,7 +41,10 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
-    rows, notes = plan.effects.rows, [f"  note: {warning}" for warning in plan.warnings]
+    rows, notes = (
+        plan.effects.rows,
+        [fill(f"note: {text}", 119, initial_indent="  ", subsequent_indent="    ") for text in plan.warnings],
+    )
     if brief:
         off = [row.name for row in rows if not row.on]
         without = f"; off: {', '.join(off)}" if off else ""

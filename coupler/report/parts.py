@@ -21,13 +21,6 @@ CONSTANTS = (
     ("c0", "sound speed c₀ of the shock relation", 1.0, "m/s"),
     ("s", "slope s of the shock relation", 1.0, ""),
     ("Gamma0", "Grüneisen coefficient", 1.0, ""),
-    ("A", "Johnson-Cook A", 1e-6, "MPa"),
-    ("B", "Johnson-Cook B", 1e-6, "MPa"),
-    ("n", "Johnson-Cook n", 1.0, ""),
-    ("C", "Johnson-Cook C", 1.0, ""),
-    ("m", "Johnson-Cook m", 1.0, ""),
-    ("eps_dot_0", "reference strain rate", 1.0, "1/s"),
-    ("T_ref", "reference temperature", 1.0, "K"),
     ("T_m", "melting point", 1.0, "K"),
     ("taylor_quinney", "share of plastic work that heats", 1.0, ""),
 )
@@ -163,8 +156,13 @@ def material_data(result: Result) -> str:
         (label, *(f"{metal[key] * factor:.4g}" for metal in metals.values()), unit)
         for key, label, factor, unit in CONSTANTS
     ]
+    for law in dict.fromkeys(metal["strength"]["law"] for metal in metals.values()):
+        own = [m["strength"]["numbers"] if m["strength"]["law"] == law else {} for m in metals.values()]
+        words = law.replace("_", " ")
+        rows += [(f"{words} {key}", *(f"{n[key]:.4g}" if n else "" for n in own), "") for key in max(own, key=len)]
     sources = "".join(
-        f'<p class="caption">{escape(name)}: {escape(m["source"] or "no source given")}. {escape(m["note"])}</p>'
+        f'<p class="caption">{escape(name)}: {escape(m["source"] or "no source given")}. {escape(m["note"])}'
+        f" Strength: {escape(m['strength']['source'] or 'no source given')}.</p>"
         for name, m in metals.items()
     )
     whole = table(["", *metals, ""], rows, numbers=range(1, len(metals) + 1))

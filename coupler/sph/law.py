@@ -79,8 +79,8 @@ def apply_law(
 
 @njit(cache=True, nogil=True)
 def warm_points(
-    laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, T: Floats, energy: Floats, sums:
-    Floats,
+    laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, eps_p: Floats, T: Floats, energy:
+    Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
 
@@ -92,7 +92,7 @@ def warm_points(
             continue
         old = T[i]
         T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
-        sigma_y[i] = softened(law, sigma_y[i], old, T[i])
+        sigma_y[i] = softened(law, sigma_y[i], eps_p[i], old, T[i])
         machdyn_eps[i] = sigma_y[i] / H
         energy[i] += law.expansion * heat[i] / volume[i]
         sums[1] += law.expansion * heat[i]

@@ -355,6 +355,7 @@ class Particle(ABC):
             np.ascontiguousarray(heat, float),
             self._eps,
             self.sigma_y,
+            self.eps_p,
             self.T,
             self.energy,
             self.sums,
