@@ -1,3 +1,5 @@
+import re
+
 import pytest
 
 from coupler.errors import ColdsprayError, SceneError
@@ -25,9 +27,96 @@ def test_the_papers_table(name):
     assert (m.T_ref, m.taylor_quinney, m.strength["eps_dot_0"]) == (300, 0.9, 1.0)
 
 
-def test_every_material_has_its_source():
-    assert set(materials.names()) >= {"Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4"}
-    assert all(materials.material(name).source for name in materials.names())
+def test_the_library_has_what_engineers_start_from():
+    """Twenty metals and more, several strength sets of nickel, copper, aluminium, titanium alloy and steel, each with its source."""
+    assert set(materials.names()) >= {
+        "Ni",
+        "Ti",
+        "SS304",
+        "OFHC_Cu",
+        "Al",
+        "42CrMo4",
+        "CP_Ti",
+        "Ti6Al4V",
+        "SS316L",
+        "IN718",
+        "Ta",
+        "Brass",
+    }
+    assert len(materials.names()) >= 20
+    entries = [materials.entry(name) for name in materials.names()]
+    assert all(
+        re.search("read|second-hand", text)
+        for entry in entries
+        for m in entry.materials
+        for text in (m.source, m.strength.source)
+    )
+    assert all(len(materials.entry(name).sets) > 1 for name in ("Ni", "Cu", "Al", "Ti6Al4V", "SS304"))
+
+
+def test_other_names_are_understood():
+    assert materials.material("Cu") is materials.material("OFHC_Cu")
+    assert materials.from_scene({})[0]["Cu"] is materials.material("OFHC_Cu")
+    with pytest.raises(ColdsprayError, match='did you mean "copper"'):
+        materials.material("coper")
+
+
+def test_a_strength_set_is_chosen_by_its_name_or_its_law():
+    preston = materials.material("Cu", "Preston_2003")
+    assert preston == materials.material("OFHC_Cu", "preston_tonks_wallace")
+    assert preston.flow_stress(0.3, 1e7, 300.0) > 1.5 * materials.material("Cu").flow_stress(0.3, 1e7, 300.0)
+    with pytest.raises(
+        ColdsprayError,
+        match=r"Ni has no such strength set or law; it has Johnson_1983 \(johnson_cook\), Steinberg_1996",
+    ):
+        materials.material("Ni", "Preston_2003")
+    table = {
+        "Cu": {"strength": "zerilli_armstrong", "C_0": "80 MPa"},
+        "Mine": {"base": "Ni", "strength": "Steinberg_1996"},
+    }
+    catalogue, problems = materials.from_scene(table, "Preston_2003", {"Cu", "Mine", "OFHC_Cu"})
+    assert problems == []
+    assert (catalogue["Cu"].strength["C_0"], catalogue["Cu"].strength["C_2"]) == (80e6, 890e6)
+    assert (catalogue["Mine"].name, catalogue["Mine"].strength.set) == ("Mine", "Steinberg_1996")
+    assert catalogue["OFHC_Cu"].strength.set == "Preston_2003"
+    assert "strength = 'Preston_2003': Ni has no such" in materials.from_scene({}, "Preston_2003", {"Ni"})[1][0]
+    assert catalogue["Cu"].strength.set == ""  # numbers of its own: no set of the library
+    other = {
+        "Own": {
+            "base": "Ni",
+            "law": "zerilli_armstrong",
+            "C_0": "50 MPa",
+            "C_3": "0.002 1/K",
+            "C_4": "1e-4 1/K",
+            "C_2": "500 MPa",
+        }
+    }
+    assert materials.from_scene(other, "Steinberg_1996", {"Own"})[0]["Own"].strength.law == "zerilli_armstrong"
+
+
+def test_a_set_may_have_a_melting_point_of_its_own():
+    assert materials.material("SS304", "Lee_2006").T_m == 1673.0
+    assert materials.material("SS304").T_m == 1800.0
+
+
+def test_constant_heat_is_one_value():
+    catalogue, problems = materials.from_scene({"Flat": {"base": "Ni", "cp": "440 J/(kg K)", "k": "90 W/(m K)"}})
+    assert problems == []
+    assert [catalogue["Flat"].cp_at(T) for T in (200.0, 500.0, 1500.0)] == [440.0] * 3
+    varies = {"Hot": {"base": "Cu", "thermal_expansion": [["300 K", "16.5e-6 1/K"], ["900 K", "20e-6 1/K"]]}}
+    assert materials.from_scene(varies)[0]["Hot"].thermal_expansion_at(600.0) == pytest.approx(18.25e-6)
+
+
+@pytest.mark.parametrize("hardness", [150.0, 163.0, 220.0])
+def test_hardness_is_an_initial_plastic_strain(hardness):
+    """Tabor (1951): after 8 % of further strain the flow stress is a third of the hardness; a yield strength is the flow stress."""
+    nickel = materials.material("Ni")
+    eps = nickel.initial_strain(hardness * 9.80665e6, None)
+    assert nickel.flow_stress(eps + 0.08, 0.0, 293.0) == pytest.approx(hardness * 9.80665e6 / 3, rel=1e-9)
+    assert nickel.flow_stress(nickel.initial_strain(None, 400e6), 0.0, 293.0) == pytest.approx(400e6, rel=1e-9)
+    assert nickel.initial_strain(None, None) == 0.0
+    with pytest.raises(ValueError, match=r"is outside 136.* HV, from the metal without plastic strain"):
+        nickel.initial_strain(100 * 9.80665e6, None)
 
 
 def test_elastic_constants():
@@ -85,6 +174,19 @@ def test_all_problems_of_a_material_at_once():
         ("X", {"base": "Ni", "T_m": "250 K"}, "above T_ref"),
         ("X", {"base": "Ni", "G": "900 GPa"}, "Poisson"),
         ("X", {"base": "Ni", "s": float("nan")}, "outside"),
+        ("X", {"base": "Ni", "A": "-5 MPa"}, "A is outside 0.1 MPa to 20000 MPa"),
+        ("X", {"base": "Ni", "cp": "0 J/(kg K)"}, "cp is outside 10 J/(kg K) to 10000"),
+        ("X", {"base": "Ni", "cp": [["300 K", "450 J/(kg K)"], ["1000 K", "-5 J/(kg K)"]]}, "cp is outside"),
+        (
+            "X",
+            {"base": "Cu", "strength": "zerilli_armstrong", "C_0": "0 MPa"},
+            "give no yield stress above zero at 300 K",
+        ),
+        ("X", {"base": "Ni", "law": "johnson-cook"}, 'did you mean "johnson_cook"'),
+        ("X", {"base": "Ni", "law": "preston_tonks_wallace"}, "missing: theta, p, s_0"),
+        ("X", {"base": "Ni", "theta": 0.02}, "'theta': unknown key"),
+        ("X", {"base": "Ni", "fitted": {"rate": ["10 1/s", "1 1/s"]}}, "fitted rate must have the smaller value first"),
+        ("X", {"strength": "Johnson_1983", "rho": "8000 kg/m^3"}, "needs a material of the library to start from"),
     ],
 )
 def test_faulty_materials(name, table, says):

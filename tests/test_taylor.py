@@ -46,3 +46,12 @@ def test_copper_against_published_bars(taylor: ModuleType, size: float) -> None:
         if "length" in reference:
             assert bar["length"] == pytest.approx(reference["length"], rel=0.0075), author
     assert abs(bar["energy_drift"]) < 1e-3
+
+
+def test_copper_by_zerilli_armstrong(taylor: ModuleType) -> None:
+    """Konokman et al. (2011): a bar at 220 m/s by another code, whose friction is not said; here the wall has none."""
+    bar = taylor.bar("copper_zerilli", 1.4)
+    reference = taylor.reference("copper_zerilli")["results"]["Konokman et al. 2011, axial symmetry"]
+    assert bar["length"] == pytest.approx(reference["length"], rel=0.02)
+    assert bar["diameter"] == pytest.approx(reference["diameter"], rel=0.05)
+    assert abs(bar["energy_drift"]) < 1e-3

@@ -17,6 +17,7 @@ from pydantic_core import PydanticUndefined
 from coupler import units
 from coupler.physics import materials
 from coupler.plan import cost as estimates
+from coupler.physics.strength import LAWS
 from coupler.plan.reading import Scene
 from coupler.scene.effects import NAMES
 from coupler.scene.tables import Quantity, Section
@@ -28,6 +29,8 @@ WORDS = {
     "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
     "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
     " ([effects](../theory/effects.md))",
+    "strength": "strength set or law of all metals that name none under `[materials.NAME]`; the first set of each by default"
+    " ([materials](materials.md))",
     "particle.material": "a name of the library or of `[materials.NAME]`",
     "particle.shape": "all shapes have the volume of a sphere of `diameter`",
     "particle.file": 'with `shape = "file"`: a closed surface (STL, PLY, OBJ), relative to the scene, scaled to `diameter`',
@@ -39,6 +42,8 @@ WORDS = {
     "particle.offset": "of the centre from the axis, x and y, at the start",
     "particle.gap": "of the lowest point above what lies under it at the start; half a spacing by default",
     "particle.dwell": "pause after this impact, in which heat flows",
+    "particle.hardness": "of the powder, if it is harder than its metal as the strength set has it ([materials](materials.md))",
+    "particle.yield_strength": "of the powder, instead of its hardness",
     "gas.kind": "of gas",
     "gas.pressure": "total, before the nozzle",
     "gas.temperature": "total, before the nozzle",
@@ -93,6 +98,8 @@ WORDS = {
     "coating.shapes": "shares of each shape, by number",
     "coating.files": 'files with shapes in place of `shapes`, relative to the scene, such as `"powder/*.stl"`',
     "coating.dwell": "pause after each impact, in which heat flows",
+    "coating.hardness": "as of a particle",
+    "coating.yield_strength": "as of a particle",
     "coating.seed": "the same seed gives the same particles",
 }
 ABOUT = {
@@ -109,13 +116,18 @@ ABOUT = {
 }
 MATERIAL = {
     "rho": "density", "G": "shear modulus", "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
-    "Gamma0": "Grüneisen's parameter", "A": "Johnson-Cook", "B": "Johnson-Cook", "n": "Johnson-Cook", "C": "Johnson-Cook",
-    "m": "Johnson-Cook", "eps_dot_0": "Johnson-Cook: reference rate", "T_ref": "Johnson-Cook: no softening below",
-    "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
-    "thermal_expansion": "linear; for effects that a scene calls for", "sigma_TS": "tensile strength at 293 K, for critical velocities",
-    "cp": "specific heat: two pairs [T, cp], linear between", "k": "conductivity: two pairs [T, k], linear between",
+    "Gamma0": "Grüneisen's parameter", "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
+    "thermal_expansion": "linear; one value, or two pairs [T, value], linear between; 0: not known",
+    "sigma_TS": "tensile strength at 293 K, for critical velocities",
+    "cp": "specific heat: one value, or two pairs [T, cp], linear between",
+    "k": "conductivity: one value, or two pairs [T, k], linear between",
     "source": "where the numbers come from", "note": "what to know of them",
+    "strength": "a strength set of the library, or a law, to start from",
 }  # fmt: skip
+LAW = {
+    "law": f"{', '.join(f'`{name}`' for name in LAWS)}; `johnson_cook` by default",
+    "fitted": '`{ rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K", "1000 K"], strain = 0.5 }`: range of the fit',
+}
 NOZZLE = {
     "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
     "diverging": "length of the second cone", "barrel": "length of a straight part behind",
@@ -163,6 +175,7 @@ Units: {known}.
         own,
         "",
         *_plain(materials.Material, materials._DEFAULTS, MATERIAL, _material_unit),
+        *_laws(),
     ]
     own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
     lines += ["## `[nozzles.NAME]`", "", own, "",
@@ -197,8 +210,20 @@ def _plain(kind: Any, defaults: dict[str, Any], words: dict[str, str], unit_of: 
     for field in dataclasses.fields(kind):
         if field.name != "name":
             default = defaults.get(field.name, "needed")
+            default = default[0][1] if isinstance(default, tuple) else default
             shown = "" if default in (None, "") else f"{default:g}" if isinstance(default, float) else default
             lines.append(f"| `{field.name}` | {unit_of(field.name)} | {shown} | {words.get(field.name, '')} |")
+    return [*lines, ""]
+
+
+def _laws() -> list[str]:
+    """The keys of a strength law, in the table of its material."""
+    lines = ["Keys of its strength law, in the same table:", "", "| key | unit | default | |", "|---|---|---|---|"]
+    lines += [f"| `{key}` | | | {words} |" for key, words in LAW.items()]
+    for name, law in LAWS.items():
+        for key, p in law.parameters.items():
+            default = "needed" if p.default is None else f"{p.default:g}"
+            lines.append(f"| `{key}` | {p.unit} | {default} | {name}: {p.about} |")
     return [*lines, ""]
 
 

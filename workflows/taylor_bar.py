@@ -66,7 +66,7 @@ def bar(case: str, size: float) -> dict[str, float]:
     points, tets = cylinder(2 * radius, length, h, 5 * radius, GROWTH, sizes_to=largest, sector=0.5 * np.pi)
     points[:, 2] *= -1.0  # struck face at z = 0, bar above it
     mesh = prepare(points, tets)
-    law = _linear_hardening(known["law"]) if "law" in known else material(known["material"])
+    law = _linear_hardening(known["law"]) if "law" in known else material(known["material"], known.get("strength", ""))
     record = law_record(law, rate_filter=RATE_FILTER_OVER_CROSSING * 2 * radius / speed)
     t = Target(mesh, record, known["temperature"], fixed=(), track_wave=False)
     face = np.unique(mesh.facets[mesh.sets["bottom"]])

@@ -17,6 +17,7 @@ from . import coating as coating_command
 from . import critical as critical_command
 from . import gas as gas_command
 from . import map as map_command
+from . import materials as materials_command
 from . import mesh as mesh_command
 from . import new as new_command
 from . import watch as watch_command
@@ -132,6 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     for command in (
         new_command,
         watch_command,
+        materials_command,
         gas_command,
         mesh_command,
         coating_command,

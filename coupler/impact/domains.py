@@ -140,7 +140,7 @@ def build_particle(
     law = law_record(p.material, plan.effects.switches, p.rate_filter)
     return ENGINES[plan.engine](
         body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**(numerics or {})),
-        comm=ranks.sph_comm, log=log_file, shares=ranks.shares,
+        comm=ranks.sph_comm, log=log_file, shares=ranks.shares, strain=p.initial_strain,
     )  # fmt: skip
 
 

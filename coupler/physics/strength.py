@@ -94,8 +94,8 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
     T_hat = T / law.T_m
     softer = 1.0 - law.alpha * T_hat
     rate = min(max(rate, law.eps_dot_0), law.rate_limit)
-    drag = log(rate / (law.gamma_xi * sqrt(softer)))  # ln(rate / gamma xi), negative
-    activation = erf(-law.kappa * T_hat * drag)
+    drag = log(rate / (law.gamma_xi * sqrt(softer)))  # ln(rate / gamma xi), above zero where no activation is needed
+    activation = erf(law.kappa * T_hat * max(-drag, 0.0))
     s_drag = law.s_0 * exp(law.beta * drag)
     s = max(law.s_0 - (law.s_0 - law.s_inf) * activation, s_drag)
     y = max(law.y_0 - (law.y_0 - law.y_inf) * activation, min(law.y_1 * exp(law.y_2 * drag), s_drag))
@@ -211,7 +211,8 @@ FIELDS = tuple(dict.fromkeys(["gamma_xi", "rate_limit", *(name for law in LAWS.v
 class Fitted:
     """Range in which the parameters of a set were fitted; None where its source does not say.
 
-    rate: slowest and fastest, 1/s, the fastest infinite where the source has no limit. temperature: coldest and hottest, K. strain: largest plastic strain.
+    rate: slowest and fastest, 1/s, the fastest infinite where the source has no limit. temperature: coldest and hottest, K.
+    strain: largest plastic strain.
     """
 
     rate: tuple[float, float] | None = None

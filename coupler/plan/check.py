@@ -42,6 +42,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
                 f"{where}.temperature = {text_of(body.temperature, 'K')}: must stay below {_HOTTEST:g} of the"
                 f" melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K",
             )
+    for where, particle in zip(scene.labels, scene.particles, strict=True):
+        yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)
     yield from _resolution(d)
     yield from _adhesion(d, catalogue)
@@ -52,6 +54,19 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
             f"output.every = {text_of(d.output_every_of(scene.particle), 'ns')}: would write {records:.3g} steps;"
             f" at most {_MOST_RECORDS}, so at least {units.rounded(sum(map(d.usual_time_of, scene.particles)) / _MOST_RECORDS, 'ns')}",
         )
+
+
+def _hardness(where: str, particle: Particle, material: Material | None) -> Iterator[Problem]:
+    """Whether the strength law of the metal reaches the hardness or the yield strength of the powder."""
+    field = "yield_strength" if particle.hardness is None else "hardness"
+    if particle.hardness is not None and particle.yield_strength is not None:
+        yield (f"{where}.hardness", f"{where}.yield_strength"), f"{where}: give hardness or yield_strength, not both"
+    elif material is not None:
+        try:
+            material.initial_strain(particle.hardness, particle.yield_strength)
+        except ValueError as error:
+            value = text_of(getattr(particle, field), "HV" if field == "hardness" else "MPa")
+            yield (f"{where}.{field}", f"{where}.material"), f"{where}.{field} = {value}: {error}"
 
 
 def _fields(scene: SceneData, *names: str) -> tuple[str, ...]:

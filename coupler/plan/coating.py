@@ -75,6 +75,10 @@ def particles(table: Coating, files: Sequence[Path] = ()) -> list[dict[str, str 
             particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
         if table.dwell:
             particle["dwell"] = units.show(table.dwell, "us")
+        if table.hardness is not None:
+            particle["hardness"] = units.show(table.hardness, "HV")
+        if table.yield_strength is not None:
+            particle["yield_strength"] = units.show(table.yield_strength, "MPa")
         drawn.append(particle)
     return drawn
 

@@ -143,7 +143,8 @@ class Derived:
 
     @cached_property
     def _catalogue(self) -> tuple[dict[str, Material], list[str]]:
-        return materials.from_scene(self.scene.materials)
+        used = {self.scene.substrate.material, *(particle.material for particle in self.scene.particles)}
+        return materials.from_scene(self.scene.materials, self.scene.strength or "", used)
 
     def material(self, name: str) -> Material:
         """A material of the library, or the scene's own. Raises SceneError for a name that is neither."""

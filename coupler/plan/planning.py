@@ -34,7 +34,8 @@ class ImpactPlan:
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
     component normal to the surface over the critical velocity of material and temperature, None where the material has none.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
-    splat_elements: of its splat, an estimate. bands: accuracy of each measure at this resolution."""
+    splat_elements: of its splat, an estimate.
+    initial_strain: plastic strain of the powder, from its hardness. bands: accuracy of each measure at this resolution."""
 
     material: Material
     shape: str
@@ -58,6 +59,7 @@ class ImpactPlan:
     velocity_ratio: float | None
     lengths: tuple[float, float, float]
     splat_elements: int
+    initial_strain: float
     bands: tuple[Band, ...]
 
 
@@ -244,6 +246,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         velocity_ratio=_velocity_ratio(material, particle.temperature, v * math.cos(particle.angle)),
         lengths=particle.form.lengths,
         splat_elements=scene.derived.splat_elements_of(particle),
+        initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
         bands=of_measures(
             Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)
         ),

@@ -84,7 +84,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
         problems.append("materials: expected tables, such as [materials.MyNi]")
         raw["materials"] = tables = {}
-    catalogue, material_problems = materials.from_scene(tables)
+    catalogue, material_problems = materials.from_scene(tables, *_strength_of(raw))
     raw.setdefault("name", safe_name(source))
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
@@ -110,6 +110,14 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     if problems or read is None:
         raise SceneError(problems, source)
     return read
+
+
+def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
+    """The strength set or law that a scene asks for, and the names of the metals that it uses, of the scene as nested dicts."""
+    strength, particles = raw.get("strength"), raw.get("particle")
+    bodies = [*(particles if isinstance(particles, list) else [particles]), raw.get("substrate"), raw.get("coating")]
+    used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
+    return strength if isinstance(strength, str) else "", used
 
 
 def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:

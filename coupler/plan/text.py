@@ -29,6 +29,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
+        *_strength(plan),
         f"  friction   {plan.friction:g}",
         *_splats(plan),
         *_window(plan),
@@ -63,6 +64,19 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
             f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
         )
     return "\n".join([*lines, "", *_influence(plan), *(["", *notes] if notes else [])])
+
+
+def _strength(plan: Plan) -> list[str]:
+    """The strength set of each metal, and the powder's own hardness."""
+    metals = {m.name: m.strength.label for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
+    hardened = [impact.initial_strain for impact in plan.impacts if impact.initial_strain > 0.0]
+    powder = (
+        f"powder begins at a plastic strain of {max(hardened):.3g}"
+        if hardened
+        else "powder as its set, no hardness given"
+    )
+    text = f"{', '.join(f'{name} {label}' for name, label in metals.items())}; {powder}"
+    return [fill(text, 119, initial_indent="  strength   ", subsequent_indent=" " * 13)]
 
 
 def _cut(lines: list[str], brief: bool) -> list[str]:

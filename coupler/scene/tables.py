@@ -125,7 +125,8 @@ class Particle(Section):
     """One impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
 
     shape: a name of `coupler.physics.shapes`, or "file": the closed surface in `file`; diameter: of the sphere of equal volume;
-    tilt (rad): of the shape about y; dwell: pause (s) after this impact.
+    tilt (rad): of the shape about y; dwell: pause (s) after this impact. hardness, yield_strength (Pa, one of them): of the
+    powder, instead of the metal's own.
     """
 
     material: str
@@ -139,6 +140,8 @@ class Particle(Section):
     offset: tuple[Offset, Offset] = (0.0, 0.0)
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
     dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
+    yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
     _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
 
     @model_validator(mode="after")
@@ -178,7 +181,7 @@ class Coating(Section):
     distribution by number, spread: its geometric standard deviation, smallest and largest: where it is cut. velocity,
     temperature: one value or by size, from [gas] where there is none; velocity_spread (m/s): standard deviation about it,
     cut at two. shapes: shares of each shape, by number; those that are no spheres fall at any tilt;
-    files: a pattern of files with shapes, all alike often, in their place.
+    files: a pattern of files with shapes, all alike often, in their place. hardness, yield_strength (Pa): as of a particle.
     """
 
     material: str
@@ -197,6 +200,8 @@ class Coating(Section):
     files: str | None = None
     dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
     seed: StrictInt = Field(1, ge=0, le=2**31)
+    hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
+    yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
 
     @field_validator("shapes")
     @classmethod

@@ -136,15 +136,17 @@ class Particle(ABC):
         log: Path | None = None,
         room: float | None = None,
         shares: Sequence[float] = (1.0,),
+        strain: float = 0.0,
     ):
         """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
 
         room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten times the smallest
         extent, at least the largest). log: LAMMPS's log file. velocity may also be that of each point, (n,3).
         comm: the communicator of the ranks that share the particle, by slabs along x, each its part `shares` of the points.
+        strain: plastic strain that the points begin with.
         """
         self.numerics = numerics or Numerics()
-        self.law, self._special = law, specialised(law)
+        self.law, self._special, self.initial_strain = law, specialised(law), strain
         self.X = np.ascontiguousarray(points, float)
         self.total, self.volume_of_point, self.spacing = len(points), volume, volume ** (1.0 / 3.0)
         r = law[0]
@@ -164,7 +166,8 @@ class Particle(ABC):
         self.volume = np.full(self.n, self.volume_of_point)
         self.f_ext = np.zeros((self.n, 3))
         self.T = np.full(self.n, temperature)
-        self.sigma_y = np.full(self.n, yield_stress(r, 0.0, 0.0, temperature))
+        self.eps_p = np.full(self.n, self.initial_strain)
+        self.sigma_y = np.full(self.n, yield_stress(r, self.initial_strain, 0.0, temperature))
         for name in self._own_fields():
             if not hasattr(self, name):
                 setattr(self, name, rows_of(self.POINTS)[name].new(self.n))

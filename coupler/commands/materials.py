@@ -1,0 +1,101 @@
+"""The command `coldspray materials`: the metals of the library, and all about one of them."""
+
+import argparse
+import textwrap
+from typing import TYPE_CHECKING
+
+from .arguments import Commands, add_command
+
+if TYPE_CHECKING:
+    from ..physics.materials import Entry, Material
+
+_STATES = ((0.2, 1e3, 300.0), (0.2, 1e7, 300.0), (0.2, 1e7, 600.0))  # plastic strain, rate 1/s, temperature K
+
+
+def add(commands: Commands) -> None:
+    """Add the command to a parser's subcommands."""
+    option = add_command(commands, "materials", run, "metals of the library, their strength sets and sources")
+    option("name", nargs="?", metavar="NAME", help="all about one metal (default: list all)")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command. Returns the exit code. Raises ColdsprayError for an unknown name."""
+    from ..physics import materials
+
+    if arguments.name:
+        print("\n".join(_explained(materials.entry(arguments.name))))
+    else:
+        print("\n".join(_listed([materials.entry(name) for name in materials.names()])))
+    return 0
+
+
+def _listed(entries: "list[Entry]") -> list[str]:
+    """A line for each strength set."""
+    lines = [f"{'metal':9} {'strength set':19} {'law':22} fitted"]
+    for known in entries:
+        for i, metal in enumerate(known.materials):
+            law = metal.strength
+            lines.append(f"{'' if i else metal.name:9} {law.set:19} {law.law:22} {law.fitted.words}")
+    return [
+        *lines,
+        "",
+        'The first set is taken unless [materials.NAME] names another: strength = "Preston_2003", or a law.',
+        "coldspray materials NAME: numbers, sources and flow stresses of one",
+    ]
+
+
+def _explained(known: "Entry") -> list[str]:
+    """All about one metal."""
+    metal, show = known.material, _value
+    lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]
+    for name, text in (
+        ("density", f"{metal.rho:g} kg/m^3"),
+        (
+            "elasticity",
+            f"G {metal.G / 1e9:.4g} GPa, K {metal.K / 1e9:.4g} GPa, E {metal.E / 1e9:.4g} GPa, nu {metal.nu:.3f}",
+        ),
+        ("shock", f"U = {metal.c0:g} m/s + {metal.s:g} u, Gamma0 {metal.Gamma0:g}"),
+        ("melting", f"{metal.T_m:g} K"),
+        ("cp", show(metal.cp, "J/(kg K)")),
+        ("k", show(metal.k, "W/(m K)")),
+        ("expansion", show(metal.thermal_expansion, "1/K") if metal.thermal_expansion_at(300.0) else "not known"),
+        ("heat", f"{metal.taylor_quinney:g} of the plastic work"),
+        ("tensile", f"{metal.sigma_TS / 1e6:g} MPa" if metal.sigma_TS else "strength not known: no critical velocity"),
+    ):
+        lines.append(f"  {name:10} {text}")
+    lines += _wrapped("source", metal.source) + _wrapped("note", metal.note)
+    for other in known.materials:
+        lines += ["", *_set(other)]
+    return lines
+
+
+def _set(metal: "Material") -> list[str]:
+    """A strength set: its parameters, its range, flow stresses."""
+    from ..physics.strength import LAWS
+    from ..units import rounded
+
+    law = metal.strength
+    parameters = LAWS[law.law].parameters
+    shown = [f"{key} {rounded(law[key], p.unit, 6) if p.unit else f'{law[key]:g}'}" for key, p in parameters.items()]
+    stresses = [
+        f"{metal.flow_stress(*state) / 1e6:.0f} MPa at {state[0]:g}, {state[1]:.0e} 1/s, {state[2]:.0f} K"
+        for state in _STATES
+    ]
+    return [
+        f"{law.set}: {LAWS[law.law].about}",
+        *_wrapped("law", f"{law.law}: {', '.join(shown)}; melting {metal.T_m:g} K"),
+        *_wrapped("fitted", law.fitted.words),
+        *_wrapped("flow", "; ".join(stresses)),
+        *_wrapped("source", law.source),
+    ]
+
+
+def _value(pairs: tuple[tuple[float, float], ...], unit: str) -> str:
+    if len(pairs) == 1:
+        return f"{pairs[0][1]:g} {unit}"
+    return ", ".join(f"{value:g} {unit} at {T:g} K" for T, value in pairs) + ", linear between"
+
+
+def _wrapped(name: str, text: str) -> list[str]:
+    indent = " " * 13
+    return textwrap.wrap(text, 118, initial_indent=f"  {name:10} ", subsequent_indent=indent) if text else []
