@@ -16,8 +16,8 @@ from pydantic_core import PydanticUndefined
 
 from coupler import units
 from coupler.physics import materials
-from coupler.plan import cost as estimates
 from coupler.physics.strength import LAWS
+from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
 from coupler.scene.effects import NAMES
 from coupler.scene.tables import Quantity, Section

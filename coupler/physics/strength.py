@@ -58,7 +58,7 @@ def zerilli_armstrong(law: Numbers, eps_p: float, rate: float, T: float) -> floa
     Zerilli & Armstrong (1987), J. Appl. Phys. 61, 1816: C_1 = C_5 = 0 and n = 1/2 for fcc metals, C_2 = 0 for bcc metals. eps_p
     without unit, rate 1/s, T K. The exponent of the heat stays at zero or below: heat does not harden.
     """
-    if law.softening == 0.0:
+    if not on(law.softening) or law.softening == 0.0:
         T = law.T_ref
     elif T >= law.T_m:
         return 0.0
@@ -74,10 +74,10 @@ def steinberg_guinan(law: Numbers, eps_p: float, rate: float, T: float) -> float
     Steinberg, Cochran & Guinan (1980), J. Appl. Phys. 51, 1498: for rates above some 1e5 1/s, where the flow stress is taken as
     independent of the rate. eps_p, eps_i (the strain of the metal as received) without unit, rate 1/s, T K. Pressure does not enter.
     """
-    if T >= law.T_m and law.softening > 0.0:
-        return 0.0
     sigma = min(law.Y_0 * (1.0 + law.beta * (max(eps_p, 0.0) + law.eps_i)) ** law.n, law.Y_max)
-    return sigma * max(1.0 - law.softening * law.G_T * max(T - law.T_ref, 0.0), 0.0)
+    if on(law.softening) and law.softening > 0.0 and T > law.T_ref:
+        sigma *= max(1.0 - law.G_T * (T - law.T_ref), 0.0) if T < law.T_m else 0.0
+    return sigma
 
 
 def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> float:
@@ -87,7 +87,7 @@ def preston_tonks_wallace(law: Numbers, eps_p: float, rate: float, T: float) -> 
     and from some 1e8 1/s on phonon drag, s_0 (rate / gamma xi)^beta: the larger counts. G(T) = G_0 (1 - alpha T / T_m); xi, the
     frequency of a shear wave across an atom, 1/s. eps_p without unit, rate 1/s, T K. Pressure does not enter G.
     """
-    if law.softening == 0.0:
+    if not on(law.softening) or law.softening == 0.0:
         T = law.T_ref
     elif T >= law.T_m:
         return 0.0
