@@ -6,7 +6,7 @@ zero at the melting point and above: a liquid has no strength.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import erf, exp, inf, log, pi, sqrt
 from types import SimpleNamespace
 from typing import Protocol, cast
@@ -238,7 +238,7 @@ class Strength:
     """A set of parameters of a strength law: its name in the library ("" for a scene's own), SI values by name, range, source."""
 
     law: str
-    numbers: dict[str, float]
+    numbers: dict[str, float] = field(hash=False)
     set: str = ""
     fitted: Fitted = Fitted()
     source: str = ""
