@@ -7,7 +7,7 @@ from textwrap import fill
 from .. import units
 from . import cost as estimates
 from . import effects
-from .planning import ImpactPlan, Plan
+from .planning import BEYOND_FIT, ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
 _FEW = 3  # lines of a list, in brief
@@ -42,10 +42,10 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
-    rows, notes = (
-        plan.effects.rows,
-        [fill(f"note: {text}", 119, initial_indent="  ", subsequent_indent="    ") for text in plan.warnings],
-    )
+    rows, warnings = plan.effects.rows, plan.warnings
+    if brief:
+        warnings = tuple(_in_brief(text) for text in warnings)
+    notes = [fill(f"note: {text}", 119, initial_indent="  ", subsequent_indent="    ") for text in warnings]
     if brief:
         off = [row.name for row in rows if not row.on]
         without = f"; off: {', '.join(off)}" if off else ""
@@ -77,6 +77,13 @@ def _strength(plan: Plan) -> list[str]:
     )
     text = f"{', '.join(f'{name} {label}' for name, label in metals.items())}; {powder}"
     return [fill(text, 119, initial_indent="  strength   ", subsequent_indent=" " * 13)]
+
+
+def _in_brief(warning: str) -> str:
+    """A warning, without the names of the sets where it is about those."""
+    if not warning.startswith(BEYOND_FIT):
+        return warning
+    return f"{warning.split(';')[0]} (-v: of which sets)"
 
 
 def _cut(lines: list[str], brief: bool) -> list[str]:
