@@ -42,10 +42,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
-    rows, warnings = plan.effects.rows, plan.warnings
-    if brief:
-        warnings = tuple(_in_brief(text) for text in warnings)
-    notes = [fill(f"note: {text}", 119, initial_indent="  ", subsequent_indent="    ") for text in warnings]
+    rows, notes = plan.effects.rows, [line for text in plan.warnings for line in _note(text, brief)]
     if brief:
         off = [row.name for row in rows if not row.on]
         without = f"; off: {', '.join(off)}" if off else ""
@@ -79,11 +76,15 @@ def _strength(plan: Plan) -> list[str]:
     return [fill(text, 119, initial_indent="  strength   ", subsequent_indent=" " * 13)]
 
 
-def _in_brief(warning: str) -> str:
-    """A warning, without the names of the sets where it is about those."""
-    if not warning.startswith(BEYOND_FIT):
-        return warning
-    return f"{warning.split(';')[0]} (-v: of which sets)"
+def _note(warning: str, brief: bool) -> list[str]:
+    """Lines of a warning, in brief without the names of the sets where it is about those."""
+    sets = ""
+    if warning.startswith(BEYOND_FIT):
+        warning, _, sets = warning.partition("; ")
+    lines = [fill(f"note: {warning}", 119, initial_indent="  ", subsequent_indent="    ")]
+    if sets and not brief:
+        lines.append(fill(sets, 119, initial_indent="    ", subsequent_indent="    "))
+    return lines
 
 
 def _cut(lines: list[str], brief: bool) -> list[str]:
