@@ -299,7 +299,7 @@ def hdf5(dice: random.Random, path: Path) -> str:
             new = dice.choice((0, -1, 1, 3, 10**12, "two", [1, 2], 1.5, float("nan"), np.zeros(1000)))
             file["VTKHDF/Steps"].attrs["NSteps"] = new
             how += f" {str(new)[:20]}"
-        elif how == "resized":
+        elif how == "resized" and data.chunks is not None:
             data.resize(dice.choice((0, 1, len(data) + 1, 10**9)), axis=0)
         else:
             width = data.shape[1:]
