@@ -41,7 +41,7 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLDSPRAY_CACHE", str(folder))
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
-        patch.setattr("coupler.report.section_picture", lambda result: None)
+        patch.setattr("coupler.report.section_picture", lambda result, file=None: None)
         yield
 
 

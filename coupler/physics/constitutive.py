@@ -42,6 +42,12 @@ LAW = np.dtype([(name, np.float64) for name in (
 PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = ("C", "C_high", *strength.LAWS, "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation")
 
+#: Effects that change a LAW record.
+SWITCHES = (
+    "thermal_softening", "rate_hardening", "mie_gruneisen", "plastic_heating", "temperature_dependent_cp", "temperature_dependent_k",
+    "thermal_expansion",
+)  # fmt: skip
+
 
 def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_filter: float = 0.0) -> np.ndarray:
     """Pack a material into a LAW record of shape (1,), with effects switched off where `on` says False.
@@ -80,8 +86,9 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
 
 def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
     """Which LAW records (k,) are of a material (k,), whatever effects are on."""
-    names = ("rho", "G", "K", "A", "B", "n", "m", "eps_dot_0", "T_ref", "T_m")
-    return np.all([laws[name] == getattr(material, name) for name in names], axis=0)
+    on, off = law_record(material), law_record(material, dict.fromkeys(SWITCHES, False))
+    names = [name for name in LAW.names or () if on[name] == off[name] and name not in ("rate_filter", "dissipation")]
+    return np.all([laws[name] == on[name] for name in names], axis=0)
 
 
 def specialised(laws: np.ndarray, numbers: tuple[str, ...] = PRESSURE + FLOW) -> np.ndarray:
