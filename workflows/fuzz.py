@@ -82,7 +82,7 @@ def scene(seed: int) -> dict[str, Any]:
     diameters = [diameter * dice.choice((1, 1, 0.8, 1.2)) for _ in range(count)]
     particles = [particle(dice, count == 1, of_one) for of_one in diameters]
     largest = max(diameters)
-    points = log_between(dice, 200, 900)  # of the smallest; shapes have fewer
+    points = log_between(dice, 200, 450)  # of the smallest; shapes have fewer
     spacing = min(diameters) * (math.pi / 6 / points) ** (1 / 3)
     faces = ("absorbing", "free", "fixed")
     substrate: dict[str, Any] = {
