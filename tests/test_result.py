@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import re
+import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from scenes import SHORT
 
 import coupler.files.result
 from coupler.errors import StoreError
-from coupler.files.provenance import provenance
+from coupler.files.provenance import command, provenance
 from coupler.files.result import Result
 from coupler.files.store import Store
 
@@ -280,7 +281,11 @@ def test_a_result_says_where_it_comes_from(shared_run: Any) -> None:
     assert (origin["seed"], origin["host"]) == (None, platform.node())
     assert re.fullmatch(r"[0-9a-f]{40}(-dirty)?", origin["commit"] or 40 * "0")
     assert abs(datetime.now(UTC) - datetime.fromisoformat(origin["date"])) < timedelta(days=1)
-    assert origin["command"]
+
+
+def test_the_command_is_said_without_its_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/coldspray", "run", "my scene.toml"])
+    assert command() == "coldspray run 'my scene.toml'"
 
 
 def test_a_coating_s_result_has_its_seed() -> None:

@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 COARSEST = 1 / 6  # largest element of a graded mesh over the smaller dimension of the body
 TETS_PER_H3 = 4.2  # tetrahedra in a volume h^3, counted in gmsh's meshes: half as many as regular ones of edge h
+PLACES = 4096  # looked for at once in `depths`: some 100 MB
 #: Faces of a tetrahedron of positive volume, normals outwards; face i lies opposite corner i.
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
 
@@ -41,11 +42,13 @@ def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArra
 
     Only the `near` tetrahedra with the nearest centres are looked at.
     """
-    candidates = np.atleast_2d(cKDTree(points[tets].mean(axis=1)).query(x, np.arange(1, min(near, len(tets)) + 1))[1])
-    corner = points[tets[candidates]]
-    edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
-    weights = np.linalg.solve(edges, (x[:, None] - corner[:, :, 0])[..., None])[..., 0]
-    inside = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
+    centres, inside = cKDTree(points[tets].mean(axis=1)), np.zeros(len(x), bool)
+    for rows in np.array_split(np.arange(len(x)), len(x) // PLACES + 1):
+        candidates = centres.query(x[rows], np.arange(1, min(near, len(tets)) + 1))[1]
+        corner = points[tets[candidates]]
+        edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
+        weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
+        inside[rows] = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
     depth = np.zeros(len(x))
     if inside.any():
         boundary = points[np.unique(boundary_faces(tets)[0])]

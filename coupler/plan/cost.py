@@ -174,12 +174,12 @@ def step_time(steps: float, n_elements: float) -> float:
     return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements)
 
 
-def point_time(steps: float, points: float, engine: str = "compiled") -> float:
+def point_time(steps: float, points: float, engine: str) -> float:
     """Time of so many steps by the particle's points, on one core, s."""
     return steps * SECONDS_PER_POINT[engine] * points
 
 
-def target_load(points: float, n_elements: float, engine: str = "compiled") -> float:
+def target_load(points: float, n_elements: float, engine: str) -> float:
     """Cost of what the rank of the target does in a step, target and contact, over the cost of the particle."""
     own = SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points
     return own / (SECONDS_PER_POINT[engine] * points)

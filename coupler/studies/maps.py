@@ -17,6 +17,9 @@ from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from .. import units
 from ..errors import StoreError
@@ -229,10 +232,6 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
     if not names or (problem := sparse(used, names)):
         raise StoreError(f"{quantity}: {problem if names else 'no axis varies'}")
-    from sklearn.exceptions import ConvergenceWarning
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-
     x = np.array([[row[name] for name in names] for row in used], float)
     y = np.array([row[quantity] for row in used], float)
     logs = _logs(x, names)
