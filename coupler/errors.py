@@ -45,6 +45,10 @@ class SplatError(ColdsprayError):
     """A cloud of points that cannot become a finite-element body: says what is wrong with it and what to change."""
 
 
+class DependencyError(ColdsprayError):
+    """A package that is missing or broken: names it, and how to install it."""
+
+
 class PlacementError(ColdsprayError):
     """Ranks that cannot be arranged as asked."""
 

@@ -12,6 +12,7 @@ from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import Surfaces, interface
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 
 Place = tuple[tuple[float, float, float], float, tuple[float, float, float]]  # edges, element size, lowest corner
@@ -42,7 +43,7 @@ class Blocks:
         turn = np.eye(3) if turn is None else turn
         parts = {}
         for name, (lengths, size, corner) in zip("abcdef", places, strict=False):
-            points, tets = meshes.box(lengths, size)
+            points, tets = mesher.box(lengths, size)
             parts[name] = meshes.prepare((points + corner) @ turn.T, tets)
         mesh, self.body = join(parts)
         self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, track_wave=False)

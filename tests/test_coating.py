@@ -5,8 +5,8 @@ import pytest
 
 from coupler import Scene
 from coupler.errors import SceneError
-from coupler.fe import mesh as meshes
 from coupler.files.result import Fields
+from coupler.geometry import mesher
 from coupler.studies.coating import Columns, Splats, over_depth, per_layer, roughness
 
 COATING = """
@@ -101,7 +101,7 @@ def test_gas_gives_velocity_and_temperature_by_size() -> None:
 def slab(
     low: tuple[float, float, float], high: tuple[float, float, float], size: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    points, tets = meshes.box(tuple(b - a for a, b in zip(low, high, strict=True)), size)
+    points, tets = mesher.box(tuple(b - a for a, b in zip(low, high, strict=True)), size)
     edge = points[tets[:, 1:]] - points[tets[:, :1]]
     turned = np.linalg.det(edge) < 0
     tets[turned, 2:] = tets[turned, 2:][:, ::-1]

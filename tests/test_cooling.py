@@ -10,6 +10,7 @@ from conftest import elastic
 from coupler.fe import mesh as meshes
 from coupler.fe.cooling import Links, cool
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
@@ -18,7 +19,7 @@ NONE = np.zeros(0, np.int64)
 
 
 def block(size: float, lengths: tuple[float, float, float] = (1.0, 1.0, 1.0), low: float = 0.0) -> meshes.TetMesh:
-    points, tets = meshes.box(lengths, size)
+    points, tets = mesher.box(lengths, size)
     return meshes.prepare(points + np.array([0.0, 0.0, low]), tets)
 
 

@@ -9,6 +9,7 @@ from conftest import elastic
 from coupler.errors import SolverError
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.impact.ledger import Ledger
 from coupler.physics import constitutive as law
 from coupler.physics.constitutive import heat_capacities
@@ -111,7 +112,7 @@ def test_machdyn_books_no_parts(ball: Build) -> None:
 def test_bulk_viscosity_heats_its_elements() -> None:
     """A block that is compressed fast: heat of the elements is the work of the viscosity, and makes pressure like any other."""
     metal = material("Ni")
-    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+    m = meshes.prepare(*mesher.box((1.0, 1.0, 1.0), 0.5))
     temperatures = []
     for heats in (True, False):
         record = law.law_record(metal, {"dissipation_heat": heats, "plastic_heating": False})

@@ -15,6 +15,7 @@ from coupler.deposition.mass_scaling import scale_masses, step_for
 from coupler.errors import SceneError
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.impact.bodies import Bodies
 from coupler.physics.constitutive import law_record, sound_speed
 from coupler.plan.planning import plan
@@ -34,7 +35,7 @@ def test_the_step_that_a_mass_buys() -> None:
 
 def flattened() -> Bodies:
     """A block with an element pressed flat inside."""
-    flat = pinched(mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2)), 0.9)
+    flat = pinched(mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2)), 0.9)
     target = Target(flat, law_record(elastic()), 300.0, fixed=(), track_wave=False)
     return Bodies(target, np.zeros(len(flat.conn), np.int32), (), (), 0.0)
 
@@ -74,7 +75,7 @@ def test_the_longer_step_is_stable_and_keeps_the_energy() -> None:
 
 def struck(window: float | None, layer: bool = True) -> tuple[Target, float]:
     """A cylinder struck at the middle of its top, after waves have gone out to the window's edge and back twice; its energy then."""
-    m = mesh.prepare(*mesh.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
+    m = mesh.prepare(*mesher.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
     mat = elastic()
     t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=window is not None)
     if window is not None:
@@ -116,7 +117,7 @@ def test_momentum_is_that_of_the_edge_and_the_layer() -> None:
 
 
 def test_a_window_goes_on_from_its_state() -> None:
-    m = mesh.prepare(*mesh.cylinder(12.0, 6.0, 0.3, 0.3, 0.3))
+    m = mesh.prepare(*mesher.cylinder(12.0, 6.0, 0.3, 0.3, 0.3))
     make = lambda: Target(m, law_record(elastic()), 300.0, fixed=())  # noqa: E731
     one = make()
     inertia = np.ones(len(m.conn))

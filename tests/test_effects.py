@@ -12,6 +12,7 @@ from test_scene import scene_with, several
 from coupler import run
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.impact.validity import Extremes, greatest_compression, merged, pressure
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
@@ -56,7 +57,7 @@ def test_heat_raises_temperature_by_enthalpy_and_softens_by_johnson_cook() -> No
 def test_heat_makes_pressure_only_with_thermal_expansion(expands: bool) -> None:
     """Held in its volume a body gains Gamma0 times its heat in pressure; the ledger contains the heat."""
     metal = material("Ni")
-    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+    m = meshes.prepare(*mesher.box((1.0, 1.0, 1.0), 0.5))
     t = Target(
         m,
         law.law_record(metal, {"thermal_expansion": expands}),
@@ -77,7 +78,7 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
     metal = material("OFHC_Cu")
     pressures = []
     for on in (True, False):
-        m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.5))
+        m = meshes.prepare(*mesher.box((1.0, 1.0, 1.0), 0.5))
         record = law.law_record(metal, {"thermal_expansion": on})
         faces = ("bottom", "top", "sides")
         t = Target(m, record, 300.0, fixed=faces, track_wave=False)
@@ -194,7 +195,7 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
 
     replaced: stands in its own laws for each number of an effect that is off.
     """
-    m = meshes.prepare(*meshes.box((1.0, 1.0, 1.0), 0.25))
+    m = meshes.prepare(*mesher.box((1.0, 1.0, 1.0), 0.25))
     t = Target(m, laws, 400.0, fixed=(), track_wave=False)
     if general:
         t._laws_of_pressure = t._laws_of_flow = t.laws

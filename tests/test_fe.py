@@ -9,6 +9,7 @@ from conftest import elastic
 from coupler.errors import SolverError
 from coupler.fe import explicit, kernels, mesh
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.geometry.triangles import areas_and_normals
 from coupler.physics.constitutive import law_record, sound_speed
 from coupler.physics.materials import material
@@ -16,7 +17,7 @@ from coupler.physics.materials import material
 
 @pytest.fixture(scope="module")
 def block() -> mesh.TetMesh:
-    return mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
+    return mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2))
 
 
 def distort(x: np.ndarray, rng: np.random.Generator, size: float) -> np.ndarray:
@@ -29,7 +30,7 @@ def element_gradients(x: np.ndarray, m: mesh.TetMesh) -> np.ndarray:
 
 
 def test_mesh_fills_the_cylinder_and_faces_outwards() -> None:
-    m = mesh.prepare(*mesh.cylinder(2.0, 1.0, 0.1, 0.3, 0.5))
+    m = mesh.prepare(*mesher.cylinder(2.0, 1.0, 0.1, 0.3, 0.5))
     assert m.V0.min() > 0
     assert m.V0.sum() == pytest.approx(np.pi, rel=0.02)
     assert m.node_volume.sum() == pytest.approx(m.V0.sum(), rel=1e-12)
@@ -74,7 +75,7 @@ def test_forces_are_scikit_fems_linear_form_of_the_same_stress(block: mesh.TetMe
 
 
 def test_patch_of_distorted_elements_has_one_stress_and_no_force_inside(rng: np.random.Generator) -> None:
-    points, tets = mesh.box((1.0, 1.0, 1.0), 0.2)
+    points, tets = mesher.box((1.0, 1.0, 1.0), 0.2)
     inside = np.all((points > 1e-6) & (points < 1 - 1e-6), axis=1)
     points[inside] = distort(points[inside], rng, 0.02)
     m = mesh.prepare(points, tets)
@@ -114,7 +115,7 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
     """The bound never exceeds what the exact largest eigenvalue allows, and is not far below it."""
     from scipy.linalg import eigh
 
-    points, tets = mesh.box((1.0, 1.0, 1.0), 0.5)
+    points, tets = mesher.box((1.0, 1.0, 1.0), 0.5)
     m = mesh.prepare(points, tets)
     mat = elastic()
     monkeypatch.setattr(explicit, "LINEAR_VISCOSITY", 0.0)
@@ -142,7 +143,7 @@ def test_stable_dt_is_sharp_from_below(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_step_includes_elements_that_become_active_while_it_is_kept() -> None:
     """A flat inactive element does not limit the step until the front reaches it."""
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 12.0), 0.25), origin=(0.5, 0.5, 0.0))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 12.0), 0.25), origin=(0.5, 0.5, 0.0))
     t = Target(m, law_record(elastic()), 300.0, fixed=())
     last = m.conn[-1]
     t.x[last[0]] += 0.9 * (t.x[last[1:]].mean(axis=0) - t.x[last[0]])
@@ -155,7 +156,7 @@ def test_the_step_includes_elements_that_become_active_while_it_is_kept() -> Non
 
 def test_the_sharper_step_is_stable_while_elements_flow(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that twists itself into plastic flow, stepped at the limit of the whole mesh: as at half the safe bound."""
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2))
     ends = []
     for sharp in (True, False):
         t = Target(m, law_record(material("SS304"), rate_filter=1e-6), 300.0, fixed=(), track_wave=False)
@@ -177,7 +178,7 @@ def test_the_sharper_step_is_stable_while_elements_flow(monkeypatch: pytest.Monk
 
 def bar_error(size: float) -> float:
     """Relative error of the arrival speed of a longitudinal pulse in a confined bar of elements of this size."""
-    m = mesh.prepare(*mesh.box((0.2, 0.2, 2.0), size))
+    m = mesh.prepare(*mesher.box((0.2, 0.2, 2.0), size))
     mat = elastic()
     t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
     t.inv_mass[:] = 1 / t.mass
@@ -228,7 +229,7 @@ def test_waves_leave_through_absorbing_sides_only(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(explicit, "QUADRATIC_VISCOSITY", 0.0)
     left = {}
     for kind in ("free", "absorbing", "fixed"):
-        m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.1), (0.5, 0.5, 0.5))
+        m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.1), (0.5, 0.5, 0.5))
         names = ("top", "bottom", "sides")
         mat = elastic(nu=0.0)
         t = Target(
@@ -248,7 +249,7 @@ def test_waves_leave_through_absorbing_sides_only(monkeypatch: pytest.MonkeyPatc
 
 
 def test_only_what_a_wave_has_reached_is_computed_and_nothing_changes() -> None:
-    m = mesh.prepare(*mesh.cylinder(8.0, 4.0, 0.12, 0.3, 0.3))
+    m = mesh.prepare(*mesher.cylinder(8.0, 4.0, 0.12, 0.3, 0.3))
     states = []
     for track_wave in (True, False):
         t = Target(m, law_record(elastic()), 300.0, track_wave=track_wave)

@@ -11,6 +11,7 @@ from coupler.errors import SolverError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
 from coupler.fe.heat import Conduction
+from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material, names
 
@@ -56,7 +57,7 @@ def test_operator_is_scikit_fems(rng: np.random.Generator) -> None:
     from skfem import Basis, BilinearForm, ElementTetP1, MeshTet
     from skfem.helpers import dot, grad
 
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.3))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.3))
     x = m.points + 0.02 * rng.standard_normal(m.points.shape)  # conduction acts in the current configuration
     volume = np.zeros(len(m.conn))
     assert kernels.volumes(0, len(volume), x, m.conn, volume) > 0
@@ -75,7 +76,7 @@ def test_half_space_with_a_hot_face_follows_the_error_function() -> None:
     errors, sizes = [], np.array([0.1, 0.05, 0.025])
     end = 0.15**2 / ALPHA
     for size in sizes:
-        m = mesh.prepare(*mesh.box((4 * size, 4 * size, 1.0), size))
+        m = mesh.prepare(*mesher.box((4 * size, 4 * size, 1.0), size))
         block = Block(m, law_record(elastic()), np.full(len(m.conn), 300.0))
         block.conduction.hold(side(m, "bottom"), 400.0)
         supplied = block.run(end)
@@ -128,7 +129,7 @@ def test_heat_capacity_that_changes_with_temperature_and_what_is_conserved() -> 
     """A hot and a cold half level out at the temperature of equal enthalpy, and single elements level with them."""
     law = law_record(elastic())
     law["cp_T0"], law["cp_T1"], law["cp_slope"] = 300.0, 1300.0, 0.3  # 450 to 750 J/kgK
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.25))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.25))
     block = Block(m, law, np.where(m.points[m.conn][:, :, 2].mean(axis=1) > 0.5, 1000.0, 400.0))
 
     def enthalpy(T: np.ndarray) -> np.ndarray:
@@ -145,7 +146,7 @@ def test_heat_capacity_that_changes_with_temperature_and_what_is_conserved() -> 
 
 
 def test_heat_of_one_element_spreads_and_none_is_lost() -> None:
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.2))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2))
     block = Block(m, law_record(elastic()), np.full(len(m.conn), 300.0))
     block.T[100] = 900.0
     total = float(m.V0 @ block.T)
@@ -163,7 +164,7 @@ def test_conduction_in_a_moving_target(length: float) -> None:
     """The ledger closes as well with conduction; it matters in a body of a micrometre and not in one of a metre."""
     made, ledger = [], []
     for conducts in (False, True):
-        points, tets = mesh.box((1.0, 1.0, 1.0), 0.2)
+        points, tets = mesher.box((1.0, 1.0, 1.0), 0.2)
         m = mesh.prepare(points * length, tets)
         t = Target(m, law_record(material("OFHC_Cu")), 300.0, fixed=(), track_wave=False, conduction=conducts)
         hot = np.flatnonzero(m.points[m.conn][:, :, 2].mean(axis=1) < 0.3 * length)
@@ -186,7 +187,7 @@ def test_conduction_in_a_moving_target(length: float) -> None:
 
 
 def test_conduction_needs_only_the_active_part() -> None:
-    points, tets = mesh.cylinder(8e-6, 4e-6, 0.12e-6, 0.3e-6, 0.3)
+    points, tets = mesher.cylinder(8e-6, 4e-6, 0.12e-6, 0.3e-6, 0.3)
     m = mesh.prepare(points, tets)
     made, dt = [], 0.0
     for track_wave in (True, False):
@@ -205,7 +206,7 @@ def test_conduction_needs_only_the_active_part() -> None:
 
 
 def test_a_heated_body_expands_by_its_grueneisen_number_and_a_linear_one_does_not() -> None:
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.34))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.34))
     for on in (True, False):
         metal = material("Ni")
         t = Target(m, law_record(metal, {"mie_gruneisen": on}), 300.0, fixed=(), track_wave=False)
@@ -237,7 +238,7 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     places, warmth = (0.0, 1.5), (300.0, 500.0)
     parts = []
     for at, size in zip(places, (0.3, 0.25), strict=True):
-        points, tets = mesh.box((1.0, 1.0, 1.0), size)
+        points, tets = mesher.box((1.0, 1.0, 1.0), size)
         parts.append(mesh.prepare(points + np.array([at, 0.0, 0.0]), tets))
     both, body = join({"copper": parts[0], "steel": parts[1]})
     assert np.all(np.diff(both.reach_node) >= 0)
@@ -284,7 +285,7 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
 
 
 def test_materials_do_not_share_nodes() -> None:
-    m = mesh.prepare(*mesh.box((1.0, 1.0, 1.0), 0.5))
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.5))
     law_of = np.arange(len(m.conn)) % 2
     with pytest.raises(SolverError, match="share nodes"):
         Target(m, np.concatenate([law_record(elastic())] * 2), 300.0, law_of=law_of)

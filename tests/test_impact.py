@@ -13,7 +13,7 @@ from scenes import NI, SHORT
 
 from coupler import Result, Scene, run
 from coupler.errors import SolverError, StoreError
-from coupler.geometry.tetrahedra import depths
+from coupler.geometry.points import depths
 from coupler.impact.exchange import Impact
 from coupler.report.picture import section_picture
 

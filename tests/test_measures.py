@@ -8,6 +8,7 @@ import pytest
 from validate import contact_pressure  # workflows/validate.py
 
 from coupler.fe import mesh as meshes
+from coupler.geometry import mesher
 from coupler.impact.measure import YIELDED, plastic_zone
 from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure, within_range
 
@@ -30,7 +31,7 @@ def test_what_fills_no_area_presses_nothing(touching: np.ndarray) -> None:
 
 
 def test_the_yielded_zone_is_found_in_a_block() -> None:
-    points, tets = meshes.box((40e-6, 40e-6, 20e-6), 2e-6)
+    points, tets = mesher.box((40e-6, 40e-6, 20e-6), 2e-6)
     mesh = meshes.prepare(points - np.array([20e-6, 20e-6, 20e-6]), tets)
     middle = mesh.points[mesh.conn].mean(axis=1)
     radius, depth = 12e-6, 9e-6

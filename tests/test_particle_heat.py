@@ -124,6 +124,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
 
     from coupler.fe import mesh as meshes
     from coupler.fe.explicit import Target
+    from coupler.geometry import mesher
     from coupler.impact.heat import HeatPaths
     from coupler.sph.carried_surface import CarriedSurface
 
@@ -132,7 +133,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     X, vertices = body.points + lift, body.vertices + lift
     upper, lower = law_record(elastic()), law_record(elastic())
     lower["rho"] = 15600.0  # diffuses less far: what spreads sideways under the bar stays little
-    points, tets = meshes.box((1.4, 1.4, 2.0), 0.09)
+    points, tets = mesher.box((1.4, 1.4, 2.0), 0.09)
     m = meshes.prepare(points - np.array([0.7, 0.7, 2.0]), tets)
     t = Target(m, lower, 300.0, fixed=(), track_wave=False, conduction=True)
     surface = CarriedSurface(X, vertices, body.triangles, body.spacing)

@@ -192,7 +192,7 @@ def test_warns_near_melting():
 
 
 def test_elements_against_a_mesh():
-    from coupler.fe.mesh import cylinder
+    from coupler.geometry.mesher import cylinder
 
     target = plan(scene_with(preset="draft")).target
     size = (target.diameter, target.height, target.element_size, target.refined_radius)

@@ -9,6 +9,7 @@ from coupler.deposition.equilibrium import RELAXED, settle
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.fe.stability import HighestFrequency, masses_for
+from coupler.geometry import mesher
 from coupler.impact.bodies import Bodies
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -18,7 +19,7 @@ KINETIC = 1e-7  # J
 
 def substrate(pinch: float = 0.0, track_wave: bool = False) -> Bodies:
     """A block of steel on a fixed floor, 60 x 60 x 40 um. pinch: of a tetrahedron's height that is taken away."""
-    points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
+    points, tets = mesher.box((60e-6, 60e-6, 40e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
     mesh = pinched(mesh, pinch) if pinch else mesh
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, track_wave=track_wave)
@@ -113,7 +114,7 @@ def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
 
 def test_an_inactive_part_under_stress_supports_the_active_part() -> None:
     """A push on a block whose lower part is inactive under stress: its momentum is that of the push and of what the supports give."""
-    points, tets = meshes.cylinder(120e-6, 60e-6, 4e-6, 6e-6, 0.3)
+    points, tets = mesher.cylinder(120e-6, 60e-6, 4e-6, 6e-6, 0.3)
     mesh = meshes.prepare(points, tets)
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, absorbing=("sides",))
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), ("sides",), 0.3)

@@ -12,24 +12,29 @@ from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
 from coupler.deposition.equilibrium import settle
-from coupler.deposition.joining import point_of_impact, release_time
+from coupler.deposition.joining import cloud_of, point_of_impact, release_time
 from coupler.deposition.run import resume
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
+from coupler.geometry import mesher
+from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.bodies import Bodies, level_under
 from coupler.impact.ending import EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
+from coupler.sph import shapes
+from coupler.sph.carried_surface import CarriedSurface
+from coupler.splat.convert import convert
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n')
 
 
 def block(corner: tuple[float, float, float], stress: float, J: float, law: np.ndarray) -> BodyState:
     """A cube of 20 um, its lowest corner there, under a uniform state."""
-    points, tets = meshes.box((20e-6, 20e-6, 20e-6), 5e-6)
+    points, tets = mesher.box((20e-6, 20e-6, 20e-6), 5e-6)
     edge = points[tets[:, 1:]] - points[tets[:, :1]]
     turned = np.linalg.det(edge) < 0
     tets[turned, 2:] = tets[turned, 2:][:, ::-1]
@@ -43,7 +48,7 @@ def block(corner: tuple[float, float, float], stress: float, J: float, law: np.n
 
 
 def substrate() -> Bodies:
-    points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
+    points, tets = mesher.box((60e-6, 60e-6, 20e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=("bottom",), track_wave=False)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
@@ -112,7 +117,7 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
 
 def test_no_heat_flows_while_bodies_come_to_rest() -> None:
     """The time that takes is none of the spray's; after it heat flows again."""
-    points, tets = meshes.box((60e-6, 60e-6, 20e-6), 6e-6)
+    points, tets = mesher.box((60e-6, 60e-6, 20e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
     T = np.where(mesh.points[mesh.conn].mean(axis=1)[:, 0] > 0.0, 310.0, 300.0)
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), T, track_wave=False, conduction=True)
@@ -237,3 +242,20 @@ def test_a_sequence_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Pa
 @pytest.mark.parametrize("at", [20e-9, None, 85e-9], ids=["first", "joined", "second"])
 def test_a_whole_sequence_goes_on_to_the_same_end(double: Result, tmp_path: Path, at: float | None) -> None:
     assert_goes_on(DOUBLE, double, tmp_path / "out", at)
+
+
+def test_a_hollow_particle_keeps_its_cavity_when_it_is_meshed() -> None:
+    """The surface of its cloud encloses the metal alone: the first strategy makes the body, with its cavity."""
+    body = shapes.shape("hollow_sphere", 25e-6, 1000)
+    state = {"eps_p": 0.0, "T": 300.0, "J": 1.0, "energy": 0.0}
+    particle = SimpleNamespace(
+        x=body.points, v=np.zeros_like(body.points), stress=lambda: np.zeros((len(body.points), 6)), spacing=body.spacing,
+        law=law_record(material("Ni"), rate_filter=1e-9), whole=lambda _: np.full(len(body.points), body.volume),
+        **{name: np.full(len(body.points), value) for name, value in state.items()},
+    )  # fmt: skip
+    surface = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
+    cloud = cloud_of(cast(Any, SimpleNamespace(particle=particle, body=body, surface=surface)))
+    assert enclosed_volume(*cloud.surface) == pytest.approx(cloud.volume.sum(), rel=0.03)
+    (splat,) = convert(cloud, 1.7 * cloud.spacing).bodies
+    assert splat.report["failed"] == []
+    assert len(splat.report["surface"]) == 2

@@ -1,15 +1,17 @@
 """The conversion as a whole: clouds in, bodies out, in a process that may die; and what is refused."""
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from mesher_that_fails import dies, hangs
 
-from coupler.errors import SplatError
+from coupler.errors import DependencyError, SplatError
 from coupler.geometry import tetrahedra
 from coupler.geometry.triangles import open_or_double
 from coupler.sph import packing, shapes
@@ -186,6 +188,15 @@ def test_bad_clouds_are_refused_with_a_remedy(what: str) -> None:
 def test_bad_tasks_are_refused(size: float, method: str, told: str) -> None:
     with pytest.raises(SplatError, match=told):
         convert(bad(), size, method)
+
+
+@pytest.mark.parametrize("package", [None, ModuleType("open3d")], ids=["missing", "incomplete"])
+@pytest.mark.parametrize("method", ["auto", "density"])
+def test_a_conversion_needs_open3d(method: str, package: ModuleType | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Incomplete: as the folder is once one of the packages open3d and open3d-cpu has been removed from beside the other."""
+    monkeypatch.setitem(sys.modules, "open3d", package)
+    with pytest.raises(DependencyError, match=r"open3d cannot be loaded.*remove both, then install one"):
+        convert(cloud_of(points=400), 3.4e-6, method)
 
 
 def test_carried_needs_a_surface() -> None:

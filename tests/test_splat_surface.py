@@ -136,7 +136,7 @@ def test_step_length_is_the_solvers_bound() -> None:
     from types import SimpleNamespace
 
     from coupler.fe import kernels
-    from coupler.fe import mesh as meshes
+    from coupler.geometry import mesher
     from coupler.physics.constitutive import law_record, sound_speed
     from coupler.physics.strength import Strength
 
@@ -146,7 +146,7 @@ def test_step_length_is_the_solvers_bound() -> None:
         strength=Strength("johnson_cook", dict(A=1e20, B=0.0, n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=300.0)),
         taylor_quinney=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
     )  # fmt: skip
-    points, tets = meshes.box((1.0, 1.0, 1.0), 0.4)
+    points, tets = mesher.box((1.0, 1.0, 1.0), 0.4)
     dt = np.zeros(len(tets))
     kernels.stable_dt(
         0,

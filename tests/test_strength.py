@@ -9,6 +9,7 @@ import pytest
 
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.physics import constitutive as law
 from coupler.physics import materials, strength
 from coupler.physics.materials import Material, material
@@ -145,7 +146,7 @@ def test_radial_return_follows_the_law(name: str, which: str) -> None:
     """Simple shear of one element and of points at one rate: the equivalent stress is the flow stress of the state reached."""
     metal = material(name, which)
     record, rate = law.law_record(metal, rate_filter=1e-9), 2e6
-    m = mesh.prepare(*mesh.box((1e-5, 1e-5, 1e-5), 1e-5))
+    m = mesh.prepare(*mesher.box((1e-5, 1e-5, 1e-5), 1e-5))
     t = Target(m, record, 300.0, fixed=(), track_wave=False)
     shear = np.array([[0.0, 0.0, rate * math.sqrt(3.0)], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     dt = 0.2 * t.stable_dt()[0]
@@ -162,7 +163,7 @@ def test_radial_return_follows_the_law(name: str, which: str) -> None:
 def test_laws_may_stand_side_by_side() -> None:
     """Two bodies of one domain, each with its own law: the same as each alone, to the last bit."""
     sets: list[Material] = [material("OFHC_Cu", which) for which in ("Johnson_1983", "Preston_2003")]
-    m = mesh.prepare(*mesh.box((1e-5, 1e-5, 1e-5), 1e-5))
+    m = mesh.prepare(*mesher.box((1e-5, 1e-5, 1e-5), 1e-5))
     both: Any = np.concatenate([law.law_record(metal, rate_filter=1e-9) for metal in sets])
 
     def sheared(laws: np.ndarray, law_of: np.ndarray | None) -> np.ndarray:

@@ -6,7 +6,7 @@ import validate
 import validation_figures
 import validation_page
 
-from coupler.fe import mesh as meshes
+from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import boundary_faces
 from coupler.plan.reading import Scene
 
@@ -46,7 +46,7 @@ def test_ringing_is_heard_with_its_amplitude() -> None:
 
 
 def test_thickness_on_the_axis_of_a_block_of_tetrahedra() -> None:
-    points, tets = meshes.box((20e-6, 20e-6, 6e-6), 3e-6)
+    points, tets = mesher.box((20e-6, 20e-6, 6e-6), 3e-6)
     faces = boundary_faces(tets)[0]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed

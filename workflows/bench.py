@@ -14,6 +14,7 @@ from pages import TABLES, machine, options, single_impact, spacing_of, write_tab
 
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
+from coupler.geometry import mesher
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
@@ -44,7 +45,7 @@ def fastest(work: Callable[[], object], repeats: int = REPEATS, now: Callable[[]
 
 def block(size: float, plastic: bool) -> Target:
     """A cube of SS304 of about 20 000 tetrahedra that twists, slowly or fast."""
-    m = mesh.prepare(*mesh.box((1e-4, 1e-4, 1e-4), size))
+    m = mesh.prepare(*mesher.box((1e-4, 1e-4, 1e-4), size))
     target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), track_wave=False)
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01

@@ -1,99 +1,120 @@
-"""The clouds of the splat battery: what real impacts leave, and synthetic hard ones."""
+"""The clouds of the splat battery: those that real impacts leave, and synthetic hard ones."""
 
+import json
 import tempfile
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import single_impact, spacing_of
+from pages import spacing_of
 from scipy.spatial import cKDTree
 
 from coupler import Scene, run
+from coupler.deposition.joining import cloud_of
+from coupler.impact.exchange import Impact
 from coupler.physics.materials import material
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
-SCENE = """
-{before}[[particle]]
-material = "{metal}"
-shape = "{shape}"
-diameter = "{diameter} um"
-velocity = "{velocity} m/s"
-angle = "{angle} deg"
-tilt = "{tilt} deg"
-offset = ["{offset} um", "0 um"]
-[adhesion]
-kind = "{kind}"
-[substrate]
-material = "SS304"
-[resolution]
-spacing = "{spacing!r} um"
-[end]
-at = "rest"
-"""
 Map = Callable[[np.ndarray], np.ndarray]
+Made = dict[
+    str, Any
+]  # arrays and numbers of a cloud, by the names of `coupler.splat.cloud.Cloud`, with vertices and triangles
 
 
-def impact(metal: str, velocity: float, **more: Any) -> Callable[[], dict[str, Any]]:
-    """A run to rest; also of the moment of greatest deformation, with `greatest`."""
+def particle(metal: str, velocity: float, **more: object) -> str:
+    """The table of one particle of a scene: 25 um, Ti 30 um; velocity m/s; more: further keys."""
+    diameter = "30 um" if metal == "Ti" else "25 um"
+    keys = {"material": metal, "diameter": diameter, "velocity": f"{velocity:g} m/s", **more}
+    return "\n".join(["[[particle]]", *(f"{key} = {json.dumps(value)}" for key, value in keys.items()), ""])
 
-    def make() -> dict[str, Any]:
-        how = {"shape": "sphere", "angle": 0, "tilt": 0, "offset": 0, "points": 1000, "onto": False, **more}
-        diameter = 25.0 if metal == "Ni" else 30.0
-        spacing = spacing_of(how["points"], diameter)
-        first = single_impact(metal, diameter, 500.0).partition("[substrate]")[0] if how["onto"] else ""
-        kind = "tied" if how["onto"] else "none"
-        text = SCENE.format(
-            before=first, kind=kind, metal=metal, velocity=velocity, diameter=diameter, spacing=spacing, **how
+
+@cache
+def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[Made, Made]]:
+    """The clouds of a run's impacts, in their order: of greatest deformation and of the end. spacing: um."""
+    kind = "tied" if len(particles) > 1 else "none"
+    rest = f'[resolution]\nspacing = "{spacing!r} um"\n[adhesion]\nkind = "{kind}"\n[substrate]\nmaterial = "{base}"\n'
+    seen: dict[int, list[Made]] = {}
+
+    def watch(now: Impact) -> None:
+        if now.sinking <= 0.0:
+            cloud = vars(cloud_of(now.domains)).copy()
+            cloud["vertices"], cloud["triangles"] = cloud.pop("surface")
+            clouds = seen.setdefault(id(now.domains.body), [cloud, cloud])
+            clouds[1] = cloud
+
+    with tempfile.TemporaryDirectory() as folder:
+        run(
+            Scene.from_text("".join(particles) + rest + '[end]\nat = "rest"\n', "battery"),
+            Path(folder) / "run",
+            probe=watch,
+            threads=1,
+            quiet=True,
         )
-        scene = Scene.from_text(text, "battery")
-        body = shapes.shape(how["shape"], diameter * 1e-6, scene.derived.points, np.radians(how["tilt"]), 0.8)
-        inner = CarriedSurface(body.points, *body.inner, body.spacing) if body.inner is not None else None
-        seen: dict[str, Any] = {}
-
-        def watch(now: Any) -> None:
-            p = now.particle
-            x = np.array(p.x)
-            vertices, triangles = np.array(now.surface.positions(x)), np.array(now.surface.triangles)
-            if inner is not None:
-                triangles = np.concatenate([triangles, inner.triangles + len(vertices)])
-                vertices = np.concatenate([vertices, inner.positions(x)])
-            state = {
-                "x": x, "volume": np.full(len(x), body.volume), "spacing": body.spacing, "velocity": np.array(p.v),
-                "stress": np.array(p.stress()), "eps_p": np.array(p.eps_p), "T": np.array(p.T), "J": np.array(p.J),
-                "energy": np.array(p.energy), "rho": material(metal).rho, "wave_speed": material(metal).wave_speed,
-                "vertices": vertices, "triangles": triangles,
-            }  # fmt: skip
-            if p.momentum()[2] >= 0.0 and "greatest" not in seen:
-                seen["greatest"] = state
-            seen["end"] = state
-
-        with tempfile.TemporaryDirectory() as folder:
-            run(scene, Path(folder) / "run", probe=watch, threads=1)
-        return seen["greatest" if how.get("greatest") else "end"]
-
-    return make
+    return [(greatest, end) for greatest, end in seen.values()]
 
 
-def real() -> dict[str, Callable[[], dict[str, Any]]]:
+def impact(
+    metal: str, velocity: float, points: int = 1000, onto: bool = False, moment: int = 1, **more: object
+) -> Callable[[], Made]:
+    """An impact on SS304 to rest, after one at 500 m/s with `onto`; its cloud at the end (moment 1) or of greatest deformation (0)."""
+    diameter = 30.0 if metal == "Ti" else 25.0
+    before = (particle(metal, 500.0),) if onto else ()
+    particles = (*before, particle(metal, velocity, **more))
+    return lambda: played(particles, "SS304", spacing_of(points, diameter))[-1][moment]
+
+
+def real() -> dict[str, Callable[[], Made]]:
     """The impacts by name."""
     clouds = {f"{m}{v}": impact(m, v) for m in ("Ni", "Ti") for v in (250, 500, 750, 1000, 1250)}
-    clouds |= {f"{m}{v}_greatest": impact(m, v, greatest=True) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
+    clouds |= {f"{m}{v}_greatest": impact(m, v, moment=0) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 750))}
     for shape in ("hollow_sphere", "oblate", "rod", "flake", "angular"):
         clouds |= {f"{m}{v}_{shape}": impact(m, v, shape=shape) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
     for angle, fast in ((30, 1000), (45, 750)):
-        clouds |= {f"{m}{v}_at_{angle}": impact(m, v, angle=angle) for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))}
-    clouds["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt=90)
+        clouds |= {
+            f"{m}{v}_at_{angle}": impact(m, v, angle=f"{angle} deg")
+            for m, v in (("Ni", 500), ("Ni", fast), ("Ti", 500))
+        }
+    clouds["Ni500_rod_upright"] = impact("Ni", 500, shape="rod", tilt="90 deg")
     for name, offset in (("middle", 0), ("flank", 12), ("rim", 18)):
-        clouds[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=offset)
-    clouds["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=14)
-    fine = {"points": 5000}
-    clouds |= {"Ni500_fine": impact("Ni", 500, **fine), "Ni1000_fine": impact("Ni", 1000, **fine)}
-    clouds |= {"Ti500_fine": impact("Ti", 500, **fine), "Ni750_flake_fine": impact("Ni", 750, shape="flake", **fine)}
-    clouds["Ni500_hollow_sphere_fine"] = impact("Ni", 500, shape="hollow_sphere", **fine)
+        clouds[f"Ni500_on_splat_{name}"] = impact("Ni", 500, onto=True, offset=[f"{offset} um", "0 um"])
+    clouds["Ti500_on_splat_flank"] = impact("Ti", 500, onto=True, offset=["14 um", "0 um"])
+    clouds |= {f"{m}{v}_fine": impact(m, v, points=5000) for m, v in (("Ni", 500), ("Ni", 1000), ("Ti", 500))}
+    clouds |= {f"{m}{v}_{shape}_fine": impact(m, v, points=5000, shape=shape) for m, v, shape in
+               (("Ni", 750, "flake"), ("Ni", 500, "hollow_sphere"))}  # fmt: skip
+    return clouds
+
+
+def splats() -> dict[str, Callable[[], Made]]:
+    """Thirty splats of runs of 500 points, by name: four metals, oblique, hot, soft on hard, hard on soft, and sequences."""
+    clouds: dict[str, Callable[[], Made]] = {}
+
+    def add(name: str, base: str, *particles: str) -> None:
+        diameter = 30.0 if name.startswith("Ti") else 25.0
+        for i in range(len(particles)):
+            label = f"run_{name}" + (f"_{i + 1}_of_{len(particles)}" if len(particles) > 1 else "")
+            clouds[label] = lambda i=i: played(particles, base, spacing_of(500, diameter))[i][1]  # type: ignore[misc]
+
+    for metal, base, velocities in (("Ni", "SS304", (400, 600, 800)), ("Ti", "Ti", (400, 700, 900)), ("Cu", "Cu", (300, 500, 700)),
+                                    ("Al", "Al", (500, 700, 900))):  # fmt: skip
+        for velocity in velocities:
+            add(f"{metal}{velocity}_on_{base}", base, particle(metal, velocity))
+    for metal, velocity, angle in (("Ni", 600, 30), ("Ti", 600, 40), ("Cu", 500, 45), ("Al", 700, 20)):
+        add(f"{metal}{velocity}_at_{angle}", "SS304", particle(metal, velocity, angle=f"{angle} deg"))
+    for metal, velocity, hot in (("Ni", 500, 900), ("Ti", 600, 900), ("Cu", 500, 700), ("Al", 600, 550)):
+        add(f"{metal}{velocity}_at_{hot}K", metal, particle(metal, velocity, temperature=f"{hot} K"))
+    for metal, velocity, base in (("Cu", 500, "SS304"), ("Al", 700, "SS304"), ("Ni", 500, "Al")):
+        add(f"{metal}{velocity}_on_{base}", base, particle(metal, velocity))
+    add(
+        "Ni_three",
+        "SS304",
+        *(particle("Ni", v, offset=[x, "0 um"]) for v, x in ((500, "0 um"), (600, "12 um"), (700, "-8 um"))),
+    )
+    add("Cu_Al", "SS304", particle("Cu", 500), particle("Al", 600, offset=["10 um", "0 um"]))
+    add("Ti_Ni", "Ti", particle("Ti", 600), particle("Ni", 500, offset=["-9 um", "0 um"]))
     return clouds
 
 
@@ -134,7 +155,7 @@ def starred(x: np.ndarray) -> np.ndarray:
     return y
 
 
-def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> dict[str, Any]:
+def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> Made:
     """A body moved by a smooth map, with analytic fields; J is the map's."""
     x = motion(body.points)
     step = 1e-4 * D
@@ -153,7 +174,7 @@ def mapped(body: shapes.Body, motion: Map, carried: bool = True) -> dict[str, An
     return cloud
 
 
-def filled(x: np.ndarray, volume: float, spacing: float) -> dict[str, Any]:
+def filled(x: np.ndarray, volume: float, spacing: float) -> Made:
     """A cloud at places x (n,3) with smooth fields."""
     n, u = len(x), x / D
     speed = np.stack([20 * u[:, 1], -20 * u[:, 0] + 5 * np.sin(4 * u[:, 2]), 30 + 10 * u[:, 0]], axis=1)
@@ -169,7 +190,7 @@ def ball(n: int) -> shapes.Body:
     return shapes.shape("sphere", D, n)
 
 
-def joined(*parts: dict[str, Any]) -> dict[str, Any]:
+def joined(*parts: Made) -> Made:
     """Several clouds as one, without surfaces."""
     first = parts[0]
     arrays = {k for k, v in first.items() if np.ndim(v) and k not in ("vertices", "triangles", "J")}
@@ -179,18 +200,18 @@ def joined(*parts: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def moved(cloud: dict[str, Any], by: tuple[float, float, float]) -> dict[str, Any]:
+def moved(cloud: Made, by: tuple[float, float, float]) -> Made:
     return cloud | {"x": cloud["x"] + np.array(by)}
 
 
-def pair(n: int, gap: float) -> dict[str, Any]:
+def pair(n: int, gap: float) -> Made:
     """Two balls whose outermost points are `gap` spacings apart."""
     left = mapped(ball(n), still, carried=False)
     width = float(np.ptp(left["x"][:, 0])) + gap * left["spacing"]
     return joined(left, moved(left, (width, 0.0, 0.0)))
 
 
-def shattered(n: int, sizes: tuple[int, ...], seed: int) -> dict[str, Any]:
+def shattered(n: int, sizes: tuple[int, ...], seed: int) -> Made:
     """A splat with fragments of so many points separated from it."""
     rng = np.random.default_rng(seed)
     whole = mapped(ball(n), lens, carried=False)
@@ -203,7 +224,7 @@ def shattered(n: int, sizes: tuple[int, ...], seed: int) -> dict[str, Any]:
     return joined(*parts)
 
 
-def dust(n: int, share: float, seed: int) -> dict[str, Any]:
+def dust(n: int, share: float, seed: int) -> Made:
     """A splat with a share of its points blown off one by one."""
     rng = np.random.default_rng(seed)
     cloud = mapped(ball(n), lens, carried=False)
@@ -213,7 +234,7 @@ def dust(n: int, share: float, seed: int) -> dict[str, Any]:
     return {k: v for k, v in cloud.items() if k != "J"}
 
 
-def ring(n: int) -> dict[str, Any]:
+def ring(n: int) -> Made:
     points, volume = packing.fill(
         lambda x: (np.hypot(x[:, 0], x[:, 1]) - 0.4 * D) ** 2 + x[:, 2] ** 2 < (0.17 * D) ** 2, (0.6 * D, 0.6 * D, 0.2 * D),
         2.0 * np.pi**2 * 0.4 * D * (0.17 * D) ** 2, n,
@@ -221,7 +242,7 @@ def ring(n: int) -> dict[str, Any]:
     return filled(points, volume, volume ** (1.0 / 3.0))
 
 
-def scattered(n: int, seed: int) -> dict[str, Any]:
+def scattered(n: int, seed: int) -> Made:
     """Points on no lattice, at least 0.8 spacings apart, places only."""
     rng = np.random.default_rng(seed)
     volume = np.pi / 6.0 * D**3 / n
@@ -239,7 +260,7 @@ def scattered(n: int, seed: int) -> dict[str, Any]:
     return {"x": x, "volume": np.full(len(x), 0.715 * np.pi / 6.0 * D**3 / len(x)), "spacing": spacing, "rho": 8906.0}
 
 
-def curved_layer(n: int) -> dict[str, Any]:
+def curved_layer(n: int) -> Made:
     """One layer of points on half a sphere."""
     i = np.arange(2 * n) + 0.5
     z, phi = 1.0 - i / n, np.pi * (1.0 + 5.0**0.5) * i
@@ -248,9 +269,9 @@ def curved_layer(n: int) -> dict[str, Any]:
     return filled(x, spacing**3, spacing)
 
 
-def synthetic() -> dict[str, Callable[[], dict[str, Any]]]:
+def synthetic() -> dict[str, Callable[[], Made]]:
     """The synthetic clouds by name."""
-    clouds: dict[str, Callable[[], dict[str, Any]]] = {}
+    clouds: dict[str, Callable[[], Made]] = {}
 
     def add(name: str, body: Callable[[], shapes.Body], motion: Map, carried: bool = True) -> None:
         clouds[name] = lambda: mapped(body(), motion, carried)

@@ -22,7 +22,8 @@ from pages import ROOT, TABLES, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
-from coupler.fe.mesh import cylinder, prepare
+from coupler.fe.mesh import prepare
+from coupler.geometry.mesher import cylinder
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength

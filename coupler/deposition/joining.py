@@ -17,7 +17,7 @@ from ..impact.verdict import judge
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..sph.carried_surface import shape_measures
+from ..sph.carried_surface import CarriedSurface, shape_measures
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
 from .equilibrium import RELAXED, RELEASE_TIME, settle
@@ -159,15 +159,19 @@ def _links(bodies: Bodies, size: float) -> Links:
 
 
 def cloud_of(domains: Domains) -> Cloud:
-    """The points of a finished impact with all they carry (`splat.cloud.Cloud`)."""
-    particle, surface = domains.particle, domains.surface
-    law = particle.law[0]
+    """The points of an impact with all they carry and their surface, that of a cavity included (`splat.cloud.Cloud`)."""
+    particle, body = domains.particle, domains.body
+    law, vertices, triangles = particle.law[0], domains.surface.positions(particle.x), domains.surface.triangles
+    if body.inner is not None:
+        cavity = CarriedSurface(body.points, *body.inner, body.spacing)
+        triangles = np.concatenate([triangles, cavity.triangles + len(vertices)])
+        vertices = np.concatenate([vertices, cavity.positions(particle.x)])
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
         velocity=np.array(particle.v),
         stress=particle.stress(), eps_p=np.array(particle.eps_p), T=np.array(particle.T), J=np.array(particle.J),
         energy=np.array(particle.energy),
-        surface=(surface.positions(particle.x), surface.triangles),
+        surface=(vertices, triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip
 

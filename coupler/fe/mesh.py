@@ -1,16 +1,13 @@
-"""Graded tetrahedral meshes of the target (gmsh), and what the solver takes from scikit-fem."""
+"""The mesh of the target with what the solver takes from scikit-fem."""
 
-import math
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Annotated
 
 import numpy as np
 from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
 from ..errors import SolverError
-from ..geometry import mesher
-from ..geometry.tetrahedra import COARSEST, oriented, volumes
+from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
 from ..state.records import Shape
 
@@ -34,52 +31,6 @@ class TetMesh:
     sets: dict[str, np.ndarray]
     reach_node: Annotated[np.ndarray, Shape(-1)]
     reach_element: Annotated[np.ndarray, Shape(-1)]
-
-
-def cylinder(
-    diameter: float,
-    height: float,
-    size: float,
-    refined_radius: float,
-    growth: float,
-    centre: tuple[float, float] = (0.0, 0.0),
-    sizes_to: float | None = None,
-    sector: float = 2.0 * math.pi,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
-
-    Element edges are `size` within refined_radius of (centre, 0) and grow by `growth` per unit of distance beyond,
-    up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from the x axis on
-    (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
-    """
-    unit = size  # gmsh's absolute tolerances want numbers near one
-    largest = (sizes_to or COARSEST * min(diameter, height)) / unit
-
-    def build(gmsh: ModuleType) -> None:
-        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
-        gmsh.model.occ.synchronize()
-        x, y = centre[0] / unit, centre[1] / unit
-        distance = f"Sqrt((x-({x:.12g}))^2+(y-({y:.12g}))^2+z^2)"
-        field = gmsh.model.mesh.field.add("MathEval")
-        grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
-        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
-        gmsh.model.mesh.field.setAsBackgroundMesh(field)
-
-    points, tets = mesher.build(build)
-    return points * unit, tets
-
-
-def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Points and tetrahedra of a box [0, lx] x [0, ly] x [0, lz] with edges of about `size` (m)."""
-
-    def build(gmsh: ModuleType) -> None:
-        gmsh.model.occ.addBox(0, 0, 0, *(length / size for length in lengths))
-        gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
-
-    points, tets = mesher.build(build)
-    return points * size, tets
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
 
-from ..errors import SplatError
+from ..errors import ColdsprayError, SplatError
 
 T = TypeVar("T")
 ROOT = str(Path(__file__).resolve().parents[2])
@@ -19,7 +19,7 @@ ROOT = str(Path(__file__).resolve().parents[2])
 def apart(call: Callable[[], T], time_limit: float) -> T:
     """The result of call() in a process of its own. call: the `functools.partial` of a function of a module.
 
-    Raises SplatError where the process raises an error or dies, or where it takes more than time_limit s.
+    Raises the ColdsprayError of the call; SplatError where the process dies, or takes more than time_limit s and is killed.
     """
     with tempfile.TemporaryDirectory(prefix="apart-") as name:
         folder = Path(name)
@@ -31,23 +31,23 @@ def apart(call: Callable[[], T], time_limit: float) -> T:
                 env={**os.environ, "PYTHONPATH": paths}, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired:
-            raise SplatError(f"the mesher was not done after {time_limit:g} s") from None
+            raise SplatError(f"the mesher was not done after {time_limit:g} s: try another element size") from None
         if done.returncode < 0:
             raise SplatError(f"the mesher was ended by {signal.Signals(-done.returncode).name}")
         if done.returncode > 0:
             raise SplatError(f"the mesher failed: {done.stderr.decode(errors='replace').strip().splitlines()[-1]}")
         result = pickle.loads((folder / "result").read_bytes())
-    if isinstance(result, SplatError):
+    if isinstance(result, ColdsprayError):
         raise result
     return cast(T, result)
 
 
 def main(folder: Path) -> None:
-    """What the process does: the call, and its result or SplatError into the folder."""
+    """What the process does: the call, and its result or ColdsprayError into the folder."""
     call = pickle.loads((folder / "call").read_bytes())
     try:
         result = call()
-    except SplatError as problem:
+    except ColdsprayError as problem:
         result = problem
     (folder / "result").write_bytes(pickle.dumps(result))
 

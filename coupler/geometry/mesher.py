@@ -1,5 +1,9 @@
-"""Tetrahedral meshes by gmsh: of solids that it builds itself, and inside closed surfaces. The only module that imports gmsh."""
+"""Tetrahedral meshes by gmsh: of solids that it builds itself, and inside closed surfaces. The only module that imports gmsh.
 
+gmsh can hang, or end its process: the program calls these functions in one of their own (`geometry.apart`).
+"""
+
+import math
 from collections.abc import Callable
 from types import ModuleType
 
@@ -7,7 +11,7 @@ import gmsh
 import numpy as np
 
 from ..errors import SolverError, SplatError
-from .tetrahedra import oriented
+from .tetrahedra import COARSEST, oriented
 
 HXT, DELAUNAY = 10, 1
 
@@ -45,6 +49,52 @@ def build(
     return points[used], tets.reshape(-1, 4)
 
 
+def cylinder(
+    diameter: float,
+    height: float,
+    size: float,
+    refined_radius: float,
+    growth: float,
+    centre: tuple[float, float] = (0.0, 0.0),
+    sizes_to: float | None = None,
+    sector: float = 2.0 * math.pi,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
+
+    Element edges are `size` within refined_radius of (centre, 0) and grow by `growth` per unit of distance beyond,
+    up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from the x axis on
+    (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
+    """
+    unit = size  # gmsh's absolute tolerances want numbers near one
+    largest = (sizes_to or COARSEST * min(diameter, height)) / unit
+
+    def model(gmsh: ModuleType) -> None:
+        gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
+        gmsh.model.occ.synchronize()
+        x, y = centre[0] / unit, centre[1] / unit
+        distance = f"Sqrt((x-({x:.12g}))^2+(y-({y:.12g}))^2+z^2)"
+        field = gmsh.model.mesh.field.add("MathEval")
+        grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
+        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
+        gmsh.model.mesh.field.setAsBackgroundMesh(field)
+
+    points, tets = build(model)
+    return points * unit, tets
+
+
+def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points and tetrahedra of a box [0, lx] x [0, ly] x [0, lz] with edges of about `size` (m)."""
+
+    def model(gmsh: ModuleType) -> None:
+        gmsh.model.occ.addBox(0, 0, 0, *(length / size for length in lengths))
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+
+    points, tets = build(model)
+    return points * size, tets
+
+
 def fill(
     shells: list[tuple[np.ndarray, np.ndarray]],
     size: float,
@@ -57,8 +107,7 @@ def fill(
     shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
     lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
     all that a bad surface allows in reasonable time. graded: edges as long as those of the surface nearby instead of `size`,
-    which is then only the unit. Raises SplatError where gmsh cannot. Bad input can bring the process
-    down: call it in one that may die (`geometry.apart`).
+    which is then only the unit. Raises SplatError where gmsh cannot.
     """
 
     def model(gmsh: ModuleType) -> None:

@@ -1,18 +1,21 @@
-"""Cleaning of clouds of points (open3d)."""
+"""Points: how deep they lie in a mesh; cleaning of clouds (open3d)."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from .library import open3d
+from .tetrahedra import boundary_faces
+
 SAME_PLACE = 1e-4  # spacings: points so close are one
+PLACES = 4096  # looked for at once in `depths`: some 100 MB
 LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
 LONELY = 2.5  # spacings: a point without another one so near is no part of a body
 
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
     """Which of points x (n,3) m to keep: each place once, without lonely points; and what was left out, in words."""
-    import open3d as o3d
-
+    o3d = open3d()
     finite = np.isfinite(x).all(axis=1)
     if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # reported by the check of the cloud
         return np.arange(len(x)), []
@@ -25,3 +28,22 @@ def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
         return np.arange(len(x)), []
     counts = {"points on top of others": len(x) - len(first), "points far from all others": len(first) - len(index)}
     return index, [f"{count} {kind} left out" for kind, count in counts.items() if count]
+
+
+def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArray[np.float64]:
+    """Distance (k,) m of places x (k,3) inside the tetrahedra (m,4) of points (n,3) from the nearest node of their boundary; 0 outside.
+
+    Only the `near` tetrahedra with the nearest centres are looked at.
+    """
+    centres, inside = cKDTree(points[tets].mean(axis=1)), np.zeros(len(x), bool)
+    for rows in np.array_split(np.arange(len(x)), len(x) // PLACES + 1):
+        candidates = centres.query(x[rows], np.arange(1, min(near, len(tets)) + 1))[1]
+        corner = points[tets[candidates]]
+        edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
+        weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
+        inside[rows] = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
+    depth = np.zeros(len(x))
+    if inside.any():
+        boundary = points[np.unique(boundary_faces(tets)[0])]
+        depth[inside] = cKDTree(boundary).query(x[inside])[0]
+    return depth

@@ -7,6 +7,7 @@ or are marked where it gives none.
 import numpy as np
 
 from ..errors import SplatError
+from ..geometry.library import open3d
 from ..geometry.triangles import enclosed_volume
 
 ALPHA = 0.025  # of the bounding box's diagonal: three spacings of the paper's 89,094 points
@@ -21,9 +22,7 @@ def poisson_surface(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarr
 
     It lies half a spacing inside the body. Raises SplatError where a stage gives no surface.
     """
-    import open3d as o3d
-
-    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
+    o3d = open3d()
     o3d.utility.random.seed(1)
     unit = spacing  # open3d has absolute tolerances for numbers near one
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(x / unit))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SplatError
+from .library import open3d
 from .triangles import open_or_double
 
 if TYPE_CHECKING:
@@ -24,8 +25,7 @@ class RaySurface:
     """
 
     def __init__(self, points: NDArray, triangles: NDArray, closed: bool = True):
-        import open3d as o3d  # 1.4 s of processor time and 180 MB, which a single impact does not need
-
+        o3d = open3d()
         if closed and (problem := open_or_double(np.asarray(triangles, np.int64))):
             raise SplatError(f"the surface is not closed: {problem}")
         self._tensor: Callable[[NDArray], Tensor] = o3d.core.Tensor.from_numpy
@@ -40,8 +40,9 @@ class RaySurface:
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:
         """Distance (k,) m of places x (k,3) m from a closed surface where they lie outside it, else 0."""
-        signed = self._scene.compute_signed_distance(self._single(x), nthreads=1).numpy()
-        return np.maximum(signed.astype(float), 0.0) * self.unit
+        distance, out = np.zeros(len(x)), np.flatnonzero(~self.inside(x))
+        distance[out] = self._scene.compute_distance(self._single(x[out]), nthreads=1).numpy()
+        return distance * self.unit
 
     def inside(self, x: NDArray) -> NDArray[np.bool_]:
         """Which places x (k,3) m lie inside a closed surface (k,)."""

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SplatError
+from .library import open3d
 from .triangles import enclosed_volume, open_or_double
 
 if TYPE_CHECKING:
@@ -67,9 +68,7 @@ def solid_of(points: NDArray, triangles: NDArray) -> Solid:
 
 def _mesh(points: NDArray, triangles: NDArray) -> "TriangleMesh":
     """A surface as open3d has it, 100 units large: open3d has absolute tolerances for numbers near one."""
-    import open3d as o3d
-
-    o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
+    o3d = open3d()
     unit = float(np.ptp(points, axis=0).max()) / 100.0 or 1.0
     return o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector((points - points[0]) / unit), o3d.utility.Vector3iVector(triangles.astype(np.int32))

@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from ..contact.penalty import JUMP, PointContact
-from ..fe import mesh as meshes
 from ..fe.explicit import Target
+from ..fe.mesh import prepare
+from ..geometry import mesher
+from ..geometry.apart import apart
 from ..physics.constitutive import law_record
 from ..physics.materials import Material
 from ..plan.planning import Plan
@@ -22,6 +25,7 @@ from ..sph.particle import Numerics, Particle
 from .bodies import Bodies, BodiesState, level_under
 from .heat import HeatPaths
 
+MESHING_LIMIT = 600.0  # s, of gmsh for the substrate
 SURFACE_EDGE = 0.8  # edges of the particle's contact surface over the spacing of its points
 
 
@@ -51,12 +55,11 @@ class Domains:
 def build_target(plan: Plan) -> Bodies:
     """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
     t = plan.target
-    points, tets = meshes.cylinder(
-        t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
-    )
+    sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
+    points, tets = apart(partial(mesher.cylinder, *sizes), MESHING_LIMIT)
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
-    mesh = meshes.prepare(points, tets, (*plan.impacts[0].offset, 0.0))
+    mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))
     target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
     target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
@@ -97,7 +100,7 @@ def build_domains(
         )
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
     parallel.begin_impact(ranks, i, place)
-    local = build_particle(plan, i, place, ranks, numerics, log_file) if ranks.has_points else None
+    local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
     particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
     contact = PointContact(
@@ -134,9 +137,13 @@ def build_particle(
     ranks: parallel.Ranks,
     numerics: Mapping[str, float] | None,
     log_file: Path | None,
+    body: shapes.Body | None = None,
 ) -> Particle:
-    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it."""
-    p, body = plan.impacts[i], body_of(plan, i)
+    """This rank's part of the particle of impact i, its centre at place (3,) m. Starts LAMMPS, on all ranks that share it.
+
+    body: as of `body_of`, which is called without it.
+    """
+    p, body = plan.impacts[i], body or body_of(plan, i)
     law = law_record(p.material, plan.effects.switches, p.rate_filter)
     return ENGINES[plan.engine](
         body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**(numerics or {})),

@@ -14,7 +14,7 @@ import numpy as np
 from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
 from ..errors import SolverError
-from ..geometry.tetrahedra import depths
+from ..geometry.points import depths
 from ..geometry.triangles import vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS
 from ..physics.constitutive import is_metal

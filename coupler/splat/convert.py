@@ -5,7 +5,7 @@ import time as clock
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..errors import SplatError
+from ..errors import DependencyError, SplatError
 from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import MIN_POINTS, Body, Cloud, Report, Splat
@@ -107,6 +107,8 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
         except SplatError as problem:
             failed.append(f"{strategy}: {problem}")
             continue
+        except DependencyError:
+            raise
         except Exception as problem:  # another strategy may still succeed
             failed.append(f"{strategy}: {type(problem).__name__}: {problem}")
             continue

@@ -55,8 +55,10 @@ def of_surface(vertices: np.ndarray, triangles: np.ndarray, h: float, sigma: flo
     first, counts = _grid(vertices.min(axis=0), vertices.max(axis=0), h, 3.0 * sigma)
     fine = np.zeros(tuple(2 * n for n in counts), np.int8)
     winding(vertices, triangles.astype(np.int64), first - 0.5 * h, 0.5 * h, fine)
-    inside = (fine > 0).reshape(counts[0], 2, counts[1], 2, counts[2], 2)
-    share = inside.sum(axis=(1, 3, 5), dtype=np.float32) / 8.0
+    count = np.zeros(counts, np.int8)
+    for i, j, k in np.ndindex(2, 2, 2):
+        count += fine[i::2, j::2, k::2] > 0
+    share = count.astype(np.float32) / 8.0
     return Field(_smooth(share, sigma / h), first, h), float(share.sum(dtype=float)) * h**3
 
 
