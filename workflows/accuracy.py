@@ -31,8 +31,8 @@ class Study:
 
     heading: str
     scene: str
-    points: tuple[int, ...] = (500, 1000, 2000, 5000)
-    reference: int = 12000
+    points: tuple[int, ...] = (500, 1000, 2000, 5000, 12000)
+    reference: int = 24000
     knobs_at: int = 0
 
     def load(self) -> Scene:
@@ -42,7 +42,7 @@ class Study:
 STUDIES = {
     "ni500": Study("Ni at 500 m/s", "single_ni", knobs_at=1000),
     "ti500": Study("Ti at 500 m/s", "single_ti", knobs_at=1000),
-    "ni1000": Study("Ni at 1000 m/s", "fast_ni", (500, 1000, 2000), 5000),
+    "ni1000": Study("Ni at 1000 m/s", "fast_ni", (500, 1000, 2000, 5000), 12000),
     "al725": Study("Al at 725 m/s", "al_on_steel", (500, 1000, 2000), 5000),
     "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", (700, 1000, 2000), 4000),
 }

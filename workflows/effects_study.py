@@ -1,7 +1,7 @@
-"""What each effect changes, and whether leaving out what `auto` leaves out matters.
+"""What each effect changes, and whether what `auto` leaves out stays within the budget.
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
-    python workflows/effects_study.py --proof    # everything on against auto: docs/tables/effects_proof.csv
+    python workflows/effects_study.py --proof    # everything on against auto at draft: docs/tables/effects_proof.csv
     python workflows/effects_study.py --costs    # time of a step, and the share that leaving out saves: docs/tables/effects_costs.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the page and coupler/plan/effects_study.csv
 
@@ -10,6 +10,7 @@ other work on the machine slows them down alike; of each ten steps the least of 
 """
 
 import json
+import math
 import tempfile
 import time
 from collections.abc import Iterable, Mapping
@@ -34,30 +35,27 @@ from pages import (
 )  # fmt: skip
 
 from coupler import Scene, run
-from coupler.errors import ColdsprayError, SolverError
+from coupler.errors import ColdsprayError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
-from coupler.plan.effects import THRESHOLDS
+from coupler.measures import BANDED, MEASURES, measure
+from coupler.plan.budget import REST, SHAPES
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable, write_rows
 
 Effects = str | list[str]
 PACKAGED = ROOT / "coupler" / "plan" / "effects_study.csv"
-PACKAGED_COLUMNS = ["effect", "number", "scene", "flattening", "crater", "diameter", "T_mean", "T_p99", "cost_share"]
-MEASURES = {
-    "flattening": "flattening_ratio_total", "crater": "crater_depth_m", "diameter": "splat_diameter_m", "T_mean": "T_mean_K",
-    "T_p99": "T_p99_K",
-}  # fmt: skip
-STUDY_COLUMNS = ("scene", "effect", "number", *MEASURES, "steps", "drift", "failed")
-PROOF_COLUMNS = ("scene", *MEASURES, "cpu_all_s", "cpu_auto_s", "ratio", "steps", "left_out")
+PACKAGED_COLUMNS = ["effect", "number", "scene", *BANDED, "cost_share"]
+STUDY_COLUMNS = ("scene", "effect", "number", *BANDED, "cost_share", "steps", "drift", "failed")
+PROOF_COLUMNS = (
+    "scene", "wanted", *BANDED, "within", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
+)  # fmt: skip
+WANTED = {"everything": "", "shapes": f"[want]\nmeasures = {json.dumps(list(SHAPES))}\n"}
 BASE = ["all"]
 NEVER = ("adhesion", "cooling")  # not left out of a scene that does not ask for it: of no meaning to a single impact
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
-EITHER = ("friction", "plastic_heating")  # a scene has them or not, whatever their size
-LEFT_OUT = 1 / 3  # percent: what an effect below its threshold may change at the most
-CAUSAL = ("absorbing_boundaries",)  # nothing can come back before the waves do
 
 
 def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", more: str = "", after: str = "") -> str:
@@ -113,30 +111,31 @@ PROOFS = {name: text for name, text in SCENES.items() if not name.startswith("tw
 
 
 def compute(text: str, effects: Effects) -> dict[str, float]:
-    """Run a scene with these effects; its measures and the processor time of all of it (s)."""
+    """Run a scene with these effects: its measures, temperatures as their rise, at its end and (keys greatest.*) at the greatest
+    deformation; the processor time of all of it (s). A measure outside its range is nan."""
     checked = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         result = run(checked, Path(folder) / "run", threads=1)
         cpu = time.process_time() - start
-        missing = [
-            f"{key}: {result.refused.get(key, 'no value')}" for key in MEASURES.values() if getattr(result, key) is None
-        ]
-        if missing:
-            raise SolverError(f"no effect can be measured without {'; '.join(missing)}")
-        values = {name: float(getattr(result, key)) for name, key in MEASURES.items()}
+        last, T_0 = result.impacts[-1], checked.particles[-1].temperature
+        values = {
+            f"{prefix}{key}": float(at[key]) - measure(key).initial(T_0) if at.get(key) is not None else math.nan
+            for prefix, at in (("", {**last, **last["end"]}), ("greatest.", last["greatest"]))
+            for key in (*BANDED, "time_s")
+        }
         values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
     return values
 
 
-def in_turn(text: str, choices: Mapping[str, Effects], crossings: float) -> dict[str, list[float]]:
-    """Processor time (s) of each ten steps of impacts of one scene that differ in their effects, until crossings x D/v.
+def in_turn(scenes: Mapping[str, str], crossings: float) -> dict[str, list[float]]:
+    """Processor time (s) of each ten steps of impacts that differ in their effects, until crossings x D/v.
 
     They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
     """
     impacts, end = {}, 0.0
-    for name, effects in choices.items():
-        planned = plan(Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study"))
+    for name, text in scenes.items():
+        planned = plan(Scene.from_text(text, "effects_study"))
         impacts[name] = Impact(build_domains(planned))
         end = crossings * planned.impact.diameter / float(np.linalg.norm(planned.impact.velocity))
     costs: dict[str, list[float]] = {name: [] for name in impacts}
@@ -154,26 +153,27 @@ def in_turn(text: str, choices: Mapping[str, Effects], crossings: float) -> dict
     return {name: seconds[1:] for name, seconds in costs.items()}
 
 
-def least_of(rounds: int, text: str, choices: Mapping[str, Effects], crossings: float) -> dict[str, list[float]]:
+def least_of(rounds: int, scenes: Mapping[str, str], crossings: float) -> dict[str, list[float]]:
     """`in_turn` several times: of each ten steps the least."""
     least: dict[str, list[float]] = {}
     for _ in range(rounds):
-        for name, costs in in_turn(text, choices, crossings).items():
+        for name, costs in in_turn(scenes, crossings).items():
             least[name] = [min(pair) for pair in zip(least.get(name, costs), costs, strict=True)]
     return least
 
 
-def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
+def changes(values: dict[str, float], whole: dict[str, float], prefix: str = "") -> dict[str, float]:
     """Change of each measure in percent of what it is with everything on."""
-    return {name: 100.0 * (values[name] / whole[name] - 1.0) for name in MEASURES}
+    return {key: 100.0 * (values[prefix + key] / whole[key] - 1.0) for key in BANDED}
 
 
 def costs(rounds: int) -> None:
     """Time of a step with everything on, and the share of it that leaving out an effect saves."""
-    choices: dict[str, Effects] = {"everything on": "all", "auto": "auto", "none": "none"}
+    choices: dict[str, Effects] = {"everything on": "all", "none": "none"}
     choices |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in NEVER}
-    least = least_of(rounds, SCENES["Ni on steel, 500 m/s"], choices, CROSSINGS)
-    step = {name: sum(times) / (WINDOW * len(times)) for name, times in least.items()}
+    text = SCENES["Ni on steel, 500 m/s"]
+    scenes = {name: f"effects = {json.dumps(effects)}\n{text}" for name, effects in choices.items()}
+    step = {name: sum(times) / (WINDOW * len(times)) for name, times in least_of(rounds, scenes, CROSSINGS).items()}
     whole = step["everything on"]
     rows = [{"effects": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()]
     write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
@@ -188,6 +188,11 @@ def study(table: StudyTable) -> None:
             continue
         numbers = _numbers(text)
         whole = compute(text, BASE)
+        if len(plan(Scene.from_text(text, "effects_study")).impacts) == 1:
+            way = {"cost_share": 1.0 - whole["greatest.time_s"] / whole["time_s"], "steps": whole["steps"]}
+            table.add(
+                {"scene": name, "effect": REST, "number": numbers[REST], **changes(whole, whole, "greatest."), **way}
+            )
         for effect in wanted:
             row: dict[str, object] = {"scene": name, "effect": effect, "number": numbers[effect]}
             try:
@@ -199,28 +204,37 @@ def study(table: StudyTable) -> None:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).effects.rows}
+    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).budget.rows}
 
 
 def proof(table: StudyTable, rounds: int) -> None:
-    """Everything on against auto."""
-    choices = {"all": "all", "auto": "auto"}
+    """Everything on against auto at draft, with everything asked for and with shapes only."""
     for name, text in PROOFS.items():
-        if (name,) in table:
+        missing = [wanted for wanted in WANTED if (name, wanted) not in table]
+        if not missing:
             continue
-        scene = Scene.from_text(text, "effects_study")
-        single = len(scene.particles) == 1
-        runs = [{which: compute(text, which) for which in choices} for _ in range(1 if single else max(rounds, 2))]
-        if single:
-            cpu = {which: sum(times) for which, times in least_of(rounds, text, choices, CROSSINGS).items()}
-        else:  # pauses and splats are a part of it
-            cpu = {which: min(times[which]["cpu_s"] for times in runs) for which in choices}
-        row = {
-            "scene": name, **changes(runs[0]["auto"], runs[0]["all"]), "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"],
-            "ratio": cpu["all"] / cpu["auto"], "steps": runs[0]["auto"]["steps"],
-            "left_out": " ".join(effect for effect in NAMES if effect not in plan(scene).effects.active),
-        }  # fmt: skip
-        print(table.add(row), flush=True)
+        whole, step = compute(text, "all"), step_times(text, missing, rounds)
+        for wanted in missing:
+            asked = text + WANTED[wanted]
+            values, budget = compute(asked, "auto"), plan(Scene.from_text(asked, "effects_study")).budget
+            changed = changes(values, whole)
+            cpu = {"all": step["all"] * whole["time_s"], "auto": step[wanted] * values["time_s"]}
+            row = {
+                "scene": name, "wanted": wanted, **changed,
+                "within": all(abs(changed[share.measure]) <= 100.0 * share.allowed for share in budget.shares),
+                "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"],
+                "time_all_s": whole["time_s"], "time_auto_s": values["time_s"],
+                "left_out": " ".join(row.name for row in budget.rows if not row.on),
+            }  # fmt: skip
+            print(table.add(row), flush=True)
+
+
+def step_times(text: str, wanted: Iterable[str], rounds: int) -> dict[str, float]:
+    """Processor time for a second of simulated time (s/s) with everything on ("all") and with auto for each choice of measures."""
+    scenes = {"all": f'effects = "all"\n{text}', **{name: text + WANTED[name] for name in wanted}}
+    particle = Scene.from_text(text, "effects_study").particle
+    simulated = CROSSINGS * particle.diameter / particle.velocity
+    return {name: sum(times) / simulated for name, times in least_of(rounds, scenes, CROSSINGS).items()}
 
 
 def main() -> None:
@@ -228,7 +242,7 @@ def main() -> None:
     a = options(__doc__, "proof", "costs", "docs", rounds=1)
     command = "python workflows/effects_study.py"
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
-    against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
+    against = study_table("effects_proof", PROOF_COLUMNS, ("scene", "wanted"), f"{command} --proof")
     if a.docs:
         pass
     elif a.proof:
@@ -241,59 +255,21 @@ def main() -> None:
 
 
 def write(influence: StudyTable, against: StudyTable) -> None:
-    """Write the tables into the page, and the one that `coldspray check` reads into the package."""
+    """Write the tables into the page, and the one that the budget reads into the package."""
     now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
     table = table_rows("effects_costs")
     saves = {row["effects"].removeprefix("without "): row["saves"] for row in table}
-    rows = [{**row, "cost_share": saves.get(row["effect"], "")} for row in known]
+    rows = [{**row, "cost_share": row["cost_share"] or saves.get(row["effect"], "")} for row in known]
     write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
     lines = [
         [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
         for row in table
     ]
     write_parts(PAGES["effects"], {
-        "thresholds": thresholds_part(known), "study": [*study_part(known), "", versions(known)],
+        "study": [*study_part(known), "", versions(known)],
         "costs": markdown("effects | ms per step | saves", lines), "proof": proof_part(against.rows),
     })  # fmt: skip
-
-
-def largest_threshold(name: str, rows: Iterable[Mapping[str, str]]) -> float | None:
-    """The largest threshold that the rows of the study allow; None for an effect without measured cases.
-
-    Of the cases that changed something by more than LEFT_OUT those count whose number is within twice the smallest: a straight
-    line from nothing at zero through each, the steepest of which reaches LEFT_OUT at what is returned. Influence grows at least in
-    proportion to the number, so that below it is less. Where no case changed more, the largest number measured.
-    """
-    cases = [(float(row["number"]), worst_change(row)) for row in rows if row["effect"] == name]
-    too_much = [(number, change) for number, change in cases if change > LEFT_OUT]
-    if not too_much:
-        return max((number for number, _ in cases), default=None)
-    least = min(number for number, _ in too_much)
-    return min(LEFT_OUT * number / change for number, change in too_much if number <= 2.0 * least)
-
-
-def worst_change(row: Mapping[str, str]) -> float:
-    """The largest change of any measure in a row of the study, in percent, without its sign."""
-    return max(abs(float(row[measure])) for measure in ("flattening", "crater", "diameter", "T_mean", "T_p99"))
-
-
-def thresholds_part(rows: list[Row]) -> list[str]:
-    """Each threshold beside the largest one that the study allows."""
-    lines = []
-    for effect in NAMES:
-        cases = [row for row in rows if row["effect"] == effect and float(row["number"]) > 0.0]
-        if not cases or effect in (*EITHER, *CAUSAL):
-            continue
-        far = [row for row in cases if worst_change(row) > LEFT_OUT]
-        least = min((float(row["number"]) for row in far), default=0.0)
-        near = [row for row in far if float(row["number"]) <= 2.0 * least] or cases
-        most = max(near, key=lambda row: worst_change(row) / float(row["number"]))
-        allowed = largest_threshold(effect, rows) or 0.0
-        case = [most["scene"], most["number"], f"{worst_change(most):.2f}"]
-        lines.append([effect, f"{THRESHOLDS[effect].threshold:g}", f"{allowed:.2g}", *case])
-    head = "effect | threshold | allowed by the line | the case that asks for most | its number | its largest change, %"
-    return markdown(head, lines)
 
 
 def study_part(rows: list[Row]) -> list[str]:
@@ -301,26 +277,30 @@ def study_part(rows: list[Row]) -> list[str]:
     effects = list(dict.fromkeys(row["effect"] for row in rows))
     ordered = sorted(rows, key=lambda row: (effects.index(row["effect"]), float(row["number"])))
     lines = [
-        [row["effect"], marked(row["scene"], row), row["number"], *(f"{float(row[name]):+.2f}" for name in MEASURES)]
+        [row["effect"], marked(row["scene"], row), row["number"], *(f"{number(row, name):+.2f}" for name in BANDED)]
         for row in ordered
     ]
-    return markdown(["effect left out", "scene", "number", *MEASURES], lines)
+    return markdown(["left out", "scene", "number", *(MEASURES[name].short for name in BANDED)], lines)
 
 
 def proof_part(rows: list[Row]) -> list[str]:
     """Everything on against auto: changes in percent and processor time."""
     lines = []
     for row in rows:
-        cells = [f"{number(row, name):+.2f}" for name in MEASURES]
-        cells += [f"{number(row, 'cpu_all_s'):.1f}", f"{number(row, 'cpu_auto_s'):.1f}", f"{number(row, 'ratio'):.2f}"]
-        lines.append([marked(row["scene"], row), *cells, row["left_out"]])
-    table = markdown(["scene", *MEASURES, "CPU all, s", "CPU auto, s", "ratio", "left out"], lines)
-    if not rows:
-        return table
-    worst = max(abs(number(row, name)) for row in rows for name in MEASURES)
-    ratios = [number(row, "ratio") for row in rows]
-    spread = f"median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}"
-    return [*table, "", f"Largest change {worst:.2f} %; {spread}."]
+        cells = [f"{number(row, name):+.2f}" for name in BANDED]
+        cells += ["yes" if row["within"] == "True" else "no", f"{number(row, 'ratio'):.2f}"]
+        lines.append([marked(row["scene"], row), row["wanted"], *cells, row["left_out"].replace("_", " ")])
+    head = ["scene", "wanted", *(MEASURES[name].short for name in BANDED), "within budget", "time, ratio", "left out"]
+    text = []
+    for wanted in WANTED:
+        ratios = [number(row, "ratio") for row in rows if row["wanted"] == wanted]
+        if ratios:
+            inside = sum(row["within"] == "True" for row in rows if row["wanted"] == wanted)
+            text.append(
+                f"- With {wanted} asked for: median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f};"
+                f" {inside} of {len(ratios)} scenes within their budget."
+            )
+    return [*markdown(head, lines), "", *text]
 
 
 if __name__ == "__main__":

@@ -1,19 +1,22 @@
 """The plan of a run: everything decided, nothing computed, no solver imported."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from ..geometry.tetrahedra import COARSEST
+from ..measures import NEED_REST, WANTABLE
 from ..physics.adhesion import Adhesion, critical_velocity
 from ..physics.materials import Material, fitted_at
-from ..scene.tables import Face
+from ..scene.tables import End, Face
 from . import cost as estimates
 from . import effects
 from .bands import Band, Kind, of_measures
+from .budget import ACCURACY, REST, Budget, decide
 from .effects import Effects, Situation
 from .gas import describe as describe_gas
 from .reading import Scene
@@ -118,6 +121,7 @@ class Plan:
     friction: float
     contact_stiffness: float
     effects: Effects
+    budget: Budget
     dt_estimate: float
     steps_estimate: int
     memory_bytes: float
@@ -163,7 +167,11 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
     """
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.derived.material(scene.substrate.material)
-    decided = effects.decide(scene.effects, *_situations(scene, impacts, base))
+    budget = _budget(scene, impacts, base)
+    decided = budget.effects
+    impacts = tuple(replace(each, bands=budget.added(each.bands)) for each in impacts)
+    if not budget.on(REST):
+        impacts = tuple(map(_to_greatest, impacts))
     target = _target(scene, base, decided)
     dt = [i.dt_expected for i in impacts]
     steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
@@ -186,6 +194,7 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         friction=scene.contact.friction if decided.friction else 0.0,
         contact_stiffness=contact_stiffness,
         effects=decided,
+        budget=budget,
         dt_estimate=min(dt),
         steps_estimate=sum(steps),
         memory_bytes=estimates.memory(scene.derived.points, elements[-1]),
@@ -203,6 +212,22 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
     )
 
 
+def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Budget:
+    """What is left out, within the accuracy asked for. The way to rest stays where the scene says how to end, or something needs it."""
+    wanted = scene.want.measures or WANTABLE
+    settled = effects.requested(scene.effects)
+    end_is_open = scene.end == End() and len(impacts) == 1 and not set(wanted) & set(NEED_REST)
+    if not end_is_open:
+        settled |= {REST: True}
+    accuracy = scene.want.accuracy or ACCURACY[scene.preset]
+    return decide(_situations(scene, impacts, base), settled, accuracy, wanted, impacts[-1].bands)
+
+
+def _to_greatest(impact: ImpactPlan) -> ImpactPlan:
+    """The impact, ended at its greatest deformation in place of rest."""
+    return replace(impact, end_at="greatest", expected=impact.expected * estimates.GREATEST_OVER_REST)
+
+
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
     """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), whether a
     splat."""
@@ -216,7 +241,7 @@ def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
 def _impact(scene: Scene, i: int) -> ImpactPlan:
     particle = scene.particles[i]
     D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
-    end_at = scene.end.at or "time"
+    end_at = scene.end.at or ("time" if scene.end.time is not None else "rest")
     material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
     damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
@@ -283,7 +308,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
     )
 
 
-def _situations(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> list[Situation]:
+def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
     """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
     situations, left = [], sum(i.end_time for i in impacts)
     for impact in impacts:
@@ -328,9 +353,8 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
         warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
     if text := _hot(base, scene.substrate.temperature):
         warnings.append(f"the target {text}")
-    absorbing = next(row for row in decided.rows if row.name == "absorbing_boundaries")
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
-    if absorbing.on and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
+    if decided.absorbing_boundaries and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
         warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
     return warnings
 

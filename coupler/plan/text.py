@@ -5,8 +5,8 @@ from pathlib import Path
 from textwrap import fill
 
 from .. import units
+from ..measures import MEASURES
 from . import cost as estimates
-from . import effects
 from .planning import BEYOND_FIT, ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
@@ -42,25 +42,24 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
-    rows, notes = plan.effects.rows, [line for text in plan.warnings for line in _note(text, brief)]
+    rows, notes = plan.budget.rows, [line for text in plan.warnings for line in _note(text, brief)]
     if brief:
         off = [row.name for row in rows if not row.on]
         without = f"; off: {', '.join(off)}" if off else ""
-        lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why, and what each changes)")
+        text = f"{len(rows) - len(off)} of {len(rows)} on{without} (-v: why, and the error budget)"
+        lines.append(fill(text, 119, initial_indent="  effects    ", subsequent_indent=" " * 13))
         return "\n".join([*lines, *notes])
     lines += [
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
         f" the target and the contact cost {plan.target_load:.2g} of the particle",
         "",
-        "  effect                    on   decided by",
+        "  effect                    on   saves  because",
     ]
     for row in rows:
-        sign = ">" if row.value > row.threshold else "<="
         lines.append(
-            f"  {row.name:25} {'yes' if row.on else 'no':4} "
-            f"{row.number} = {row.value:.3g} {sign} {row.threshold:g}: {row.why}"
+            f"  {row.name:25} {'yes' if row.on else 'no':4} {100.0 * row.saves:3.0f} %  {row.number} = {row.value:.3g}: {row.why}"
         )
-    return "\n".join([*lines, "", *_influence(plan), *(["", *notes] if notes else [])])
+    return "\n".join([*lines, "", *_shares(plan), *(["", *notes] if notes else [])])
 
 
 def _strength(plan: Plan) -> list[str]:
@@ -92,20 +91,21 @@ def _cut(lines: list[str], brief: bool) -> list[str]:
     return [*lines[:_FEW], "             ..."] if brief and len(lines) > _FEW else lines
 
 
-def _influence(plan: Plan) -> list[str]:
-    """What leaving out each effect would change, as measured in the case that comes nearest."""
-    head = f"  {'leaving it out changes, in %':29}flattening   crater   T mean   T 99 %   and saves   measured with"
-    values = {row.name: row.value for row in plan.effects.rows}
-    lines = []
-    for name in values:
-        row = effects.expected(name, values)
-        if row is not None:
-            changed = (float(row[measure]) for measure in ("flattening", "crater", "T_mean", "T_p99"))
-            flattening, crater, T_mean, T_p99 = (f"{0.0 if abs(value) < 0.05 else value:+.1f}" for value in changed)
-            saved = f"{max(100.0 * float(row['cost_share']), 0.0):.0f} %" if row["cost_share"] else "-"
-            lines.append(f"  {name:29}{flattening:>10}{crater:>9}{T_mean:>9}{T_p99:>9}{saved:>12}   {row['scene']}")
-    basis = "  of the case of docs/evidence/effects.md whose number comes nearest; temperatures in K; saves: of a step's processor time"
-    return [head, *lines, basis] if lines else []
+def _shares(plan: Plan) -> list[str]:
+    """The error budget: discretisation and omitted effects of each measure asked for, and their sum beside what is allowed."""
+    budget = plan.budget
+    lines = [
+        f"  {f'budget, {100.0 * budget.accuracy:g} % asked for':29}discretisation   left out   together   allowed",
+        *(
+            f"  {MEASURES[share.measure].short:29}{100.0 * share.discretisation:12.2g} %{100.0 * share.omitted:9.2g} %"
+            f"{100.0 * (share.discretisation + share.omitted):9.3g} %{100.0 * share.allowed:8.3g} %"
+            for share in budget.shares
+        ),
+    ]
+    return [
+        *lines,
+        f"  left out saves about {100.0 * budget.saved:.0f} % of the processor time (docs/evidence/effects.md)",
+    ]
 
 
 def _impacts(plan: Plan, most: int) -> list[str]:

@@ -137,9 +137,8 @@ def effects(result: Result) -> str:
     if not result.plan:
         return '<p class="note">Not known: this run has no readable plan.json.</p>'
     lines = []
-    for row in result.plan["effects"]["rows"]:
-        sign = ">" if row["value"] > row["threshold"] else "≤"
-        number = f"{row['number']} = {row['value']:.3g} {sign} {row['threshold']:g}"
+    for row in result.plan["budget"]["rows"]:
+        number = f"{row['number']} = {row['value']:.3g}"
         cells = (row["name"].replace("_", " "), "on" if row["on"] else "off", number, row["why"])
         lines.append(_row(cells, [""] * 4, kind="" if row["on"] else "off"))
     head = _row(("effect", "", "decided by", "because"), [""] * 4, "th")

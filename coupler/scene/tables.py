@@ -23,6 +23,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from .. import units
+from ..measures import WANTABLE
 from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
 
@@ -321,19 +322,29 @@ class Resolution(Section):
     engine: Literal["compiled", "enriched", "machdyn"] = "enriched"
 
 
+class Want(Section):
+    """What is asked for. measures: keys of the summary, all if left out; accuracy: over the value, the preset's if left out."""
+
+    measures: tuple[str, ...] | None = None
+    accuracy: Annotated[StrictFloat, Field(gt=0.0, le=1.0)] | None = None
+
+    @field_validator("measures")
+    @classmethod
+    def _known(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        for name in value or ():
+            if name not in WANTABLE:
+                raise ValueError(
+                    f"unknown measure {name[:40]!r}{units.nearest(name, WANTABLE)}; known: {', '.join(WANTABLE)}"
+                )
+        return value
+
+
 class End(Section):
     """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
-    comes first. Rest if neither is said."""
+    comes first. If neither is said: at rest, unless no measure asked for needs that."""
 
     at: Literal["rest", "greatest"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _rest_unless_told(cls, data: object) -> object:
-        if isinstance(data, dict) and data.get("at") is None and data.get("time") is None:
-            return data | {"at": "rest"}
-        return data
 
 
 class Output(Section):

@@ -30,7 +30,18 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     lines = [f'name = "{scene.name}"', f'preset = "{scene.preset}"', f"effects = {json.dumps(scene.effects)}"]
     head = "[particle]" if len(scene.particles) == 1 else "[[particle]]"
     tables: list[tuple[str, Section | None]] = [(head, particle) for particle in scene.particles]
-    for section in ("coating", "gas", "substrate", "contact", "adhesion", "splat", "resolution", "end", "output"):
+    for section in (
+        "coating",
+        "gas",
+        "substrate",
+        "contact",
+        "adhesion",
+        "splat",
+        "resolution",
+        "want",
+        "end",
+        "output",
+    ):
         tables.append((f"[{section}]", getattr(scene, section)))
     for head, table in tables:
         if table is None:

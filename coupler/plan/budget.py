@@ -1,0 +1,195 @@
+"""The error budget: effects that are left out, and the discretisation, together stay within the accuracy asked for.
+
+What leaving an effect out changes is measured (docs/evidence/effects.md) for cases with other values of its number. It is taken to grow
+in proportion to the number below such a case, and with its square above.
+"""
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+from ..measures import BANDED
+from ..measures import measure as record
+from .bands import SHAPE, Band
+from .effects import NUMBERS, Effects, Situation, numbers
+
+ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # asked for by each preset
+SHAPES = ("flattening_ratio", "flattening_ratio_total", *SHAPE[1:])
+REST = "way_to_rest"  # from the greatest deformation on: left out, an impact ends there
+LEFT_TO_EFFECTS = 0.25  # of the discretisation's share, where that alone takes up the accuracy asked for
+NEAR = 2.0  # factor between two numbers within which a measured case speaks for another
+LEAST_SAVING = 0.01  # of a step's time: what saves less stays in
+# Below these numbers an effect cannot act: no wave is back yet; the pause is too short for heat to leave the splat.
+CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05}
+NOT_LEFT_OUT = ("adhesion", "friction", "cooling")  # a scene has it or not; or it costs nothing in a step
+
+
+@dataclass(frozen=True)
+class Row:
+    """One effect, or the way to rest: the number that tells its size and its value; whether it takes part, and the reason.
+
+    changes: what leaving it out is expected to change, by measure, over the measure's value (of temperatures: over their rise);
+    saves: of the processor time of a step, or of the run's.
+    """
+
+    name: str
+    number: str
+    value: float
+    changes: dict[str, float]
+    saves: float
+    on: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class Share:
+    """Of one measure asked for, over its value: discretisation, its band; omitted, the sum of what is left out; allowed, for both."""
+
+    measure: str
+    discretisation: float
+    omitted: float
+    allowed: float
+
+
+@dataclass(frozen=True)
+class Budget:
+    """accuracy: asked for, over the value; shares: of the measures asked for; rows: of all effects and of the way to rest."""
+
+    accuracy: float
+    shares: tuple[Share, ...]
+    rows: tuple[Row, ...]
+
+    @property
+    def saved(self) -> float:
+        """Share of the processor time that is saved by what is left out and would be measurable."""
+        left = math.prod(1.0 - row.saves for row in self.rows if not row.on and row.value > 0.0)
+        return 1.0 - left
+
+    def on(self, name: str) -> bool:
+        """Whether an effect, or the way to rest, takes part."""
+        return next(row.on for row in self.rows if row.name == name)
+
+    @property
+    def effects(self) -> Effects:
+        """The effects that take part."""
+        return Effects(**{row.name: row.on for row in self.rows if row.name != REST})
+
+    def added(self, bands: Sequence[Band]) -> tuple[Band, ...]:
+        """Bands of the discretisation, each with the share of what is left out."""
+        omitted = {share.measure: share.omitted for share in self.shares}
+        return tuple(Band(b.measure, b.share + omitted.get(b.measure, 0.0), b.why) for b in bands)
+
+
+def decide(
+    situations: Sequence[Situation],
+    requested: Mapping[str, bool],
+    accuracy: float,
+    wanted: Sequence[str],
+    bands: Sequence[Band],
+) -> Budget:
+    """Leave out what saves most for what it changes, as long as each measure stays within its allowance.
+
+    situations: one for each impact, of each number the largest counts; requested: what the scene decides itself (effects, REST);
+    accuracy: over the value; wanted: the measures asked for; bands: of the discretisation. A measure may be off by `accuracy`, or,
+    where the discretisation takes that up, by LEFT_TO_EFFECTS more than its band.
+    """
+    each = [numbers(situation) | {REST: rest_number(situation)} for situation in situations]
+    values = {name: max(one[name] for one in each) for name in each[0]}
+    wide = {band.measure: band.share for band in bands}
+    measures = [name for name in wanted if name in wide]
+    allowed = {name: max(accuracy, (1.0 + LEFT_TO_EFFECTS) * wide[name]) for name in measures}
+    spent = {name: wide[name] for name in measures}
+    known = {name: (expected(name, value), saving(name, value)) for name, value in values.items()}
+    on = {name: can_act(name, value) for name, value in values.items()} | dict(requested)
+
+    def price(name: str) -> float:
+        changes, saves = known[name]
+        return max((changes[m] / (allowed[m] - wide[m]) for m in measures), default=0.0) / max(saves, 1e-9)
+
+    open_to_choice = [
+        n for n in values if on[n] and n not in requested and n not in NOT_LEFT_OUT and known[n][1] >= LEAST_SAVING
+    ]
+    for name in sorted(open_to_choice, key=price):
+        changes = known[name][0]
+        if all(spent[m] + changes[m] <= allowed[m] for m in measures):
+            on[name] = False
+            spent = {m: spent[m] + changes[m] for m in measures}
+    rows = [
+        Row(name, {REST: "flow stress / (rho v^2)", **NUMBERS}[name], value, *known[name], on[name],
+            reason(name, value, on[name], requested, known[name][0], measures))
+        for name, value in values.items()
+    ]  # fmt: skip
+    shares = [Share(m, wide[m], spent[m] - wide[m], allowed[m]) for m in measures]
+    return Budget(accuracy, tuple(shares), tuple(rows))
+
+
+def reason(
+    name: str,
+    value: float,
+    on: bool,
+    requested: Mapping[str, bool],
+    changes: Mapping[str, float],
+    measures: Sequence[str],
+) -> str:
+    """Why an effect takes part or not, in words."""
+    if name in requested:
+        return "as the scene says"
+    if not can_act(name, value):
+        return "it cannot act here"
+    if name in NOT_LEFT_OUT:
+        return "the scene has it"
+    worst = max(measures, key=lambda m: changes[m], default="")
+    if not worst or not math.isfinite(changes[worst]):
+        return "nothing asked for needs it" if not on else "what it changes is not known"
+    return f"leaving it out changes {record(worst).short} by {100.0 * changes[worst]:.2g} %, most of what is asked for"
+
+
+def can_act(name: str, value: float) -> bool:
+    """Whether an effect can change anything where its number has this value."""
+    return value > CANNOT_ACT_BELOW.get(name, 0.0)
+
+
+def rest_number(situation: Situation) -> float:
+    """Flow stress over the dynamic pressure, of the particle: the elastic return after the greatest deformation grows with it."""
+    metal, T = situation.materials[0], situation.temperatures[0]
+    rate = situation.velocity / situation.diameter
+    return metal.flow_stress(0.3, rate, min(T, 0.95 * metal.T_m)) / (metal.rho * situation.velocity**2)
+
+
+def expected(name: str, value: float) -> dict[str, float]:
+    """What leaving an effect out is expected to change, by measure, over its value; infinite where nothing was measured.
+
+    value: of the effect's number. Cases count whose number is within a factor NEAR, and the nearest on either side.
+    """
+    if not can_act(name, value):
+        return dict.fromkeys(BANDED, 0.0)
+    cases = [(float(row["number"]), row) for row in _measured() if row["effect"] == name and float(row["number"]) > 0.0]
+    below = max((n for n, _ in cases if n <= value), default=math.nan)
+    above = min((n for n, _ in cases if n > value), default=math.nan)
+    near = [(n, row) for n, row in cases if n in (below, above) or value / NEAR <= n <= value * NEAR]
+    if not near:
+        return dict.fromkeys(BANDED, math.inf)
+
+    def change(measure: str) -> float:
+        scaled = [abs(float(row[measure] or "nan")) * (value / n) ** (1 if n > value else 2) for n, row in near]
+        return 0.01 * max((x for x in scaled if math.isfinite(x)), default=math.inf)
+
+    return {measure: change(measure) for measure in BANDED}
+
+
+def saving(name: str, value: float) -> float:
+    """Share of the processor time that leaving an effect out saves, of the case whose number comes nearest; 0 where not measured."""
+    cases = [row for row in _measured() if row["effect"] == name and row["cost_share"] and float(row["number"]) > 0.0]
+    if not cases or not can_act(name, value):
+        return 0.0
+    nearest = min(cases, key=lambda row: abs(math.log(float(row["number"]) / value)))
+    return max(float(nearest["cost_share"]), 0.0)
+
+
+@cache
+def _measured() -> list[dict[str, str]]:
+    text = files(__package__).joinpath("effects_study.csv").read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
