@@ -3,7 +3,6 @@
 import math
 from pathlib import Path
 
-import effects_study as study  # workflows/effects_study.py
 import numpy as np
 import pytest
 from conftest import elastic
@@ -18,16 +17,8 @@ from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 from coupler.plan import effects
 from coupler.plan.planning import plan
-from coupler.plan.text import describe
 from coupler.scene.effects import NAMES
 from coupler.sph import law as points_law
-
-
-def test_every_effect_has_a_threshold_and_says_why() -> None:
-    assert set(effects.THRESHOLDS) == set(NAMES)
-    for row in plan(scene_with()).effects.rows:
-        assert math.isfinite(row.value), row.name
-        assert row.why
 
 
 def test_conductivity_is_that_of_the_first_temperature_without_its_effect() -> None:
@@ -96,7 +87,7 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
 
 def test_numbers_of_conduction_on_both_sides() -> None:
     made = plan(scene_with(particle__material="OFHC_Cu"))
-    value = {row.name: row.value for row in made.effects.rows}
+    value = {row.name: row.value for row in made.budget.rows}
     copper, steel = material("OFHC_Cu"), material("SS304")
     time = made.impact.end_time
     in_points = math.sqrt(effects.diffusivity(copper, 300.0) * time) / made.impact.spacing
@@ -104,15 +95,15 @@ def test_numbers_of_conduction_on_both_sides() -> None:
     # steel is the one that holds heat back
     across = math.sqrt(effects.diffusivity(steel, 300.0) * time) / made.target.element_size
     assert value["interface_conduction"] == pytest.approx(across)
-    later = {row.name: row.value for row in plan(several(*[{"material": "OFHC_Cu"}] * 2)).effects.rows}
+    later = {row.name: row.value for row in plan(several(*[{"material": "OFHC_Cu"}] * 2)).budget.rows}
     assert later["particle_conduction"] == pytest.approx(in_points)  # a particle is there for its own impact only
 
 
 def test_cooling_needs_a_pause_and_adhesion_is_the_same_for_one_and_for_several() -> None:
     alone = plan(scene_with(particle__dwell="1 ms"))
     assert alone.effects.adhesion
-    short, long = (plan(several({"dwell": dwell}, {})).effects for dwell in ("1 ns", "1 ms"))
-    assert (short.cooling, long.cooling) == (False, True)
+    short, long = (plan(several({"dwell": dwell}, {})).budget for dwell in ("1 ns", "1 ms"))
+    assert (short.effects.cooling, long.effects.cooling) == (False, True)
     value = next(row.value for row in long.rows if row.name == "cooling")
     assert value == pytest.approx(math.sqrt(effects.diffusivity(material("Ni"), 300.0) * 1e-3) / 25e-6)
     assert plan(several({}, {})).adhesion == alone.adhesion
@@ -351,53 +342,3 @@ def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path)
     (line,) = [text for text in summary["warnings"] if "fitted" in text]
     assert line.startswith("impact 1: beyond the fitted range: particle (Ni, Johnson_1983) strain rate ")
     assert "; target (SS304, paper_2023) strain rate " in line
-
-
-def test_thresholds_keep_to_what_was_measured() -> None:
-    """No case of the study below a threshold has changed anything by more than a third of a percent."""
-    causal_or_of_either_kind = ("absorbing_boundaries", "friction", "plastic_heating")
-    held = []
-    for name, (_, threshold, *_) in effects.THRESHOLDS.items():
-        allowed = study.largest_threshold(name, effects._measured())
-        if allowed is None or name in causal_or_of_either_kind:
-            continue
-        held.append(name)
-        assert threshold <= allowed, (name, allowed)
-        for row in effects._measured():
-            if row["effect"] == name and float(row["number"]) <= threshold:
-                assert study.worst_change(row) <= study.LEFT_OUT, row
-    assert len(held) == 12
-
-
-def test_what_to_expect_is_that_of_the_nearest_case() -> None:
-    copper = {
-        row.name: row.value
-        for row in plan(scene_with(particle__material="OFHC_Cu", substrate__material="OFHC_Cu")).effects.rows
-    }
-    found = effects.expected("particle_conduction", copper)
-    assert found is not None
-    assert "Cu" in found["scene"]
-    # friction has the same number everywhere: the other numbers tell the cases apart
-    slow = {
-        row.name: row.value
-        for row in plan(scene_with(particle__diameter="5 um", particle__velocity="190 m/s")).effects.rows
-    }
-    near = effects.expected("friction", slow)
-    assert near is not None
-    assert near["scene"].startswith("slow")
-    assert effects.expected("cooling", slow) is None  # it has no pause
-    paused = effects.expected("cooling", slow | {"cooling": 0.2})
-    assert paused is not None
-    assert paused["scene"] == "two Ni, 1 us between"
-
-
-def test_check_prints_each_effect_and_what_leaving_it_out_would_change() -> None:
-    text = describe(plan(scene_with(effects=["auto", "-friction"])))
-    decided, expected = text.split("leaving it out changes")
-    for row in plan(scene_with()).effects.rows:
-        assert f"  {row.name} " in decided
-        assert f"= {row.value:.3g} " in decided
-        if effects.expected(row.name, {r.name: r.value for r in plan(scene_with()).effects.rows}):
-            assert f"  {row.name} " in expected
-    assert "friction                  no   friction coefficient = 0.5 > 0: as the scene says" in decided
-    assert "Ni on steel, 500 m/s" in expected

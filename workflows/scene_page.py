@@ -80,7 +80,10 @@ WORDS = {
     "resolution.growth": "of the edges, for each unit of distance from the impact",
     "resolution.engine": "of the particle's internal forces: the enriched scheme, or MACHDYN's in compiled passes or by LAMMPS"
     " ([particle](../theory/particle.md))",
-    "end.at": '`"rest"` unless `at` or `time` is there; `"greatest"` is the greatest deformation',
+    "want.measures": "keys of `summary.json` with a band, and `verdict`; all by default. What none of them needs is left out"
+    " ([budget](accuracy.md))",
+    "want.accuracy": "share of the value, for discretisation and omitted effects together: 0.05, 0.02 and 0.01 by default, by preset",
+    "end.at": '`"rest"` unless `at` or `time` is there, or `[want]` needs no rest; `"greatest"` is the greatest deformation',
     "end.time": "after the start of each impact; with `at`, whichever comes first",
     "output.every": "simulated time between two written steps; diameter / velocity / 25 by default",
     "coating.material": "of all particles",

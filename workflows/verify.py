@@ -252,7 +252,8 @@ class _ImpactCheck:
         self.metal = scene.derived.material(p.material)
         self.mass = self.metal.rho * p.volume
         self.energy = 0.5 * self.mass * p.velocity**2
-        self.effects = plan(scene).effects
+        planned = plan(scene)
+        self.effects, self.end_at = planned.effects, planned.impact.end_at
         base, splats = scene.substrate, [scene.particles[k] for k in stayed]
         parts = [(base.material, base.temperature, np.nan), *((s.material, s.temperature, s.volume) for s in splats)]
         self.bodies = [(scene.derived.material(name), T, volume) for name, T, volume in parts]
@@ -296,7 +297,7 @@ class _ImpactCheck:
         name = "particle" if value(self.record, "thickness_m") is None else "surface"
         depth = float(depths(self.last[name].points, target.points, target.cells).max()) / self.scene.derived.spacing
         self.hold("depth", depth, 1.0, f"the {name} lies inside the target, spacings")
-        if self.scene.end.at == "rest" and self.scene.end.time is None and not self.found.undecided:
+        if self.end_at == "rest" and self.scene.end.time is None and not self.found.undecided:
             self.hold(
                 "sinking", max(-rows["velocity_z"][-1] / self.p.velocity, 0.0), REST, "said to be at rest, but sinks"
             )

@@ -1,7 +1,6 @@
 """The error budget: effects that are left out, and the discretisation, together stay within the accuracy asked for.
 
-What leaving an effect out changes is measured (docs/evidence/effects.md) for cases with other values of its number. It is taken to grow
-in proportion to the number below such a case, and with its square above.
+What leaving an effect out changes is measured for a set of cases (docs/evidence/effects.md); the nearest are scaled by its number.
 """
 
 import csv
@@ -20,7 +19,7 @@ ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # asked for by each 
 SHAPES = ("flattening_ratio", "flattening_ratio_total", *SHAPE[1:])
 REST = "way_to_rest"  # from the greatest deformation on: left out, an impact ends there
 LEFT_TO_EFFECTS = 0.25  # of the discretisation's share, where that alone takes up the accuracy asked for
-NEAR = 2.0  # factor between two numbers within which a measured case speaks for another
+CASES = 3  # measured ones that an estimate rests on
 LEAST_SAVING = 0.01  # of a step's time: what saves less stays in
 # Below these numbers an effect cannot act: no wave is back yet; the pause is too short for heat to leave the splat.
 CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05}
@@ -102,7 +101,7 @@ def decide(
     measures = [name for name in wanted if name in wide]
     allowed = {name: max(accuracy, (1.0 + LEFT_TO_EFFECTS) * wide[name]) for name in measures}
     spent = {name: wide[name] for name in measures}
-    known = {name: (expected(name, value), saving(name, value)) for name, value in values.items()}
+    known = {name: expected(name, values) for name in values}
     on = {name: can_act(name, value) for name, value in values.items()} | dict(requested)
 
     def price(name: str) -> float:
@@ -144,7 +143,7 @@ def reason(
     worst = max(measures, key=lambda m: changes[m], default="")
     if not worst or not math.isfinite(changes[worst]):
         return "nothing asked for needs it" if not on else "what it changes is not known"
-    return f"leaving it out changes {record(worst).short} by {100.0 * changes[worst]:.2g} %, most of what is asked for"
+    return f"without it {record(worst).short} {100.0 * changes[worst]:.2g} % off"
 
 
 def can_act(name: str, value: float) -> bool:
@@ -159,34 +158,47 @@ def rest_number(situation: Situation) -> float:
     return metal.flow_stress(0.3, rate, min(T, 0.95 * metal.T_m)) / (metal.rho * situation.velocity**2)
 
 
-def expected(name: str, value: float) -> dict[str, float]:
-    """What leaving an effect out is expected to change, by measure, over its value; infinite where nothing was measured.
+def expected(name: str, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    """What leaving an effect out is expected to change, by measure, over its value (infinite where nothing was measured), and the share
+    of the processor time that this saves.
 
-    value: of the effect's number. Cases count whose number is within a factor NEAR, and the nearest on either side.
+    values: the number of each effect. The CASES nearest in it, and by a tenth in the number that differs most, are scaled to
+    its value: in proportion where theirs is larger, with the square where it is smaller. The largest counts; time is that of the
+    nearest.
     """
+    value = values[name]
     if not can_act(name, value):
-        return dict.fromkeys(BANDED, 0.0)
-    cases = [(float(row["number"]), row) for row in _measured() if row["effect"] == name and float(row["number"]) > 0.0]
-    below = max((n for n, _ in cases if n <= value), default=math.nan)
-    above = min((n for n, _ in cases if n > value), default=math.nan)
-    near = [(n, row) for n, row in cases if n in (below, above) or value / NEAR <= n <= value * NEAR]
+        return dict.fromkeys(BANDED, 0.0), 0.0
+    scenes = _scenes()
+    cases = [row for row in _measured() if row["effect"] == name and float(row["number"]) > 0.0]
+
+    def far(row: Mapping[str, str]) -> float:
+        others = scenes[row["scene"]]
+        return _apart(float(row["number"]), value) + 0.1 * max(_apart(others[n], values[n]) for n in others)
+
+    near = sorted(cases, key=far)[:CASES]
     if not near:
-        return dict.fromkeys(BANDED, math.inf)
+        return dict.fromkeys(BANDED, math.inf), 0.0
 
     def change(measure: str) -> float:
-        scaled = [abs(float(row[measure] or "nan")) * (value / n) ** (1 if n > value else 2) for n, row in near]
+        ratios = [value / float(row["number"]) for row in near]
+        scaled = [abs(float(row[measure] or "nan")) * max(x, x * x) for row, x in zip(near, ratios, strict=True)]
         return 0.01 * max((x for x in scaled if math.isfinite(x)), default=math.inf)
 
-    return {measure: change(measure) for measure in BANDED}
+    return {measure: change(measure) for measure in BANDED}, max(float(near[0]["cost_share"] or 0.0), 0.0)
 
 
-def saving(name: str, value: float) -> float:
-    """Share of the processor time that leaving an effect out saves, of the case whose number comes nearest; 0 where not measured."""
-    cases = [row for row in _measured() if row["effect"] == name and row["cost_share"] and float(row["number"]) > 0.0]
-    if not cases or not can_act(name, value):
-        return 0.0
-    nearest = min(cases, key=lambda row: abs(math.log(float(row["number"]) / value)))
-    return max(float(nearest["cost_share"]), 0.0)
+def _apart(a: float, b: float) -> float:
+    return abs(math.log(max(a, 1e-12) / max(b, 1e-12)))
+
+
+@cache
+def _scenes() -> dict[str, dict[str, float]]:
+    """The numbers of each measured scene."""
+    numbers_of: dict[str, dict[str, float]] = {}
+    for row in _measured():
+        numbers_of.setdefault(row["scene"], {})[row["effect"]] = float(row["number"])
+    return numbers_of
 
 
 @cache

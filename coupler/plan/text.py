@@ -45,9 +45,9 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
     rows, notes = plan.budget.rows, [line for text in plan.warnings for line in _note(text, brief)]
     if brief:
         off = [row.name for row in rows if not row.on]
-        without = f"; off: {', '.join(off)}" if off else ""
-        text = f"{len(rows) - len(off)} of {len(rows)} on{without} (-v: why, and the error budget)"
-        lines.append(fill(text, 119, initial_indent="  effects    ", subsequent_indent=" " * 13))
+        more = f" and {len(off) - _FEW} more" if len(off) > _FEW else ""
+        without = f"; off: {', '.join(off[:_FEW])}{more}" if off else ""
+        lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why, error budget)")
         return "\n".join([*lines, *notes])
     lines += [
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"

@@ -326,7 +326,7 @@ class Want(Section):
     """What is asked for. measures: keys of the summary, all if left out; accuracy: over the value, the preset's if left out."""
 
     measures: tuple[str, ...] | None = None
-    accuracy: Annotated[StrictFloat, Field(gt=0.0, le=1.0)] | None = None
+    accuracy: Annotated[StrictFloat, Field(ge=1e-4, le=1.0)] | None = None
 
     @field_validator("measures")
     @classmethod
