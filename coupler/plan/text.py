@@ -47,7 +47,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         off = [row.name for row in rows if not row.on]
         more = f" and {len(off) - _FEW} more" if len(off) > _FEW else ""
         without = f"; off: {', '.join(off[:_FEW])}{more}" if off else ""
-        lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why, error budget)")
+        lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
