@@ -104,7 +104,7 @@ def test_machdyn_books_no_parts(ball: Build) -> None:
     p = ball(MachdynParticle, heats=True)
     move(p, p.X * np.array([4e5, 3e5, -6e5]))
     p.run(100, DT, lambda: None)
-    assert p.report()["viscosity"] == p.report()["hourglass"] == 0.0
+    assert p.totals().viscosity == p.totals().hourglass == 0.0
     assert p.internal_work > p.elastic() + p.sums[0]
     assert np.array_equal(p.T, np.full(p.n, 300.0))
 

@@ -149,7 +149,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     time, steps = 0.3**2 / ALPHA, 60
     for _ in range(steps):
         paths.flow(time / steps)
-        t.conduction.conduct(time / steps, len(m.points), len(m.conn), m.points, m.V0, t.T, t.heat, t.sigma_y, t.eps_p)
+        t.conduction.conduct(time / steps, t)
     gained = 15600.0 * CP * float(m.V0 @ (t.T - 300.0))
     lost = RHO * CP * body.volume * float(np.sum(600.0 - p.T))
     assert gained == pytest.approx(lost, rel=1e-9)

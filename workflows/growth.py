@@ -53,7 +53,7 @@ class Clock:
         self.rows[-1] = [
             str(len(self.rows)), str(len(impact.target.mesh.conn)), str(steps), self.rows[-1][3], f"{seconds:.1f}",
             f"{1e3 * seconds / steps:.2f}", f"{impact.time * 1e9:.1f}", f"{impact.time / steps * 1e12:.1f}",
-            f"{100 * impact.limits['target'] / steps:.0f}", f"{impact.particle.stretch_min:.2f}",
+            f"{100 * impact.limits['target'] / steps:.0f}", f"{impact.particle.totals.stretch_min:.2f}",
             f"{impact.ledger.rows.get('drift', 0.0):.1e}",
         ]  # fmt: skip
         if steps % 100 == 0 or before:

@@ -64,7 +64,7 @@ class Interface:
     def __call__(self, impact: Impact) -> None:
         p, t, s = impact.particle, impact.target, impact.surface
         rows, facets = impact.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
-        if self.values is not None or len(rows) == 0 or p.momentum()[2] < 0.0:
+        if self.values is not None or len(rows) == 0 or p.totals.momentum[2] < 0.0:
             return
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]
         behind = t.mesh.facet_element[facets]

@@ -39,7 +39,7 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
     p, following = plan.impacts[i], plan.impacts[i + 1]
     particle, bodies = domains.particle, domains.bodies
     kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
-    upwards = float(particle.momentum()[2] / particle.mass.sum())
+    upwards = float(particle.totals.momentum[2] / particle.mass.sum())
     report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio
     left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True

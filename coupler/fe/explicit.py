@@ -98,7 +98,7 @@ class Target:
         fill_rows(self, ElementState, m)
         self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
-        self.conduction = Conduction(mesh, self.laws, self.law_of, self.start, self.table) if conduction else None
+        self.conduction = Conduction(n, m) if conduction else None
         self.inertia = np.ones(m)
         self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = _nodes_of(mesh, fixed)
@@ -243,10 +243,7 @@ class Target:
         k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
         self.f_ext[:] = 0.0
         if self.conduction is not None:
-            supplied = self.conduction.advance(
-                dt, n, m, self.x, self.volume, self.T, self.heat, self.sigma_y, self.eps_p
-            )
-            self.sums[2] += float(self.laws["expansion"][0]) * supplied
+            self.conduction.advance(dt, self)
         self.dt_last = dt
         self.time += dt
 
@@ -377,17 +374,9 @@ class Target:
             self.reach = float(np.nextafter(reached, np.inf))
             self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.T)), float)
+        mesh, m = self.mesh, self.active_elements
         self.sums[2] += take_heat(
-            0,
-            self.active_elements,
-            gain,
-            self.mesh.V0,
-            self.laws,
-            self.law_of,
-            self.T,
-            self.heat,
-            self.sigma_y,
-            self.eps_p,
+            0, m, gain, mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y, self.eps_p
         )
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:

@@ -11,7 +11,7 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..physics.constitutive import Law, bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
+from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
 from ..state.arrays import Floats, Ints, Laws
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
 
@@ -24,13 +24,8 @@ def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
     """Current volume of each tetrahedron, m3; volume (m,) is written. Returns the smallest."""
     smallest = 1e300
     for e in range(lo, hi):
-        a, b, c, d = x[conn[e, 0]], x[conn[e, 1]], x[conn[e, 2]], x[conn[e, 3]]
-        u0, u1, u2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        v0, v1, v2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        w0, w1, w2 = d[0] - a[0], d[1] - a[1], d[2] - a[2]
-        vol = (u0 * (v1 * w2 - v2 * w1) + u1 * (v2 * w0 - v0 * w2) + u2 * (v0 * w1 - v1 * w0)) / 6.0
-        volume[e] = vol
-        smallest = min(smallest, vol)
+        volume[e] = edge_cofactors(x[conn[e, 0]], x[conn[e, 1]], x[conn[e, 2]], x[conn[e, 3]])[9] / 6.0
+        smallest = min(smallest, volume[e])
     return smallest
 
 
@@ -59,18 +54,15 @@ def nodal_pressure(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def shape_stress(law: Law, J: float) -> float:
-    """Mean stress (Pa) that keeps a tetrahedron from collapsing or blowing up while the nodes around it keep their volume.
+def shape_strain(J: float) -> float:
+    """ln(J / J_limit) of a tetrahedron outside [SHAPE_LIMIT, 1 / SHAPE_LIMIT], else 0: it must not collapse or blow up while the
+    nodes around it keep their volume.
 
     Averaged nodal pressure leaves single elements free to trade volume: in a fast crater some sink to a twentieth of
-    theirs and take the time step with them. psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) acts only outside [SHAPE_LIMIT,
-    1 / SHAPE_LIMIT] (a small share of the element's own bulk stiffness, as in Puso & Solberg 2006, but only where needed).
+    theirs and take the time step with them. psi = SHAPE_STIFFNESS K/2 ln^2(J / J_limit) acts against that, with a small share of
+    the element's own bulk stiffness, as in Puso & Solberg (2006), but only where needed.
     """
-    if J < SHAPE_LIMIT:
-        return SHAPE_STIFFNESS * law.K * log(J / SHAPE_LIMIT) / J
-    if J * SHAPE_LIMIT > 1.0:
-        return SHAPE_STIFFNESS * law.K * log(J * SHAPE_LIMIT) / J
-    return 0.0
+    return log(J / SHAPE_LIMIT) if J < SHAPE_LIMIT else log(J * SHAPE_LIMIT) if J * SHAPE_LIMIT > 1.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,7 +131,7 @@ def element_forces(
                         warm = law.expansion * law.dissipation * loss
                         heat[e] += warm
                         warmth += warm
-            b.pressure[i] -= shape_stress(law, b.J[i])
+            b.pressure[i] -= SHAPE_STIFFNESS * law.K * shape_strain(b.J[i]) / b.J[i]
         nodal_forces(first, hi, B, w, fe)
     sums[0] += plastic
     sums[1] += viscous
@@ -208,17 +200,13 @@ def stable_dt(
 
 @njit(cache=True, nogil=True)
 def elastic_shear_energy(lo: int, hi: int, volume: Floats, V0: Floats, laws: Laws, law_of: Ints, s: Floats) -> float:
-    """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_stress`, in J."""
+    """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_strain`, in J."""
     total = 0.0
     for e in range(lo, hi):
         law = laws[law_of[e]]
         ss = s[e, 0] ** 2 + s[e, 1] ** 2 + s[e, 2] ** 2 + 2.0 * (s[e, 3] ** 2 + s[e, 4] ** 2 + s[e, 5] ** 2)
         total += volume[e] * ss / (4.0 * law.G)
-        J = volume[e] / V0[e]
-        if J < SHAPE_LIMIT:
-            total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * log(J / SHAPE_LIMIT) ** 2
-        elif J * SHAPE_LIMIT > 1.0:
-            total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * log(J * SHAPE_LIMIT) ** 2
+        total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * shape_strain(volume[e] / V0[e]) ** 2
     return total
 
 

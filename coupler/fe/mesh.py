@@ -1,7 +1,7 @@
 """The mesh of the target with what the solver takes from scikit-fem."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
@@ -31,6 +31,29 @@ class TetMesh:
     sets: dict[str, np.ndarray]
     reach_node: Annotated[np.ndarray, Shape(-1)]
     reach_element: Annotated[np.ndarray, Shape(-1)]
+
+
+class FiniteElements(Protocol):
+    """What the parts of a target see of it; `fe.explicit.Target` says what each array is."""
+
+    mesh: TetMesh
+    laws: np.ndarray
+    law_of: np.ndarray
+    law_of_node: np.ndarray
+    start: np.ndarray
+    table: np.ndarray
+    x: np.ndarray
+    J: np.ndarray
+    volume: np.ndarray
+    T: np.ndarray
+    heat: np.ndarray
+    sigma_y: np.ndarray
+    eps_p: np.ndarray
+    mass: np.ndarray
+    inv_mass: np.ndarray
+    dt_of: np.ndarray
+    active_nodes: int
+    active_elements: int
 
 
 def prepare(points: np.ndarray, tets: np.ndarray, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> TetMesh:

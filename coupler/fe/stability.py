@@ -7,8 +7,7 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 """
 
 from dataclasses import dataclass
-from math import log
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -18,28 +17,12 @@ from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape
 from .blocks import edge_cofactors
-from .kernels import SHAPE_LIMIT, SHAPE_STIFFNESS, gather_forces, stable_dt
-from .mesh import TetMesh
+from .kernels import SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
+from .mesh import FiniteElements
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
 STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
-
-
-class Oscillator(Protocol):
-    """What the frequency of a target follows from; `fe.explicit.Target` says what each array is."""
-
-    mesh: TetMesh
-    laws: np.ndarray
-    law_of: np.ndarray
-    law_of_node: np.ndarray
-    start: np.ndarray
-    table: np.ndarray
-    x: np.ndarray
-    J: np.ndarray
-    mass: np.ndarray
-    inv_mass: np.ndarray
-    dt_of: np.ndarray
 
 
 @njit(cache=True, nogil=True)
@@ -87,10 +70,9 @@ def _forces(
         third = (g[0, 0] + g[1, 1] + g[2, 2]) / 3.0
         mean = 0.25 * (dp[n0] + dp[n1] + dp[n2] + dp[n3])
         J = det / 6.0 / V0[e]
-        if J < SHAPE_LIMIT:
-            mean += SHAPE_STIFFNESS * law.K * (1.0 - log(J / SHAPE_LIMIT)) / (J * J) * dv[e] / V0[e]
-        elif J * SHAPE_LIMIT > 1.0:
-            mean += SHAPE_STIFFNESS * law.K * max(1.0 - log(J * SHAPE_LIMIT), 0.0) / (J * J) * dv[e] / V0[e]
+        beyond = shape_strain(J)
+        if beyond != 0.0:
+            mean += SHAPE_STIFFNESS * law.K * max(1.0 - beyond, 0.0) / (J * J) * dv[e] / V0[e]
         G = law.G
         sxx = 2 * G * (g[0, 0] - third) + mean
         syy = 2 * G * (g[1, 1] - third) + mean
@@ -107,7 +89,7 @@ def _forces(
         fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
 
 
-def masses_for(t: Oscillator, dt: float) -> np.ndarray:
+def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
     together, each of them times (dt / its own step)^2."""
     conn = t.mesh.conn
@@ -153,7 +135,7 @@ class HighestFrequency:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
-    def longest_step(self, t: Oscillator, bound: float, n: int, m: int) -> float:
+    def longest_step(self, t: FiniteElements, bound: float, n: int, m: int) -> float:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
         mesh = t.mesh
         w, f = self._w[:n], self._f

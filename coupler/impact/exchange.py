@@ -87,7 +87,7 @@ class Impact:
     @property
     def sinking(self) -> float:
         """Downward speed of the particle's centre of mass, m/s."""
-        return -float(self.particle.momentum()[2] / self.particle.mass.sum())
+        return -float(self.particle.totals.momentum[2] / self.particle.mass.sum())
 
     @property
     def grip(self) -> Grip:
@@ -108,12 +108,12 @@ class Impact:
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
         v = self.target.v[self.surface_nodes]
-        return self.particle.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
+        return self.particle.totals.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
 
     def stable_time_step(self) -> float:
         """The time step (s) that both domains and the contact can take; `limits` counts which of them sets it."""
         bounds = {
-            "particle": self.particle.stable_dt(),
+            "particle": self.particle.totals.dt,
             "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
         }
         if self.hold is not None:
@@ -126,7 +126,7 @@ class Impact:
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
-        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.stable_dt())
+        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.totals.dt)
 
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""

@@ -47,9 +47,9 @@ class Ledger:
 
     def __init__(self, domains: Domains):
         particle, target = domains.particle, domains.target
-        self.kinetic_0 = particle.kinetic()
-        self.momentum_0 = particle.momentum() + target.momentum() - target.external_impulse()
-        self.scale = float(np.linalg.norm(particle.momentum()))
+        self.kinetic_0 = particle.totals.kinetic
+        self.momentum_0 = particle.totals.momentum + target.momentum() - target.external_impulse()
+        self.scale = float(np.linalg.norm(particle.totals.momentum))
         self.rows: dict[str, float] = {}
         self.before = _terms(domains, None)
 
@@ -64,7 +64,7 @@ class Ledger:
             if "kinetic" not in name:
                 r[name] -= self.before[name]
         r["drift"] = total / self.kinetic_0
-        balance = domains.particle.momentum() + target.momentum() - target.external_impulse() - self.momentum_0
+        balance = domains.particle.totals.momentum + target.momentum() - target.external_impulse() - self.momentum_0
         r["momentum_error"] = float(np.linalg.norm(balance) / self.scale)
         self.rows = r
         return r
@@ -123,13 +123,13 @@ class Ledger:
 
 def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
     """Each term of the ledger as it stands, J."""
-    particle, target, contact = domains.particle, domains.target, domains.contact
-    r = {"kinetic_particle": particle.kinetic(), "kinetic_target": target.kinetic()}
+    particle, target, contact = domains.particle.totals, domains.target, domains.contact
+    r = {"kinetic_particle": particle.kinetic, "kinetic_target": target.kinetic()}
     r["kinetic"] = r["kinetic_particle"] + r["kinetic_target"]
-    r["elastic_particle"], r["elastic_target"] = particle.elastic(), target.elastic()
-    r["plastic_particle"], r["plastic_target"] = particle.plastic_work, float(target.sums[0])
+    r["elastic_particle"], r["elastic_target"] = particle.elastic, target.elastic()
+    r["plastic_particle"], r["plastic_target"] = particle.plastic, float(target.sums[0])
     r["numerical_particle"] = particle.internal_work - r["elastic_particle"] - r["plastic_particle"]
-    r["viscosity_particle"], r["hourglass_particle"] = particle.losses
+    r["viscosity_particle"], r["hourglass_particle"] = particle.viscosity, particle.hourglass
     r["unexplained_particle"] = r["numerical_particle"] - r["viscosity_particle"] - r["hourglass_particle"]
     r["numerical_target"] = float(target.sums[1])
     r["contact"], r["friction"] = contact.penalty_energy, contact.friction_heat

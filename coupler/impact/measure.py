@@ -73,5 +73,5 @@ def measure(
     m["target_T_max_K"] = float(target.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
     m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
-    m["velocity_z_m_s"] = float(particle.momentum()[2] / particle.mass.sum())
+    m["velocity_z_m_s"] = float(particle.totals.momentum[2] / particle.mass.sum())
     return m

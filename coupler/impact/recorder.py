@@ -88,7 +88,7 @@ class Recorder:
         row["contact_force"] = float(impact.force[2])
         row["T_max"] = float(particle.T.max())
         row["eps_p_mean"] = float(particle.eps_p.mean())
-        row["stretch_min"] = particle.stretch_min
+        row["stretch_min"] = particle.totals.stretch_min
         self.store.record(row)
         self._notice(impact, skin)
         self.next_row = impact.time + self._row_every

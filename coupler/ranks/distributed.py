@@ -7,8 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..errors import CheckpointError
-from ..sph.particle import LocalState, Particle
+from ..sph.particle import LocalState, Particle, PointTotals
 from ..sph.threads import SecondThread
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
@@ -18,18 +17,18 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class ParticleState:
-    """whole: all points as one rank would have them, in the order they were given; totals: the last report of all ranks."""
+    """whole: all points as one rank would have them, in the order they were given; totals: those of all ranks."""
 
     whole: LocalState
-    totals: dict[str, float]
+    totals: PointTotals
 
 
 class DistributedParticle:
     """The particle as the root sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last window of steps. dt s; time s; steps. waited: seconds this rank has waited for others in steps. second: a
-    thread that the particle may share its work with, in one process.
+    the rest of the last window of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
+    second: a thread that the particle may share its work with, in one process.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
@@ -50,9 +49,9 @@ class DistributedParticle:
             self._owner = self.ask("get", "ids")
             self.x, self.v = self.whole("x"), self.whole("v")
         self.mass = self.whole("mass")
-        self.numerics = self.ask("numerics_now")[0]
-        self.law: np.ndarray = self.ask("law_now")[0]
-        self.totals = self._report()
+        self.numerics = self.ask("get", "numerics")[0]
+        self.law: np.ndarray = self.ask("get", "law")[0]
+        self.totals = self._sum_up()
 
     @property
     def _points(self) -> Particle:
@@ -87,71 +86,32 @@ class DistributedParticle:
 
     def whole(self, name: str) -> np.ndarray:
         """A field of all points (n, ...), by its name in `sph.particle.Particle`."""
-        return self._joined(self.ask("get", name))
-
-    def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
-        if len(parts) == 1 and self._alone:
+        parts: list[np.ndarray] = self.ask("get", name)
+        if self._alone:
             return parts[0]
         whole = np.empty((self.n, *parts[0].shape[1:]), parts[0].dtype)
         for ids, part in zip(self._owner, parts, strict=True):
             whole[ids] = part
         return whole
 
-    def _report(self) -> dict[str, float]:
-        reports, total = self.ask("report"), {}
-        for name in reports[0]:
-            fold = {"dt": min, "stretch_min": min, "fastest": max}.get(name, sum)
-            total[name] = fold(report[name] for report in reports)
+    def _sum_up(self) -> PointTotals:
         self._fields = {}
-        return total
+        return PointTotals.over(self.ask("totals"))
 
     def __getattr__(self, name: str) -> np.ndarray:
-        # fields of the points are gathered when they are asked for, once between two windows of steps
-        if name not in ("eps_p", "rate", "T", "J", "energy", "stress_now"):
+        if name not in ("eps_p", "rate", "T", "J", "energy"):
             raise AttributeError(name)
-        if self._alone and name != "stress_now":
-            return getattr(self.local, name)
+        return getattr(self.local, name) if self._alone else self._field(name)
+
+    def _field(self, name: str) -> np.ndarray:
+        """A field of all points, gathered when it is asked for, once between two windows of steps."""
         if name not in self._fields:
-            self._fields[name] = self.whole("stress" if name == "stress_now" else name)
+            self._fields[name] = self.whole(name)
         return self._fields[name]
 
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
-        return self.stress_now
-
-    @property
-    def stretch_min(self) -> float:
-        return self.totals["stretch_min"]
-
-    @property
-    def fastest(self) -> float:
-        """Speed of the fastest point, m/s."""
-        return self.totals["fastest"]
-
-    @property
-    def internal_work(self) -> float:
-        return self.totals["internal_work"]
-
-    @property
-    def plastic_work(self) -> float:
-        return self.totals["plastic"]
-
-    @property
-    def losses(self) -> tuple[float, float]:
-        """Energy (J) that viscosity and hourglass control have dissipated; both zero with an engine that does not measure them."""
-        return self.totals["viscosity"], self.totals["hourglass"]
-
-    def stable_dt(self) -> float:
-        return self.totals["dt"]
-
-    def kinetic(self) -> float:
-        return self.totals["kinetic"]
-
-    def elastic(self) -> float:
-        return self.totals["elastic"]
-
-    def momentum(self) -> np.ndarray:
-        return np.array([self.totals[f"momentum_{axis}"] for axis in "xyz"])
+        return self._field("stress")
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into the temperature of the points."""
@@ -163,15 +123,13 @@ class DistributedParticle:
         parts: list[LocalState] = self.ask("state")
         points = scatter([part.points for part in parts], self._owner, self.n)
         sums, work = np.sum([part.sums for part in parts], axis=0), sum(part.internal_work for part in parts)
-        return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), dict(self.totals))
+        return ParticleState(replace(parts[0], points=points, sums=sums, internal_work=work), self.totals)
 
     def restore(self, state: ParticleState) -> None:
         """Put a `state` into fresh parts, on any number of ranks. Raises CheckpointError where it does not fit."""
-        if set(state.totals) != set(self.totals):
-            raise CheckpointError("a state does not fit: the particle has other sums")
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.time, self.steps, self.dt = state.whole.time, state.whole.steps, state.whole.dt
-        self.totals = dict(state.totals)  # LAMMPS knows its strains again only after the next step
+        self.totals = state.totals  # LAMMPS knows its strains again only after the next step
         self._fields = {}
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")
@@ -199,7 +157,7 @@ class DistributedParticle:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
         self.time += steps * dt
         self.steps += steps
-        self.totals = self._report()
+        self.totals = self._sum_up()
         if not self._alone:
             self.x[:], self.v[:] = self.whole("x"), self.whole("v")
 

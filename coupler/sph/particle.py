@@ -11,7 +11,7 @@ import os
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from string import Template
 from typing import Annotated, ClassVar
@@ -98,6 +98,30 @@ class LocalState:
     steps: int
     dt: float
     sums: Annotated[np.ndarray, Shape(4)]
+
+
+@dataclass(frozen=True)
+class PointTotals:
+    """What the ledger and the choice of dt need of points: dt s, their stable step; stretch_min; fastest m/s; energies J, of which
+    viscosity and hourglass are losses, zero with an engine that does not measure them; momentum (3,) kg m/s."""
+
+    dt: float
+    stretch_min: float
+    fastest: float
+    kinetic: float
+    elastic: float
+    internal_work: float
+    plastic: float
+    viscosity: float
+    hourglass: float
+    momentum: Annotated[np.ndarray, Shape(3)]
+
+    @classmethod
+    def over(cls, parts: "Sequence[PointTotals]") -> "PointTotals":
+        """Those of the points of all parts together."""
+        fold = {"dt": min, "stretch_min": min, "fastest": max}
+        names = [f.name for f in fields(cls)]
+        return cls(**{name: fold.get(name, sum)([getattr(part, name) for part in parts]) for name in names})
 
 
 _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns
@@ -352,38 +376,23 @@ class Particle(ABC):
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
         k.warm_points(
-            self.law,
-            H,
-            self.volume,
-            np.ascontiguousarray(heat, float),
-            self._eps,
-            self.sigma_y,
-            self.eps_p,
-            self.T,
-            self.energy,
+            self.law, H, self.volume, np.ascontiguousarray(heat, float), self._eps, self.sigma_y, self.eps_p, self.T, self.energy,
             self.sums,
-        )
+        )  # fmt: skip
 
-    def report(self) -> dict[str, float]:
-        """What the ledger and the choice of dt need of these points, sums and extremes; raises as `stable_dt` does."""
-        momentum = self.momentum()
-        return {
-            "dt": self.stable_dt(), "stretch_min": self.stretch_min, "kinetic": self.kinetic(), "elastic": self.elastic(),
-            "internal_work": self.internal_work, "plastic": float(self.sums[0]), "mass": float(self.mass.sum()),
-            "viscosity": float(self.sums[2]), "hourglass": float(self.sums[3]),
-            "momentum_x": float(momentum[0]), "momentum_y": float(momentum[1]), "momentum_z": float(momentum[2]),
-            "fastest": float(np.sqrt(np.max(np.einsum("ij,ij->i", self.v, self.v), initial=0.0))),
-        }  # fmt: skip
+    def totals(self) -> PointTotals:
+        """Sums and extremes over these points; raises as `stable_dt` does."""
+        plastic, _, viscosity, hourglass = self.sums.tolist()
+        dt, fastest = self.stable_dt(), float(np.sqrt(np.max(np.einsum("ij,ij->i", self.v, self.v), initial=0.0)))
+        return PointTotals(
+            dt, self.stretch_min, fastest, self.kinetic(), self.elastic(), self.internal_work, plastic, viscosity, hourglass,
+            self.momentum(),
+        )  # fmt: skip
 
-    def numerics_now(self) -> Numerics:
-        return self.numerics
-
-    def law_now(self) -> np.ndarray:
-        return self.law
-
-    def get(self, name: str) -> np.ndarray:
-        """A field of these points by name: an attribute, or "stress"."""
-        return self.stress() if name == "stress" else np.array(getattr(self, name))
+    def get(self, name: str) -> object:
+        """An attribute of these points by name, an array as a copy; or "stress"."""
+        value = self.stress() if name == "stress" else getattr(self, name)
+        return np.array(value) if isinstance(value, np.ndarray) else value
 
     def _own_fields(self) -> set[str]:
         """The arrays of the points' record that LAMMPS does not keep."""
