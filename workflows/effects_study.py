@@ -40,7 +40,7 @@ from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
 from coupler.measures import BANDED, MEASURES, measure
-from coupler.plan.budget import REST, SHAPES
+from coupler.plan.budget import REST, SHAPES, can_act
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable, write_rows
@@ -217,7 +217,9 @@ def proof(table: StudyTable, rounds: int) -> None:
         if not missing:
             continue
         text = f'preset = "draft"\n{text}'
-        whole, step = compute(text, "all"), step_times(text, missing, rounds)
+        rows = plan(Scene.from_text(text, "effects_study")).budget.rows
+        everything = ["all", *(f"-{row.name}" for row in rows if not can_act(row.name, row.value))]
+        whole, step = compute(text, everything), step_times(text, everything, missing, rounds)
         for wanted in missing:
             asked = text + WANTED[wanted]
             values, budget = compute(asked, "auto"), plan(Scene.from_text(asked, "effects_study")).budget
@@ -233,9 +235,9 @@ def proof(table: StudyTable, rounds: int) -> None:
             print(table.add(row), flush=True)
 
 
-def step_times(text: str, wanted: Iterable[str], rounds: int) -> dict[str, float]:
+def step_times(text: str, everything: list[str], wanted: Iterable[str], rounds: int) -> dict[str, float]:
     """Processor time for a second of simulated time (s/s) with everything on ("all") and with auto for each choice of measures."""
-    scenes = {"all": f'effects = "all"\n{text}', **{name: text + WANTED[name] for name in wanted}}
+    scenes = {"all": f"effects = {json.dumps(everything)}\n{text}", **{name: text + WANTED[name] for name in wanted}}
     particle = Scene.from_text(text, "effects_study").particle
     simulated = CROSSINGS * particle.diameter / particle.velocity
     return {name: sum(times) / simulated for name, times in least_of(rounds, scenes, CROSSINGS).items()}
