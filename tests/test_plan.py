@@ -122,11 +122,12 @@ def test_numbers_of_the_reference_table():
 
 
 def test_a_slow_cold_impact_needs_less():
-    made = plan(scene_with(particle__velocity="50 m/s"))
+    slow, hot = plan(scene_with(particle__velocity="50 m/s")), plan(scene_with(particle__temperature="600 K"))
+    usual = plan(scene_with())
     for name in ("thermal_softening", "mie_gruneisen", "temperature_dependent_cp"):
-        assert not made.effects.switches[name]
-    assert made.effects.plastic_heating
-    assert plan(scene_with(particle__velocity="50 m/s", particle__temperature="600 K")).effects.thermal_softening
+        assert row(slow, name).value < row(usual, name).value
+        assert row(slow, name).changes["T_mean_K"] < row(usual, name).changes["T_mean_K"]
+    assert row(hot, "thermal_softening").value > row(usual, "thermal_softening").value
 
 
 def test_no_friction_without_a_coefficient():
