@@ -17,7 +17,7 @@ _LONGEST = 60  # characters; exact arithmetic on longer numbers would only cost 
 # dimension -> (an example for messages, {unit: factor to the SI unit}); the first unit of each is the SI one
 _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "length": ("25 um", {"m": "1", "cm": "1e-2", "mm": "1e-3", "um": "1e-6", "nm": "1e-9"}),
-    "velocity": ("500 m/s", {"m/s": "1", "km/s": "1e3", "mm/us": "1e3"}),
+    "velocity": ("500 m/s", {"m/s": "1", "km/s": "1e3", "mm/us": "1e3", "mm/s": "1e-3"}),
     "angle": ("30 deg", {"rad": "1", "deg": math.pi / 180}),
     "temperature": ("300 K", {"K": "1", "degC": "1"}),
     "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12"}),
@@ -28,6 +28,8 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     ),
     "specific heat": ("456 J/(kg K)", {"J/(kg K)": "1", "J/kgK": "1", "J/kg/K": "1", "kJ/(kg K)": "1e3"}),
     "conductivity": ("91 W/(m K)", {"W/(m K)": "1", "W/mK": "1", "W/m/K": "1"}),
+    "mass rate": ("30 g/min", {"kg/s": "1", "kg/h": "1/3600", "g/s": "1e-3", "g/min": "1/60000"}),
+    "heat transfer": ("1e4 W/(m2 K)", {"W/(m2 K)": "1", "W/m2K": "1", "W/(m^2 K)": "1"}),
     "expansion": ("13e-6 1/K", {"1/K": "1"}),
     "rate": ("1 1/s", {"1/s": "1"}),
     "surface energy": ("20 J/m2", {"J/m2": "1", "J/m^2": "1", "mJ/m2": "1e-3", "kJ/m2": "1e3"}),

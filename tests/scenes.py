@@ -23,17 +23,17 @@ def scene(
 
     particles: material, diameter in um, velocity in m/s of each. spacing, element_size, diameter, height: um. end: ns.
     of_particle, of_substrate: further lines of these tables. more: further tables. tied: splats of several
-    impacts stick wherever they touch.
+    impacts stick wherever they touch, and come one at once after another.
     """
-    head = "[particle]" if len(particles) == 1 else "[[particle]]"
+    head = "[particle]" if len(particles) == 1 else '[[particle]]\ndwell = "0 us"'
     lines = [
         f'{head}\nmaterial = "{material}"\ndiameter = "{size} um"\nvelocity = "{velocity} m/s"\n{of_particle}'
         for material, size, velocity in particles
     ]
     lines.append(STEEL.format(diameter=diameter, height=height, more=of_substrate))
     lines.append(f'[resolution]\nspacing = "{spacing} um"\nelement_size = "{element_size} um"\n')
-    if end is not None:
-        lines.append(f'[end]\ntime = "{end} ns"\n')
+    if end is not None or len(particles) > 1:
+        lines.append(f'[end]\ntime = "{end} ns"\n' if end is not None else '[end]\nat = "rest"\n')
     if tied and len(particles) > 1:
         lines.append('[adhesion]\nkind = "tied"\n')
     return "".join(lines) + more

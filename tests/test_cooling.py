@@ -8,7 +8,7 @@ from blocks import join
 from conftest import elastic
 
 from coupler.fe import mesh as meshes
-from coupler.fe.cooling import Links, cool
+from coupler.fe.cooling import Film, Links, cool
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
@@ -81,6 +81,19 @@ def test_two_bodies_level_out_through_their_contact() -> None:
     crossed = 150.0 * 2 * K * sqrt(tau / (pi * ALPHA))
     assert RHO * CP * (600.0 - means[1]) == pytest.approx(crossed, rel=0.03)
     assert t.T[body == 1].min() == pytest.approx(450.0, abs=25.0)
+
+
+def test_a_jet_heats_a_small_body_as_one_lump() -> None:
+    """Biot number 0.02: T_gas - T falls as exp(-h A t / (rho c_p V))."""
+    m = block(0.25)
+    t = Target(m, law_record(elastic()), 300.0, fixed=())
+    top = m.facets[m.sets["top"]]
+    size = 0.5 * np.linalg.norm(np.cross(*(m.points[top[:, i]] - m.points[top[:, 0]] for i in (1, 2))), axis=1)
+    h = 0.02 * K
+    time = 0.7 * RHO * CP / h  # volume over area is 1 m
+    report = cool(t, time, NONE, 0.0, film=Film(top.ravel(), np.repeat(size / 3, 3), h, 500.0))
+    assert float(np.average(t.T, weights=m.V0)) == pytest.approx(500.0 - 200.0 * np.exp(-0.7), abs=2.0)
+    assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.T - 300.0)), rel=1e-8)
 
 
 def _links(m: meshes.TetMesh, nodes: np.ndarray, triangles: np.ndarray) -> Links:

@@ -56,7 +56,7 @@ def test_the_time_limit_follows_from_what_stops_the_particle():
 
 def test_each_impact_is_planned():
     slow = {"velocity": "250 m/s", "dwell": "10 us", "angle": "30 deg", "offset": ["4 um", "0 um"]}
-    made = plan(several({"diameter": "18 um"}, slow, {"material": "Ti"}, end__at="greatest"))
+    made = plan(several({"diameter": "18 um", "dwell": "0 us"}, slow, {"material": "Ti"}, end__at="greatest"))
     first, second, third = made.impacts
     assert made.impact is first
     assert [i.end_at for i in made.impacts] == ["greatest"] * 3
@@ -229,6 +229,39 @@ def test_a_line_for_each_impact():
     assert max(map(len, text.splitlines())) <= 125
     alone = describe(plan(scene_with()))
     assert "  adhesion   tied, where the velocity has reached 1 of the critical one" in alone
+
+
+def test_the_spray_gives_the_time_between_impacts():
+    """Feed rate over mass and spot gives the flux; the disc is that of the offsets, no smaller than a particle."""
+    spray = {"feed_rate": "20 g/min", "spot": "5 mm", "traverse_speed": "100 mm/s", "efficiency": 0.5}
+    apart = ({"offset": ["-20 um", "0 um"]}, {"offset": ["20 um", "0 um"], "dwell": "auto"}, {})
+    made = plan(several(*apart, spray=spray))
+    mass = made.impact.material.rho * math.pi / 6 * 25e-6**3
+    expected = mass * 0.25 * math.pi * 5e-3**2 / (0.5 * 20e-3 / 60 * math.pi * 20e-6**2)
+    assert [i.dwell for i in made.impacts] == pytest.approx([expected, expected, 0.0])
+    text = " ".join(describe(made).split())
+    passing = 0.25 * math.pi * 5e-3 / 0.1
+    assert f"time between impacts {expected * 1e3:.3g} ms (20 g/min, 50% of it in a spot of 5 mm at 100 mm/s:" in text
+    assert f"{passing / expected:.2g} impacts a pass" in text
+    assert made.effects.cooling
+    stacked = plan(several({}, {}))
+    assert stacked.impact.dwell == pytest.approx(expected * 0.5 * 20 / 30 * (6 / 5) ** 2 * (20 / 12.5) ** 2)
+    assert "usual conditions" in describe(stacked)
+
+
+def test_no_time_between_impacts_is_warned_of():
+    assert any("dwell = 0 us" in text for text in plan(several({"dwell": "0 us"}, {})).warnings)
+    assert not any("dwell" in text for text in plan(several({}, {})).warnings)
+    assert plan(scene_with(particle__dwell="0 us")).warnings == plan(scene_with()).warnings
+
+
+def test_several_particles_end_cold_and_one_at_rest():
+    assert (plan(scene_with()).ambient, plan(several({}, {})).ambient) == (None, 300.0)
+    cold = plan(scene_with(end={"at": "cold", "ambient": "20 degC"}))
+    assert (cold.ambient, cold.impact.end_at) == (293.15, "rest")
+    assert "at the end all cools to 293.1 K" in describe(cold)
+    assert plan(several({}, {}, end={"at": "rest"})).ambient is None
+    assert plan(several({}, {}, end={"time": "10 ns"})).ambient is None
 
 
 def test_a_long_sequence_is_not_listed_to_its_end():

@@ -28,12 +28,15 @@ SCENE = """
 material = "Ni"
 diameter = "25 um"
 velocity = "1000 m/s"
+dwell = "0 us"
 [[particle]]
 material = "Ni"
 diameter = "25 um"
 velocity = "1000 m/s"
 [adhesion]
 kind = "tied"
+[end]
+at = "rest"
 [substrate]
 material = "SS304"
 diameter = "120 um"

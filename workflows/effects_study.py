@@ -62,7 +62,7 @@ def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", mor
     """A scene of about 500 points in a particle of so many um and m/s. more: of the particle; after: further particles."""
     size = f'diameter = "{8 * diameter:g} um"\nheight = "{4 * diameter:g} um"\n'
     text = single_impact(metal, diameter, velocity, base, spacing_of(500, diameter))
-    tied = '[adhesion]\nkind = "tied"\n' if after else ""
+    tied = '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n' if after else ""
     text = text.replace("[substrate]\n", f"{more}\n{after}{tied}[substrate]\n")
     return text.replace("[resolution]", f"{size}[resolution]")
 

@@ -19,15 +19,20 @@ SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
 RELAX_STEPS = 2500  # at most
+RAMP = 50  # steps in which a change of temperature becomes pressure
 RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free
+COOLED = 1e-7  # the same after cooling: stresses within a few MPa
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
 
-def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME) -> dict[str, float]:
+def settle(
+    bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME, ramp: bool = False
+) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
-    after all. The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
+    after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling.
+    The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
@@ -38,7 +43,7 @@ def settle(bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME)
     conduction, t.conduction = t.conduction, None
     try:
         with t.quasi_static():
-            report = _relax(bodies, RELAXED * kinetic_0)
+            report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp)
         taken = held - _held(bodies)
         released = _run_for(bodies, release_time)
         t.rest()
@@ -54,9 +59,12 @@ def _held(bodies: Bodies) -> float:
     return t.elastic() + float(t.sums[0]) + bodies.energy
 
 
-def _relax(bodies: Bodies, enough: float) -> dict[str, float]:
-    """Steps of dynamic relaxation until what may still be set free is below `enough`, J."""
+def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
+    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp: see `settle`."""
     t = bodies.target
+    portion, portions = t.heat / RAMP, RAMP if ramp else 0
+    if ramp:
+        t.heat[:] = 0.0
     _search(bodies, RELAX_STEP)
     own = t.mass, t.inv_mass, t.dt_last
     free = own[1] > 0.0
@@ -71,12 +79,14 @@ def _relax(bodies: Bodies, enough: float) -> dict[str, float]:
             # v = ((1 - a) v + dt f / m) / (1 + a), stable up to the step without damping
             t.v *= (1.0 - damping) / (1.0 + damping)
             t.inv_mass = inverse / (1.0 + damping)
+            if steps < portions:
+                t.heat += portion
             _step(bodies, dt)
             steps += 1
             kinetic, omega2 = _lowest(t, before, free, dt)
             before[:] = t.total
             damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
-            if steps > 2 * SEARCH_EVERY:
+            if steps > max(2 * SEARCH_EVERY, portions):
                 left = max(kinetic, _loose(t, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
         return {"settle_steps": float(steps), "left_J": float(left)}
     finally:

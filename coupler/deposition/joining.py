@@ -6,12 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..contact.hold import Hold
-from ..contact.surfaces import interface
 from ..errors import SolverError
 from ..fe.assemble import BodyState
-from ..fe.cooling import Links, cool, together
 from ..files.summary import Values
-from ..impact.bodies import NEAR, Bodies, level_under
+from ..impact.bodies import Bodies, level_under
 from ..impact.domains import Domains
 from ..impact.verdict import judge
 from ..physics.constitutive import sound_speed, von_mises
@@ -20,8 +18,9 @@ from ..progress import Progress
 from ..sph.carried_surface import CarriedSurface, shape_measures
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
-from .equilibrium import RELAXED, RELEASE_TIME, settle
+from .equilibrium import RELAXED, settle
 from .mass_scaling import prepare
+from .pause import pause, release_time
 from .remeshing import Gate, remeshed
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
@@ -29,14 +28,14 @@ RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy
 
 
 def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None) -> tuple[Bodies, Values]:
-    """The bodies that impact i + 1 meets, and what it took to make them.
+    """The bodies that impact i + 1 meets, or those after the last impact, and what it took to make them.
 
     domains: of the finished impact i; hold: the bond of its particle. A particle that is
     not bonded and moves away has rebounded and does not join. Raises SplatError when it cannot be meshed, SolverError when it does
     not come to rest.
     """
     started = clock.perf_counter()
-    p, following = plan.impacts[i], plan.impacts[i + 1]
+    p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
     particle, bodies = domains.particle, domains.bodies
     kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(particle.totals.momentum[2] / particle.mass.sum())
@@ -119,43 +118,13 @@ def _ready(
     plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
 ) -> Bodies:
     """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `mass_scaling`."""
-    bodies = _paused(plan, i, bodies, origin, kinetic_0, report)
+    if i + 1 == len(plan.impacts):
+        return bodies
+    if plan.impacts[i].dwell > 0.0 and plan.effects.cooling:
+        report["cooling"] = pause(plan, i, bodies, kinetic_0)
+        bodies = bodies.renumbered(origin)
     report["mass_scaling"] = prepare(plan, i + 1, bodies)
     return bodies
-
-
-def release_time(plan: Plan) -> float:
-    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
-    return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
-
-
-def _paused(
-    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
-) -> Bodies:
-    """The bodies after the pause that follows impact i, and what it did to them in the report, as `cooling`.
-
-    The substrate's bottom and sides are kept at its temperature, all else is insulated; bodies that lie on each other conduct as
-    in perfect contact. Thermal stresses relax at the end.
-    """
-    if plan.impacts[i].dwell == 0.0 or not plan.effects.cooling:
-        return bodies
-    started = clock.perf_counter()
-    t = bodies.target
-    facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
-    cooling = cool(
-        t, plan.impacts[i].dwell, np.unique(facets), plan.target.temperature, _links(bodies, plan.splat_element_size)
-    )
-    settled = settle(bodies, kinetic_0, release_time(plan))
-    report["cooling"] = {**cooling, **{f"then_{name}": value for name, value in settled.items()}}
-    report["cooling"]["wall_s"] = clock.perf_counter() - started
-    return bodies.renumbered(origin)
-
-
-def _links(bodies: Bodies, size: float) -> Links:
-    """Where splats lie on each other or on the substrate. size: of their elements, m."""
-    surfaces, x = bodies.surfaces, bodies.target.x
-    contacts = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
-    return together([Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts])
 
 
 def cloud_of(domains: Domains) -> Cloud:

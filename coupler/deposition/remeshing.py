@@ -241,7 +241,8 @@ def _transfer(domain: Domain, patch: Patch, points: np.ndarray, tets: np.ndarray
     V0 *= V0_before.sum() / V0.sum()
     s = at_elements(domain.elements.s[around])
     s[:, :3] -= s[:, :3].mean(axis=1)[:, None]
-    known = {"s": s, "heat": V0 / V0.sum() * domain.elements.heat[patch.elements].sum()}
+    thermal = at_elements(domain.elements.thermal_stress[around])
+    known = {"s": s, "thermal_stress": thermal, "heat": V0 / V0.sum() * domain.elements.heat[patch.elements].sum()}
     for name, spec in rows_of(ElementState).items():
         if not spec.notes.get("computed"):
             values = getattr(domain.elements, name)

@@ -14,12 +14,13 @@ from .. import __version__, report
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.provenance import command, provenance
-from ..files.result import Result
+from ..files.result import COLD, Result
 from ..files.store import PICTURE, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
+from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..measures import UNDECIDED
@@ -30,6 +31,7 @@ from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from .joining import join, splats_at_end
+from .pause import cool_to_ambient
 from .summary import simulated, summary
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
@@ -151,6 +153,7 @@ class Deposition:
         self._started, self._before = clock.perf_counter(), 0.0
         self.records: list[ImpactRecord] = []  # of the finished impacts
         self.joins: list[Values] = []  # reports of the joining of their splats
+        self.closing: Values | None = None  # report of the closing stage
 
     @property
     def wall(self) -> float:
@@ -190,10 +193,14 @@ class Deposition:
                     outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
                     bodies, running = outcome.domains.bodies, None
                     self.records.append(outcome.record)
-                    if i + 1 == len(plan.impacts) or self.undecided:
+                    is_last = i + 1 == len(plan.impacts)
+                    if self.undecided or (is_last and plan.ambient is None):
                         break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
                     bodies, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
                     self.joins.append(joined)
+                    if is_last:
+                        self._close(bodies)
+                        break
                 finally:
                     if outcome is not None:
                         outcome.domains.particle.close()
@@ -207,6 +214,15 @@ class Deposition:
             report.section_picture(result)
             options.progress.record(report.screen(result, verbose=True))
         return result
+
+    def _close(self, bodies: Bodies) -> None:
+        """The closing stage: the bodies cool to ambient, come to equilibrium and are written."""
+        self.options.progress.stage("cooling to ambient")
+        counts = [join["bodies"] for join in self.joins]
+        self.closing = cool_to_ambient(self.plan, bodies, counts, self.records[-1].values["kinetic_energy_0_J"])
+        t = bodies.target
+        thermal = {"thermal_stress": t.thermal_stress[:, VTK_ORDER], **cell_fields(bodies)}
+        self.store.write(COLD, simulated(self.records), t.x, t.mesh.conn, {}, thermal)
 
     def _restored(self) -> tuple[Bodies, RunningState | None]:
         """The bodies that the last whole checkpoint holds, and the impact that was interrupted, or None; from the start without one."""
@@ -236,7 +252,7 @@ class Deposition:
         """The summary of the impacts so far, whose splats are `bodies`."""
         levels = [record.values["surface_level_m"] for record in self.records]
         standing = splats_at_end(self.plan, levels, self.joins, bodies)
-        return summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks)
+        return summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks, self.closing)
 
     def _last_checkpoint(self) -> DepositionState | None:
         """State of the last whole checkpoint, the files brought to its moment; None if there is none."""

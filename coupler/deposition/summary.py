@@ -33,11 +33,12 @@ def summary(
     standing: Sequence[Mapping[str, float] | None],
     wall: float,
     ranks: Ranks,
+    closing: Values | None = None,
 ) -> Summary:
     """The summary of a run.
 
     joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
-    (`joining.splats_at_end`); wall: s of wall time.
+    (`joining.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
     """
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
     expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts say what they reached
@@ -72,6 +73,7 @@ def summary(
         },
         "impacts": impacts,
         "joins": joins,
+        **({"closing": closing} if closing is not None else {}),
     }  # fmt: skip
 
 

@@ -28,6 +28,16 @@ CG_TOLERANCE = 1e-11  # of the linear solver
 
 
 @dataclass(frozen=True)
+class Film:
+    """Gas on a surface: nodes (k,), each with an area (k,) m2; coefficient W/(m2 K), T K of the gas."""
+
+    nodes: np.ndarray
+    area: np.ndarray
+    coefficient: float
+    T: float
+
+
+@dataclass(frozen=True)
 class Links:
     """Perfect thermal contact between bodies: nodes (k,), each with a place on a triangle (k,3), weights (k,3), and area (k,) m2."""
 
@@ -37,10 +47,13 @@ class Links:
     area: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Links | None = None) -> dict[str, float]:
+def cool(
+    target: Target, time: float, held: np.ndarray, held_T: float, links: Links | None = None, film: Film | None = None
+) -> dict[str, float]:
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
-    held: nodes kept at held_T K; every other face is insulated. Returns steps, hottest and mean temperatures before and after
+    held: nodes kept at held_T K; every other face is insulated but for the film.
+    Returns steps, hottest and mean temperatures before and after
     (K), and the heat (J) that held nodes have taken away. Raises SolverError when the linear solver does not come to an end.
     """
     t, links = target, links or Links()
@@ -60,11 +73,15 @@ def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Li
     free[held] = 0.0
     dt, left, steps, taken = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
+    from_gas = np.zeros(n)  # W/K
+    if film is not None:
+        from_gas += np.bincount(film.nodes, film.coefficient * film.area, n)
+    T_gas = film.T if film is not None else 0.0
     while left > 0.0:
         T_mean = T[t.mesh.conn].mean(axis=1)
         k = conductivities(laws[law_of], T_mean)
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
-            K, known = assemble(k) + _across(links, laws, law_of, t, n, k), T.copy()
+            K, known = assemble(k) + _across(links, laws, law_of, t, n, k) + diags(from_gas), T.copy()
         rate = k * grad2 / (4.0 * share / V0)
         dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
@@ -73,7 +90,7 @@ def cool(target: Target, time: float, held: np.ndarray, held_T: float, links: Li
         # held nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
         fixed = np.where(free == 0.0, held_T - T, 0.0)
         A = diags(free) @ (diags(capacity) + dt * K) @ diags(free) + diags(1.0 - free)
-        b = free * (source - dt * (K @ (T + fixed))) + fixed
+        b = free * (source - dt * (K @ (T + fixed) - from_gas * T_gas)) + fixed
         change, failed = cg(A, b, x0=fixed, rtol=CG_TOLERANCE, maxiter=5000, M=diags(1.0 / A.diagonal()))
         if failed:
             raise SolverError(

@@ -63,6 +63,7 @@ class Target:
     T: np.ndarray
     sigma_y: np.ndarray
     fe: np.ndarray
+    thermal_stress: np.ndarray
 
     def __init__(
         self,

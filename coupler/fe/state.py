@@ -28,7 +28,8 @@ class NodeState:
 @dataclass(frozen=True)
 class ElementState:
     """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
-    the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners.
+    the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that
+    changes of temperature at rest have made.
 
     A remeshed patch takes its arrays over by moving least squares, with the same sum over reference volume and none below `floor`,
     by default the least of the old ones; those with computed=True are computed by `deposition.remeshing` and `fe.patch`.
@@ -42,6 +43,7 @@ class ElementState:
     T: Annotated[np.ndarray, Rows()]
     sigma_y: Annotated[np.ndarray, Rows(computed=True)]
     fe: Annotated[np.ndarray, Rows(4, 3, computed=True)]
+    thermal_stress: Annotated[np.ndarray, Rows(6, computed=True)]
 
 
 @dataclass(frozen=True)

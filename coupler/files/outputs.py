@@ -14,7 +14,7 @@ from ..errors import StoreError
 MARK = "written by coldspray"
 MARKER = ".coldspray"
 RUN_FILES = (
-    "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf",
+    "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf", "cold.vtkhdf",
     "section.png", "run.log", "log.lammps",
 )  # fmt: skip
 _ENDS = 8192  # bytes at both ends of a file in which MARK is looked for

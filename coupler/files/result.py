@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 # Names are repeated here so that reading needs nothing of the writing side.
 DOMAINS = ("particle", "surface", "target")
+COLD = "cold"  # the bodies after the closing stage, one step
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
 DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
 FARTHEST = 1e3  # m from the origin: no run has a point beyond it
@@ -69,7 +70,7 @@ class Result:
         self.directory = Path(directory)
         if not self.directory.is_dir():
             raise StoreError(f"{self.directory} is not a folder of results")
-        known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in DOMAINS)]
+        known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
@@ -164,7 +165,7 @@ class Result:
             return _times(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
-        """Points, cells and data of "particle", "surface" or "target" at a stored step; -1 is the last.
+        """Points, cells and data of "particle", "surface", "target" or "cold" at a stored step; -1 is the last.
 
         Raises StoreError if the file is missing or damaged, IndexError if there is no such step.
         """
@@ -236,8 +237,8 @@ class Result:
         return table[column]
 
     def _path(self, domain: str) -> Path:
-        if domain not in DOMAINS:
-            raise ValueError(f"unknown domain {domain!r}, have {', '.join(DOMAINS)}")
+        if domain not in (*DOMAINS, COLD):
+            raise ValueError(f"unknown domain {domain!r}, have {', '.join((*DOMAINS, COLD))}")
         return self.directory / f"{domain}.vtkhdf"
 
 

@@ -1,6 +1,7 @@
 """The folder of one run: written while it runs, readable at every moment, never in two hands at once.
 
 particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
+cold.vtkhdf                                    all bodies after the closing stage, where there is one
 history.csv                                    one line for each record
 scene.toml                                     the scene with every default filled in
 plan.json                                      every decision about the run: see `coupler.plan.record`
@@ -33,10 +34,9 @@ from ..errors import CheckpointError, StoreError
 from ..state.records import Shape
 from . import checkpoint
 from .outputs import RUN_FILES, check_folder, claim_folder, write_text
-from .result import Result
+from .result import COLD, DOMAINS, Result
 from .vtkhdf import VtkHdfWriter
 
-DOMAINS = ("particle", "surface", "target")
 HISTORY, SCENE, PLAN, LOG = "history.csv", "scene.toml", "plan.json", "run.log"
 SUMMARY, PICTURE = "summary.json", "section.png"
 
@@ -87,7 +87,14 @@ class Store:
             store = cls(directory, _lock(directory))
             try:
                 # The summary first: a run that replaces a finished one is unfinished from its first moment.
-                for name in (SUMMARY, PLAN, PICTURE, HISTORY, LOG, *(f"{domain}.vtkhdf" for domain in DOMAINS)):
+                for name in (
+                    SUMMARY,
+                    PLAN,
+                    PICTURE,
+                    HISTORY,
+                    LOG,
+                    *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD)),
+                ):
                     (directory / name).unlink(missing_ok=True)
                 checkpoint.clear(directory)
                 if plan_json:
@@ -125,7 +132,7 @@ class Store:
         steps = state.steps if state else {}
         with _named(self.directory / SUMMARY):  # of an undecided run
             (self.directory / SUMMARY).unlink(missing_ok=True)
-        for domain in DOMAINS:
+        for domain in (*DOMAINS, COLD):
             path = self.directory / f"{domain}.vtkhdf"
             with _named(path):
                 if steps.get(domain):
@@ -180,11 +187,11 @@ class Store:
     ) -> None:
         """Append one time step to `DIR/<domain>.vtkhdf`.
 
-        domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" (tets (m, 4)). time: s.
+        domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or "cold" (tets (m, 4)). time: s.
         Shapes and units as in `VtkHdfWriter.write`. Raises StoreError, for example when the disk is full.
         """
-        if domain not in DOMAINS:
-            raise ValueError(f"unknown domain {domain!r}, have {DOMAINS}")
+        if domain not in (*DOMAINS, COLD):
+            raise ValueError(f"unknown domain {domain!r}, have {(*DOMAINS, COLD)}")
         path = self.directory / f"{domain}.vtkhdf"
         with _named(path):
             if domain not in self._writers:

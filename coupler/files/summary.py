@@ -13,7 +13,8 @@ Values = dict[str, Any]
 
 
 class Summary(TypedDict, total=False):
-    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them; history_rows: of
+    """run: what belongs to the whole run; impacts: a record for each impact; joins: what happened between them; closing: what
+    happened after the last, where all has cooled; history_rows: of
     history.csv; provenance: of the result (`coupler.files.provenance`). SI units."""
 
     format: int
@@ -21,6 +22,7 @@ class Summary(TypedDict, total=False):
     run: Values
     impacts: list[Values]
     joins: list[Values]
+    closing: Values
     history_rows: int
     provenance: Values
 

@@ -10,6 +10,7 @@ from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..state.records import collect
+from .bodies import Bodies
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
 from .measure import crater_depth, measure
@@ -30,6 +31,13 @@ class RecorderState:
     extremes: dict[str, dict[str, float]]
     over_rim: bool
     in_layer: bool
+
+
+def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
+    """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined."""
+    t, stress = bodies.target, bodies.target.stress()
+    cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
+    return {**cells, "body": bodies.body}
 
 
 class Recorder:
@@ -124,10 +132,7 @@ class Recorder:
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         self.store.write("surface", time, s.positions(p.x), s.triangles, skin)
-        stress = t.stress()
-        cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
-        cells["body"] = impact.bodies.body  # 0 the substrate, then the splats in the order they joined
-        self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cells)
+        self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
         self.next_output = impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:

@@ -73,7 +73,7 @@ def particles(table: Coating, files: Sequence[Path] = ()) -> list[dict[str, str 
             particle["velocity"] = f"{by_size(table.velocity, diameter) + table.velocity_spread * off:.1f} m/s"
         if table.temperature is not None:
             particle["temperature"] = f"{by_size(table.temperature, diameter):.1f} K"
-        if table.dwell:
+        if table.dwell is not None:
             particle["dwell"] = units.show(table.dwell, "us")
         if table.hardness is not None:
             particle["hardness"] = units.show(table.hardness, "HV")

@@ -9,7 +9,8 @@ from ..physics import materials
 from ..physics.adhesion import Adhesion, PairBond
 from ..physics.materials import Material
 from ..scene.model import SceneData
-from ..scene.tables import Particle, Substrate
+from ..scene.tables import Particle, Spray, Substrate
+from ..spray.stream import Stream
 from . import cost as estimates
 
 _OUTPUTS_PER_CROSSING = 25.0  # written steps in D / v, of one impact ...
@@ -135,6 +136,47 @@ class Derived:
         """Material and temperature (K) of all that a particle may meet."""
         bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
         return {(body.material, body.temperature) for body in bodies}
+
+    @property
+    def spray(self) -> Spray:
+        """The spray of the scene, or usual conditions."""
+        return self.scene.spray or Spray()
+
+    @cached_property
+    def stream(self) -> Stream:
+        """The stream of powder. Raises SceneError for an unknown material."""
+        masses = [self.material(p.material).rho * p.volume for p in self.scene.particles]
+        spray = self.spray
+        mass = sum(masses) / len(masses)
+        return Stream(spray.efficiency * spray.feed_rate, mass, spray.spot, spray.traverse_speed)
+
+    @cached_property
+    def time_between(self) -> float:
+        """Mean time (s) between impacts on the disc that the scene's particles fall on, no smaller than a particle.
+
+        Raises SceneError for an unknown material.
+        """
+        particles, coating = self.scene.particles, self.scene.coating
+        radius = coating.radius if coating else max(math.dist(p.offset, self.centre) for p in particles)
+        return self.stream.time_between(max(radius, 0.5 * max(p.width for p in particles)))
+
+    def dwell_of(self, particle: Particle) -> float:
+        """Time (s) between a particle's impact and the next: the scene's own, or as the spray has it; 0 after the last."""
+        if particle.dwell is not None:
+            return particle.dwell
+        return 0.0 if particle is self.scene.particles[-1] else self.time_between
+
+    @property
+    def ambient(self) -> float | None:
+        """Temperature (K) to which all cools after the last impact; None where it does not cool."""
+        return self.scene.end.ambient if self.scene.end.at == "cold" else None
+
+    @property
+    def surface_heat(self) -> tuple[float, float] | None:
+        """Heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface; None without heat from it."""
+        h, T, gas = self.spray.heat_transfer, self.spray.gas_temperature, self.scene.gas
+        T = gas.temperature if T is None and gas is not None else T
+        return (h, T) if h and T is not None else None
 
     @property
     def end_time(self) -> float:

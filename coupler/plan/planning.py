@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from .. import units
 from ..geometry.tetrahedra import COARSEST
 from ..measures import NEED_REST, WANTABLE
 from ..physics.adhesion import Adhesion, critical_velocity
@@ -33,7 +34,7 @@ class ImpactPlan:
     """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
-    rate's smoothing; dwell, the pause after it. end_at: "rest", "greatest" (deformation) or "time"; the first two at
+    rate's smoothing; dwell, the time until the next. end_at: "rest", "greatest" (deformation) or "time"; the first two at
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
     component normal to the surface over the critical velocity of material and temperature, None where the material has none.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
@@ -109,6 +110,8 @@ class Plan:
     impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
     wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
     about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
+    ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
+    (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
     """
 
     name: str
@@ -132,6 +135,9 @@ class Plan:
     gas: tuple[str, ...]
     warnings: tuple[str, ...]
     solids: dict[str, SolidPlan]
+    ambient: float | None
+    surface_heat: tuple[float, float] | None
+    spray: str
 
     @property
     def wall_estimate(self) -> float:
@@ -208,6 +214,9 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),
         warnings=tuple(_warnings(scene, impacts, base, decided)),
+        ambient=scene.derived.ambient,
+        surface_heat=scene.derived.surface_heat,
+        spray=_spray(scene),
         solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
     )
 
@@ -241,7 +250,9 @@ def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
 def _impact(scene: Scene, i: int) -> ImpactPlan:
     particle = scene.particles[i]
     D, v, cap = particle.diameter, particle.velocity, scene.derived.end_time_of(particle)
-    end_at = scene.end.at or ("time" if scene.end.time is not None else "rest")
+    end_at: Literal["rest", "greatest", "time"] = (
+        "rest" if scene.end.at == "cold" else scene.end.at or ("time" if scene.end.time is not None else "rest")
+    )
     material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
     damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
@@ -265,7 +276,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
         output_every=scene.derived.output_every_of(particle),
-        dwell=particle.dwell,
+        dwell=scene.derived.dwell_of(particle),
         end_at=end_at,
         window=scene.derived.window_of(particle),
         velocity_ratio=_velocity_ratio(material, particle.temperature, v * math.cos(particle.angle)),
@@ -276,6 +287,18 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
             Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)
         ),
     )
+
+
+def _spray(scene: Scene) -> str:
+    """The time between impacts, and what it follows from."""
+    d, spray, show = scene.derived, scene.derived.spray, units.rounded
+    if len(scene.particles) == 1:
+        return ""
+    share = f", {spray.efficiency:.0%} of it" if spray.efficiency < 1.0 else ""
+    whence = "" if scene.spray else "usual conditions: "
+    stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
+    impacts = d.stream.time_of_pass / d.time_between
+    return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts a pass)"
 
 
 def _solid(file: str) -> SolidPlan:
@@ -326,6 +349,7 @@ def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> 
                 duration=impact.end_time,
                 dwell=impact.dwell,
                 bonded=scene.derived.adhesion_law.kind != "none",
+                ambient=scene.derived.ambient,
             )
         )
         left -= impact.end_time
@@ -353,6 +377,11 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
         warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
     if text := _hot(base, scene.substrate.temperature):
         warnings.append(f"the target {text}")
+    if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
+        real = units.rounded(scene.derived.time_between, "ms")
+        warnings.append(
+            f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
+        )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
         warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")

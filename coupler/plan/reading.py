@@ -88,6 +88,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     raw.setdefault("name", safe_name(source))
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
+    _set_end(raw)
     if "gas" in raw or "nozzles" in raw:
         problems += fill(raw, catalogue)
     with_folders(raw, source)
@@ -112,6 +113,13 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     return read
 
 
+def _set_end(raw: dict[str, object]) -> None:
+    """Let several particles end cold where a scene does not say when they end."""
+    end, particles = raw.get("end", {}), raw.get("particle")
+    if isinstance(particles, list) and len(particles) > 1 and isinstance(end, dict) and not end.keys() & {"at", "time"}:
+        raw["end"] = {**end, "at": "cold"}
+
+
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
     """The strength set or law that a scene asks for, and the names of the metals that it uses, of the scene as nested dicts."""
     strength, particles = raw.get("strength"), raw.get("particle")
@@ -124,7 +132,8 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
     """What takes the place of the fields that a table leaves out, each with where it comes from."""
     d = Derived(scene)
     if isinstance(table, Particle):
-        return {"gap": f"{text_of(d.gap_of(table), 'um')}  (from: half a spacing)"}
+        several = {"dwell": f"{text_of(d.time_between, 'us')}  (from: spray)"} if len(scene.particles) > 1 else {}
+        return {"gap": f"{text_of(d.gap_of(table), 'um')}  (from: half a spacing)", **several}
     first, each = scene.particle, ", of the first impact" if len(scene.particles) > 1 else ""
     every, end = d.output_every_of(first), d.end_time_of(first)
     return {

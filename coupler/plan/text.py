@@ -26,6 +26,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         *_impacts(plan, _FEW if brief else _MOST_LINES),
         *_cut(_shapes(plan), brief),
         *_cut([*plan.gas], brief),
+        *([fill(plan.spray, 119, initial_indent="  spray      ", subsequent_indent=" " * 13)] if plan.spray else []),
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
@@ -175,7 +176,8 @@ def _ends(plan: Plan) -> str:
     when = {"rest": "at rest, at most ", "greatest": "at greatest deformation, at most ", "time": ""}[
         plan.impact.end_at
     ]
-    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}; a step written every {_range(often)}"
+    cold = "" if plan.ambient is None else f"; at the end all cools to {units.rounded(plan.ambient, 'K', 4)}"
+    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}{cold}; a step written every {_range(often)}"
 
 
 def _range(times: list[float]) -> str:

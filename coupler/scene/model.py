@@ -27,6 +27,7 @@ class SceneData(tables.Section):
     particles: list[tables.Particle] = Field(alias="particle")
     coating: tables.Coating | None = None
     gas: tables.GasConditions | None = None
+    spray: tables.Spray | None = None
     substrate: tables.Substrate
     contact: tables.Contact = tables.Contact(friction=0.5)
     adhesion: tables.AdhesionTable = tables.AdhesionTable()

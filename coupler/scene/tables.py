@@ -36,13 +36,15 @@ SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or
 class Quantity:
     """A field with a unit: text in the scene, an SI float inside. `unit` is the one it is written out in.
 
-    low, high: limits, as text with units. below: a message of its own for a value under `low`.
+    low, high: limits, as text with units. below: a message of its own for a value under `low`. auto: "auto" is a value too, which the
+    table reads as none.
     """
 
     unit: str
     low: str
     high: str
     below: str = ""
+    auto: bool = False
 
     def read(self, value: object) -> float:
         """SI value of a scene's text. Raises units.UnitError or ValueError with what is wrong."""
@@ -61,7 +63,7 @@ class Quantity:
         return core_schema.no_info_plain_validator_function(self.read)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        text = units.pattern(units.dimension_of(self.unit))
+        text = units.pattern(units.dimension_of(self.unit)) + ("|^auto$" if self.auto else "")
         return {"type": "string", "pattern": text, "description": f"{self.low} to {self.high}", "unit": self.unit}
 
 
@@ -94,6 +96,7 @@ class BySize:
 
 
 _Diameter = Quantity("um", "1 um", "200 um")
+_Dwell = Quantity("us", "0 s", "10 s", auto=True)
 _Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
 _Kelvin = Quantity("K", "100 K", "5000 K")
 
@@ -102,6 +105,17 @@ class Section(BaseModel):
     """A table of the scene: no other keys than its own, and unchangeable once read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class _WithDwell(Section):
+    """A table whose dwell may be "auto": as long as the spray has it, None inside."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _auto_is_none(cls, data: object) -> object:
+        if isinstance(data, dict) and data.get("dwell") == "auto":
+            return {key: value for key, value in data.items() if key != "dwell"}
+        return data
 
 
 T = TypeVar("T", bound=Section)
@@ -122,12 +136,12 @@ Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"] 
 SHAPES: tuple[str, ...] = get_args(Shape)
 
 
-class Particle(Section):
+class Particle(_WithDwell):
     """One impact. SI units; `angle` (rad) from the surface normal; `offset` of the centre at the start.
 
     shape: a name of `coupler.physics.shapes`, or "file": the closed surface in `file`; diameter: of the sphere of equal volume;
-    tilt (rad): of the shape about y; dwell: pause (s) after this impact. hardness, yield_strength (Pa, one of them): of the
-    powder, instead of the metal's own.
+    tilt (rad): of the shape about y; dwell: time (s) until the next impact, None: as the spray has it.
+    hardness, yield_strength (Pa, one of them): of the powder, instead of the metal's own.
     """
 
     material: str
@@ -140,7 +154,7 @@ class Particle(Section):
     temperature: Temperature = 300.0
     offset: tuple[Offset, Offset] = (0.0, 0.0)
     gap: Annotated[float | None, Quantity("um", "0 um", "200 um", SHORTEST_GAP_MESSAGE)] = None
-    dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    dwell: Annotated[float | None, _Dwell] = None
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
     _of_file: morphology.Form | None = PrivateAttr(None)  # of diameter 1
@@ -174,7 +188,7 @@ class Particle(Section):
         return max(self.diameter, self.form.height(self.tilt))
 
 
-class Coating(Section):
+class Coating(_WithDwell):
     """Particles drawn from a seed, in place of [[particle]] tables: `coupler.plan.coating` makes these of it. SI units.
 
     number: of particles, in `layers` of equal numbers; radius (m): of the disc about the axis that their centres fall on, at
@@ -199,7 +213,7 @@ class Coating(Section):
     temperature: Annotated[tuple[tuple[float, float], ...] | None, BySize(_Kelvin)] = None
     shapes: dict[str, StrictFloat | StrictInt] = Field(default_factory=lambda: {"sphere": 1.0})
     files: str | None = None
-    dwell: Annotated[float, Quantity("us", "0 s", "10 s")] = 0.0
+    dwell: Annotated[float | None, _Dwell] = None
     seed: StrictInt = Field(1, ge=0, le=2**31)
     hardness: Annotated[float | None, Quantity("HV", "5 HV", "3000 HV")] = None
     yield_strength: Annotated[float | None, Quantity("MPa", "1 MPa", "20 GPa")] = None
@@ -243,6 +257,22 @@ class GasConditions(Section):
     powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
     bow_shock: StrictBool = False
     drag: Literal["henderson", "carlson-hoglund"] = "henderson"
+
+
+class Spray(Section):
+    """The stream of powder, which sets the time between impacts. SI units; the defaults are usual conditions.
+
+    feed_rate: kg/s of powder; spot: diameter (m) of the place that it covers, evenly; traverse_speed: of the gun, m/s; efficiency:
+    share of the powder that the scene's particles stand for. heat_transfer (W/(m2 K)): of the jet on the surface between impacts, none
+    by default; gas_temperature (K): of the jet there, the total one of [gas] by default.
+    """
+
+    feed_rate: Annotated[float, Quantity("g/min", "0.01 g/min", "1000 g/min")] = 0.5e-3
+    spot: Annotated[float, Quantity("mm", "0.1 mm", "100 mm")] = 6e-3
+    traverse_speed: Annotated[float, Quantity("mm/s", "0.1 mm/s", "10 m/s")] = 0.3
+    efficiency: StrictFloat = Field(default=1.0, gt=0.0, le=1.0)
+    heat_transfer: Annotated[float | None, Quantity("W/(m2 K)", "0 W/(m2 K)", "1000000 W/(m2 K)")] = None
+    gas_temperature: Annotated[float | None, Quantity("K", "100 K", "2000 K")] = None
 
 
 class Substrate(Section):
@@ -341,10 +371,12 @@ class Want(Section):
 
 class End(Section):
     """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
-    comes first. If neither is said: at rest, unless no measure asked for needs that."""
+    comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one at
+    "rest", unless no measure asked for needs that."""
 
-    at: Literal["rest", "greatest"] | None = None
+    at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
+    ambient: Temperature = 300.0
 
 
 class Output(Section):

@@ -33,6 +33,7 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
     for section in (
         "coating",
         "gas",
+        "spray",
         "substrate",
         "contact",
         "adhesion",

@@ -1,0 +1,131 @@
+"""Heat between impacts and after the last: conduction through the pause, cooling to ambient, and the stresses that both make.
+
+Stresses are told apart by what has made them: `Target.thermal_stress` adds up what each pause and the last cooling have changed, from
+equilibrium to equilibrium; what is left of the stress is that of the impacts (peening, joining). The sum of increments of incremental
+deposition models (Tsui & Clyne 1997, Thin Solid Films 306), here with plastic flow: an impact that makes an element yield changes its
+stress by an increment of its own.
+"""
+
+import time as clock
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..contact.surfaces import interface
+from ..fe.cooling import Film, Links, cool, together
+from ..fe.explicit import Target
+from ..fe.heat import take_heat
+from ..files.summary import Values
+from ..geometry.triangles import areas
+from ..impact.bodies import NEAR, Bodies
+from ..physics.constitutive import heat_capacities
+from ..physics.materials import Material
+from ..plan.planning import Plan
+from .equilibrium import RELEASE_TIME, settle
+
+_EXACT = 1e-6  # K: to which all comes to ambient
+
+
+def release_time(plan: Plan) -> float:
+    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
+    return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
+
+
+def pause(plan: Plan, i: int, bodies: Bodies, kinetic_0: float) -> Values:
+    """Let heat flow until impact i + 1, and bodies at rest come to equilibrium again. kinetic_0: J, of impact i. Returns the report.
+
+    The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
+    insulated; bodies that lie on each other conduct as in perfect contact.
+    """
+    started, t = clock.perf_counter(), bodies.target
+    facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
+    links = _links(bodies, plan.splat_element_size)
+    cooling = cool(
+        t, plan.impacts[i].dwell, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat)
+    )
+    return {**cooling, **_settled(bodies, kinetic_0, plan), "wall_s": clock.perf_counter() - started}
+
+
+def cool_to_ambient(plan: Plan, bodies: Bodies, counts: Sequence[int], kinetic_0: float) -> Values:
+    """Bring all bodies to the plan's ambient temperature and to equilibrium: their stresses are residual then. Returns the report.
+
+    counts: bodies of each impact's splat. Each body ends with the thermal strain of its thermal_expansion(T) between the temperature
+    that it came with, at which it was without stress, and ambient; where a material has none, with that of Gamma0 rho c_p / K. The
+    held faces of the substrate follow its free contraction.
+    """
+    started, t = clock.perf_counter(), bodies.target
+    ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
+    came = [(plan.target.material, plan.target.temperature)]
+    came += [(p.material, p.temperature) for p, n in zip(plan.impacts, counts, strict=True) for _ in range(n)]
+    before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
+    splats = bodies.body > 0
+    deposited = _in_plane(t, splats)
+    _take_heat_away(t, ambient)
+    missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
+    missing *= t.laws["expansion"][t.law_of]
+    t.heat += missing
+    t.sums[2] += float(missing.sum())
+    t.x *= 1.0 + _contraction(*came[0], ambient)
+    report = {**before, **_settled(bodies, kinetic_0, plan), "ambient_K": ambient}
+    report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
+    return report | {"wall_s": clock.perf_counter() - started}
+
+
+def _settled(bodies: Bodies, kinetic_0: float, plan: Plan) -> Values:
+    """Relax thermal stresses, and add what the cooling has changed to those."""
+    t = bodies.target
+    before = t.stress()
+    settled = settle(bodies, kinetic_0, release_time(plan), ramp=True)
+    t.thermal_stress += t.stress() - before
+    return {f"then_{name}": value for name, value in settled.items()}
+
+
+def _in_plane(t: Target, which: np.ndarray) -> float:
+    """Mean over volume of the in-plane stress (xx + yy) / 2, Pa; 0 without elements."""
+    stress = t.stress()[which]
+    return float(np.average(0.5 * (stress[:, 0] + stress[:, 1]), weights=t.volume[which])) if which.any() else 0.0
+
+
+def _take_heat_away(t: Target, ambient: float) -> None:
+    """Set all elements to ambient, K, by taking the heat for it; more than once where c_p(T) bends on the way."""
+    m, rho = len(t.T), t.laws["rho"][t.law_of]
+    for _ in range(20):
+        if np.abs(t.T - ambient).max() < _EXACT:
+            return
+        c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.T + ambient))
+        gain = rho * t.mesh.V0 * c_p * (ambient - t.T)
+        t.sums[2] += take_heat(0, m, gain, t.mesh.V0, t.laws, t.law_of, t.T, t.heat, t.sigma_y, t.eps_p)
+
+
+def _contraction(metal: Material, T: float, ambient: float) -> float:
+    """Linear thermal strain from T to ambient, K: of thermal_expansion, or of Gamma0 rho c_p / K where that is not known."""
+    middle = 0.5 * (T + ambient)
+    alpha = metal.thermal_expansion_at(middle) or metal.Gamma0 * metal.rho * metal.cp_at(middle) / (3.0 * metal.K)
+    return alpha * (ambient - T)
+
+
+def _missing_energy(metal: Material, T: float, ambient: float) -> float:
+    """Energy (J/m3) that the equation of state needs beside the heat from T to ambient, K, to contract by `_contraction`.
+
+    p = ... + Gamma0 E: a free body expands in volume by Gamma0 E / K.
+    """
+    if metal.Gamma0 == 0.0:
+        return 0.0
+    heat = metal.rho * metal.cp_at(0.5 * (T + ambient)) * (ambient - T)
+    return 3.0 * metal.K / metal.Gamma0 * _contraction(metal, T, ambient) - heat
+
+
+def _links(bodies: Bodies, size: float) -> Links:
+    """Where splats lie on each other or on the substrate. size: of their elements, m."""
+    surfaces, x = bodies.surfaces, bodies.target.x
+    contacts = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
+    return together([Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts])
+
+
+def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:
+    """The jet on all that a particle can reach from above. heat: coefficient W/(m2 K), temperature K; None: no jet."""
+    if heat is None:
+        return None
+    t = bodies.target
+    facets = t.mesh.facets[np.setdiff1d(bodies.reachable(), t.mesh.sets["sides"])]
+    return Film(facets.ravel(), np.repeat(areas(t.x, facets) / 3.0, 3), *heat)

@@ -1,0 +1,116 @@
+"""The closing stage: free bodies contract by their alpha(T), bonded ones keep a stress, and its parts are told apart."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import scenes
+from runs import SharedRuns
+
+from coupler.deposition.pause import cool_to_ambient
+from coupler.fe import mesh as meshes
+from coupler.fe.assemble import BodyState
+from coupler.fe.explicit import Target
+from coupler.files.result import Result
+from coupler.geometry.tetrahedra import volumes
+from coupler.impact.bodies import Bodies
+from coupler.physics.adhesion import Adhesion
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import Material, material
+
+NI, STEEL = material("Ni"), material("SS304")
+ORIGIN = (0.0, 0.0, 0.0)
+CAME, WARM, AMBIENT = 600.0, 700.0, 300.0  # K
+
+
+def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bodies:
+    """A plate 30 x 30 x 3 um of a metal at WARM, `high` m above a block of a base at AMBIENT."""
+    points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
+    target = Target(mesh, law_record(base, rate_filter=1e-9), AMBIENT, track_wave=False)
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
+    points, tets = meshes.box((30e-6, 30e-6, 3e-6), 3e-6)
+    low = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]]) < 0
+    tets[low, 2:] = tets[low, 2:][:, ::-1]
+    points = points + np.array([-15e-6, -15e-6, high])
+    n, m = len(points), len(tets)
+    heat = metal.rho * metal.cp_at(0.5 * (CAME + WARM)) * (WARM - CAME)  # J/m3, since it was without stress
+    law = law_record(metal, rate_filter=1e-9)
+    plate = BodyState(
+        points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, WARM), np.full(m, 1.0 + metal.Gamma0 * heat / metal.K),
+        np.zeros((n, 3)), np.full(n, heat), metal.rho * float(volumes(points, tets).sum()), law,
+    )  # fmt: skip
+    return bodies.joined([plate], Adhesion(kind=cast(Any, kind)), 3e-6, ORIGIN, None)
+
+
+def planned(metal: Material, base: Material) -> Any:
+    impact = SimpleNamespace(material=metal, temperature=CAME, diameter=25e-6)
+    return SimpleNamespace(
+        ambient=AMBIENT, impacts=[impact], target=SimpleNamespace(material=base, temperature=AMBIENT)
+    )
+
+
+def stiff(metal: Material, alpha: float) -> Material:
+    """A metal that does not yield here."""
+    strong = replace(metal.strength, numbers=metal.strength.numbers | {"A": 1e11})
+    return replace(metal, thermal_expansion=((300.0, alpha),), strength=strong)
+
+
+@pytest.mark.parametrize("alpha", [16e-6, 0.0])
+def test_a_free_body_contracts_by_its_alpha_and_is_without_stress(alpha: float) -> None:
+    """From the temperature that it came with, whatever heated it since; without alpha by Gamma0 rho c_p / K."""
+    metal = stiff(NI, alpha)
+    bodies = coated(metal, STEEL, "none", high=8e-6)
+    own = np.unique(bodies.target.mesh.conn[bodies.body == 1])
+    before = np.ptp(bodies.target.x[own], axis=0)
+    report = cool_to_ambient(planned(metal, STEEL), bodies, [1], 1e-6)
+    t = bodies.target
+    np.testing.assert_allclose(t.T, AMBIENT, atol=1e-5)
+    # it arrives as long as WARM has made it, so that the length it came with is that less its expansion since
+    by_heat = metal.Gamma0 * metal.rho * metal.cp_at(450.0) / (3 * metal.K)
+    since = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
+    strain = np.ptp(t.x[own], axis=0) / before - 1.0
+    assert strain[:2] == pytest.approx((alpha or by_heat) * (AMBIENT - CAME) - since, rel=0.03)
+    assert abs(report["residual_stress_Pa"]) < 4e6  # of a pressure of 2.5 GPa that the heat alone would leave
+    assert report["T_max_before_K"] == pytest.approx(WARM)
+
+
+def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
+    """In the middle of a thin plate on a stiff base E alpha dT / (1 - nu), less what the base gives way; all of it is thermal."""
+    metal = stiff(NI, 13e-6)
+    base = replace(STEEL, G=20 * STEEL.G, c0=np.sqrt(20) * STEEL.c0, rho=STEEL.rho)
+    bodies = coated(metal, base, "tied")
+    started = bodies.target.stress()
+    cool_to_ambient(planned(metal, base), bodies, [1], 1e-6)
+    t = bodies.target
+    x = t.x[t.mesh.conn].mean(axis=1)
+    middle = (bodies.body == 1) & (np.hypot(x[:, 0], x[:, 1]) < 6e-6)
+    sigma = float(np.average(t.stress()[middle, :2].mean(axis=1), weights=t.volume[middle]))
+    heat = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
+    full = metal.E / (1 - metal.nu) * (13e-6 * (CAME - AMBIENT) + heat)
+    assert 0.75 * full < sigma < 1.02 * full
+    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=1e-6 * full)
+
+
+COLD = scenes.scene(("Ni", 20, 550), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0})
+COLD = COLD.replace('dwell = "0 us"', "").replace('at = "rest"', 'at = "cold"')
+
+
+def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, tmp_path: Path) -> None:
+    result: Result = shared_run(COLD)
+    (first, last), closing = result.summary["joins"], result.summary["closing"]
+    assert first["cooling"]["time_s"] > 1e-3
+    assert first["cooling"]["T_max_after_K"] < 305.0
+    assert last["bodies"] == 1
+    assert all(impact["at_end"] is not None for impact in result.impacts)
+    cold = result.fields(-1, "cold")
+    assert cold.data["body"].max() == 2
+    np.testing.assert_allclose(cold.data["T"], 300.0, atol=1.0)  # what flows as it cools warms
+    assert closing["ambient_K"] == 300.0
+    thermal = np.abs(cold.data["thermal_stress"]).max(axis=1)
+    assert thermal[cold.data["body"] > 0].mean() > 5 * thermal[cold.data["body"] == 0].mean()
+    assert json.dumps(closing)
