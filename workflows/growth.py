@@ -31,7 +31,8 @@ def scene(impacts: int, seed: int) -> Scene:
             x, y = dice.uniform(-12, 12), dice.uniform(-12, 12)
             if x * x + y * y < 144:
                 break
-        text += f'[[particle]]\nmaterial = "Ni"\ndiameter = "20 um"\nvelocity = "550 m/s"\ndwell = "0 us"\noffset = ["{x:.2f} um", "{y:.2f} um"]\n'
+        text += '[[particle]]\ndwell = "0 us"\n'
+        text += f'material = "Ni"\ndiameter = "20 um"\nvelocity = "550 m/s"\noffset = ["{x:.2f} um", "{y:.2f} um"]\n'
     return Scene.from_text(text + '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n', "growth")
 
 

@@ -83,8 +83,8 @@ WORDS = {
     "want.measures": "keys of `summary.json` with a band, and `verdict`; all by default. What none of them needs is left out"
     " ([budget](accuracy.md))",
     "want.accuracy": "share of the value, for discretisation and omitted effects together: 0.05, 0.02 and 0.01 by default, by preset",
-    "end.at": '`"rest"` for one particle and `"cold"` for several unless `at` or `time` is there, or `[want]` needs no rest; `"greatest"` is the greatest deformation;'
-    ' `"cold"`: at rest, and after the last impact all cools to `ambient`',
+    "end.at": '`"rest"` for one particle (unless `[want]` needs no rest) and `"cold"` for several, unless `at` or `time` is there;'
+    ' `"greatest"` is the greatest deformation; `"cold"`: at rest, and after the last impact all cools to `ambient`',
     "end.ambient": "temperature of the closing stage",
     "spray.feed_rate": "of powder",
     "spray.spot": "diameter of the circle that the powder falls on, evenly",

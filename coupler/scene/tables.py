@@ -371,8 +371,8 @@ class Want(Section):
 
 class End(Section):
     """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
-    comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one at
-    "rest", unless no measure asked for needs that."""
+    comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one
+    at "rest", unless no measure asked for needs that."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None
