@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import scenes
+from blocks import box
 from runs import SharedRuns
 
 from coupler.deposition.pause import cool_to_ambient
@@ -29,11 +30,11 @@ CAME, WARM, AMBIENT = 600.0, 700.0, 300.0  # K
 
 def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bodies:
     """A plate 30 x 30 x 3 um of a metal at WARM, `high` m above a block of a base at AMBIENT."""
-    points, tets = meshes.box((60e-6, 60e-6, 40e-6), 6e-6)
+    points, tets = box((60e-6, 60e-6, 40e-6), 6e-6)
     mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 40e-6]), tets)
     target = Target(mesh, law_record(base, rate_filter=1e-9), AMBIENT, track_wave=False)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
-    points, tets = meshes.box((30e-6, 30e-6, 3e-6), 3e-6)
+    points, tets = box((30e-6, 30e-6, 3e-6), 3e-6)
     low = np.linalg.det(points[tets[:, 1:]] - points[tets[:, :1]]) < 0
     tets[low, 2:] = tets[low, 2:][:, ::-1]
     points = points + np.array([-15e-6, -15e-6, high])
