@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import scenes
-from blocks import box
 from runs import SharedRuns
 
 from coupler.deposition.pause import cool_to_ambient
@@ -17,6 +16,7 @@ from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState
 from coupler.fe.explicit import Target
 from coupler.files.result import Result
+from coupler.geometry.mesher import box
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.bodies import Bodies
 from coupler.physics.adhesion import Adhesion
