@@ -34,8 +34,7 @@ class Situation:
     """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
 
     end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
-    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be; ambient: to which all cools at the
-    end, or None.
+    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be.
     """
 
     materials: tuple[Material, Material]
@@ -50,7 +49,6 @@ class Situation:
     duration: float
     dwell: float
     bonded: bool
-    ambient: float | None = None
 
 
 @dataclass(frozen=True)
@@ -96,10 +94,6 @@ def numbers(situation: Situation) -> dict[str, float]:
     across = math.sqrt(diffusivity(*bodies[1]) * situation.duration) / situation.element_size
     warm = max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies)
     melts = any(T + heating(m, T, v) >= m.T_m for m, T in bodies)  # molten, its heat drives the points without end
-
-    def cooled(T: float) -> float:
-        return 0.0 if situation.ambient is None else abs(T - situation.ambient)
-
     k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
     return {
         "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
@@ -112,9 +106,7 @@ def numbers(situation: Situation) -> dict[str, float]:
         "dissipation_heat": 0.0 if melts else max(heating(m, T, v) / T for m, T in bodies),
         "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
         "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
-        "thermal_expansion": max(
-            m.Gamma0 * m.rho * m.cp_at(T) * max(heating(m, T, v), cooled(T)) / m.K for m, T in bodies
-        ),
+        "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
         "adhesion": float(situation.bonded),
         "conduction": in_target * warm,
         "particle_conduction": in_particle,

@@ -26,6 +26,7 @@ from .solids import load
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 BEYOND_FIT = "beyond the fitted range"
 CONTACT_STIFFNESS = 1.0  # factor on the penalty stiffness of the contact
+COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 NEAR_MELTING = 0.9  # of the melting point
 
 
@@ -225,6 +226,10 @@ def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Bu
     """What is left out, within the accuracy asked for. The way to rest stays where the scene says how to end, or something needs it."""
     wanted = scene.want.measures or WANTABLE
     settled = effects.requested(scene.effects)
+    if scene.derived.ambient is not None:  # residual stresses come from these
+        settled = dict.fromkeys(COLD_EFFECTS, True) | settled
+    if any(p.dwell is None for p in scene.particles[:-1]):
+        settled = {"cooling": True} | settled
     end_is_open = scene.end == End() and len(impacts) == 1 and not set(wanted) & set(NEED_REST)
     if not end_is_open:
         settled |= {REST: True}
@@ -349,7 +354,6 @@ def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> 
                 duration=impact.end_time,
                 dwell=impact.dwell,
                 bonded=scene.derived.adhesion_law.kind != "none",
-                ambient=scene.derived.ambient,
             )
         )
         left -= impact.end_time
