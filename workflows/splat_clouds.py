@@ -43,8 +43,7 @@ def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[
         if now.sinking <= 0.0:
             cloud = vars(cloud_of(now.domains)).copy()
             cloud["vertices"], cloud["triangles"] = cloud.pop("surface")
-            clouds = seen.setdefault(id(now.domains.body), [cloud, cloud])
-            clouds[1] = cloud
+            seen.setdefault(now.bodies.count, [cloud, cloud])[1] = cloud
 
     with tempfile.TemporaryDirectory() as folder:
         run(
@@ -300,3 +299,9 @@ def synthetic() -> dict[str, Callable[[], Made]]:
     clouds["no_lattice_3000"] = partial(scattered, 3000, 3)
     clouds["curved_layer_1500"] = partial(curved_layer, 1500)
     return clouds
+
+
+def every() -> dict[str, tuple[str, Callable[[], Made]]]:
+    """All clouds by name, each with its kind: "impact" or "synthetic", the 71 of the battery, or "splat" of a run."""
+    kinds = {"impact": real(), "synthetic": synthetic(), "splat": splats()}
+    return {name: (kind, make) for kind, clouds in kinds.items() for name, make in clouds.items()}
