@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import powder  # workflows/powder.py
 import pytest
+from scipy.spatial import ConvexHull
 from test_coating import COATING
 from test_scene import problems_with, scene_with
 
@@ -41,6 +42,39 @@ def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> 
     assert edges.mean() == pytest.approx(0.8 * body.spacing, rel=0.2)
     apart = RaySurface(solid.points * D, solid.triangles).closest(body.vertices) - body.vertices
     assert np.linalg.norm(apart, axis=1).max() < 0.05 * body.spacing
+
+
+def inertia(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Second moments (3,3) of the volume in a closed surface about its centre, over the volume: sums over tetrahedra from the origin
+    (Tonon 2004, J. Math. Stat. 1, 8)."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    volume, total = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0, a + b + c
+    centre = volume @ total / 4.0 / volume.sum()
+    moments = sum(np.einsum("f,fi,fj->ij", volume, q, q) for q in (a, b, c, total)) / 20.0
+    return moments / volume.sum() - np.outer(centre, centre)
+
+
+@pytest.mark.parametrize("name", powder.SHAPES)
+def test_packed_points_have_the_mass_the_centre_and_the_inertia_of_the_solid(name: str, tmp_path: Path) -> None:
+    """Each point with its cell of the lattice. A tip thinner than a spacing holds no point: the splinter has two of them."""
+    solid = load(powder.write(tmp_path, name))
+    body = shapes.of_surface(solid.points, solid.triangles, D, 1000)
+    exact = inertia(solid.points * D, solid.triangles)
+    moments = np.cov(body.points.T, bias=True) + packing.FCC.cell_moment(body.spacing) * np.eye(3)
+    np.testing.assert_allclose(body.points.mean(axis=0), 0.0, atol=1e-6 * D)
+    difference = np.abs(moments - exact).max() / np.linalg.eigvalsh(exact).max()
+    assert difference < (0.07 if name == "splinter" else 0.025)
+
+
+def test_moments_of_a_box() -> None:
+    """Lengths a, b, c off the origin: a^2 / 12, b^2 / 12, c^2 / 12."""
+    corners = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 2.0) for z in (0.0, 3.0)]) + 5.0
+    hull = ConvexHull(corners)
+    sides, away = hull.simplices.copy(), hull.equations[:, :3]
+    normals = np.cross(corners[sides[:, 1]] - corners[sides[:, 0]], corners[sides[:, 2]] - corners[sides[:, 0]])
+    inwards = np.einsum("ij,ij->i", normals, away) < 0.0
+    sides[inwards] = sides[inwards][:, ::-1]
+    np.testing.assert_allclose(inertia(corners, sides), np.diag([1.0, 4.0, 9.0]) / 12.0, atol=1e-12)
 
 
 def test_a_ball_from_a_file_is_the_sphere() -> None:

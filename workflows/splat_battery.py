@@ -123,7 +123,7 @@ def summary(rows: list[Row]) -> list[str]:
         "least dihedral angle": ("dihedral_deg", 1.0, "{:.0f} deg", min),
         "worst step length over edge": ("step_over_size", 1.0, "{:.3f}", min),
         "tetrahedra over points": ("tets", 1.0, "{:.1f}", max),
-        "seconds of one core": ("cpu_s", 1.0, "{:.0f}", max),
+        "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
     }
     both = [[row for row in rows if row["asked"] == method] for method in ("auto", "paper")]
     lines: list[list[str]] = []
@@ -138,7 +138,7 @@ def summary(rows: list[Row]) -> list[str]:
             values = [factor * float(row[name]) for row in some if row.get(name)]
             if name == "tets":
                 values = [float(row["tets"]) / float(row["points"]) for row in some if row.get("tets")]
-            far = worst(values, key=abs) if worst is max else min(values)
+            far = worst(values, key=abs, default=float("nan")) if worst is max else min(values, default=float("nan"))
             cells.append(f"{form.format(float(np.median(values)))} ({form.format(far)})")
         lines.append([label, *cells])
     return [*markdown("| default | paper", lines), "", versions(rows)]

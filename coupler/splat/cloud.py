@@ -27,21 +27,15 @@ class Report(TypedDict, total=False):
     volume_m3: float
     volume_error_before: float  # relative, of the shape before its volume is corrected
     moved_m: float  # by which the surface is moved to correct the volume
-    smoothing: float  # over element size
-    handles: int
     gamma_min: float
     gamma_mean: float
     dihedral_min_deg: float
     step_length_min_m: float
     dt_s: float
-    mass_scale: float
-    extent_m: list[float]
     width_m: float
     top_m: float
-    source_extent_m: list[float]
     source_width_m: float
     source_top_m: float
-    centroid_off: float  # spacings
     outside_half: float
     outside_max: float  # spacings
     transfer: dict[str, float]  # relative errors, see `transfer.transfer`
@@ -49,7 +43,6 @@ class Report(TypedDict, total=False):
     # of a whole splat only
     bodies: int
     lost_points: int
-    cpu_s: float
     wall_s: float
 
 

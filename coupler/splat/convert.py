@@ -41,7 +41,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
             f"elements of {element_size:.3g} m would be {expected:.2g} in this body: give a larger size, "
             f"at least {(TETS_PER_H3 * cloud.solid_volume / MAX_ELEMENTS) ** (1 / 3):.3g} m"
         )
-    start, cpu = clock.perf_counter(), clock.process_time()
+    start = clock.perf_counter()
     try:
         parts = separate_bodies(cloud, element_size, method)
         sorting = clock.perf_counter() - start
@@ -50,7 +50,7 @@ def convert(cloud: Cloud, element_size: float, method: str = "auto", time_limit:
         raise SplatError(f"no body can be made of this cloud ({type(problem).__name__}: {problem})") from problem
     lost = np.setdiff1d(np.arange(len(cloud.x)), np.concatenate([body.cloud_index for body in bodies]))
     report = _total([body.report for body in bodies], sorting)
-    report |= {"lost_points": len(lost), "cpu_s": clock.process_time() - cpu, "wall_s": clock.perf_counter() - start}
+    report |= {"lost_points": len(lost), "wall_s": clock.perf_counter() - start}
     return Splat(bodies, float(cloud.mass[lost].sum()), report)
 
 
@@ -114,14 +114,17 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
             continue
         start = clock.perf_counter()
         state, mass_scale, errors = transfer(cloud, points, tets)
-        report |= {"method": str(strategy), "points": len(index), "mass_scale": mass_scale, "transfer": errors}
+        report |= {"method": str(strategy), "points": len(index), "transfer": errors}
         report |= fit_of(points, tets, cloud)
         if cloud.wave_speed is not None:
             report["dt_s"] = report["step_length_min_m"] / cloud.wave_speed
         seconds["transfer"] = clock.perf_counter() - start
         report |= {"seconds": seconds, "failed": failed}
         return Body(points, tets, mass_scale, index, report=report, **state)
-    raise SplatError(f"no mesh of a body of {len(index)} points passed: {'; '.join(failed)}. Try another element size")
+    reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
+    raise SplatError(
+        f"no mesh of a body of {len(index)} points passed: {reasons}. Try another element size, or check the spacing"
+    )
 
 
 def _total(reports: list[Report], sorting: float) -> Report:

@@ -69,7 +69,7 @@ class Shape:
     """A body as a level set of a field.
 
     volume_error: of the source before correction, relative; pieces: cells (p,3) of each component, largest first;
-    sigma: smoothing over element size; handles: of its surface.
+    handles: of its surface.
     """
 
     field: fields.Field
@@ -77,7 +77,6 @@ class Shape:
     volume_error: float
     pieces: list[np.ndarray]
     shells: list[surface.Surface]
-    sigma: float
     handles: int
 
 
@@ -135,7 +134,7 @@ def smoothed_shape(cloud: Cloud, others: np.ndarray, source: str, size: float, s
     if not pieces:
         raise SplatError("no metal is left of the body at this smoothing")
     shells = surface.shells(surface.contour(metal, level), 0.2 * min_void)
-    return Shape(metal, level, error, pieces, shells, sigma, sum(surface.handles(shell) for shell in shells))
+    return Shape(metal, level, error, pieces, shells, sum(surface.handles(shell) for shell in shells))
 
 
 def _cell_size(x: np.ndarray, h: float) -> float:
@@ -168,7 +167,7 @@ def build_mesh(
     else:
         max_offset = MAX_OFFSET * size
         shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
-        report |= {"volume_error_before": shape.volume_error, "smoothing": shape.sigma, "handles": shape.handles}
+        report["volume_error_before"] = shape.volume_error
         level_set = surface.LevelSet(shape.field, shape.level, size)
         shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
     shells, moved = surface.correct_volume(shells, solid, max_offset)
