@@ -222,16 +222,21 @@ def proof(table: StudyTable, rounds: int) -> None:
         whole, step = compute(text, everything), step_times(text, everything, missing, rounds)
         for wanted in missing:
             asked = text + WANTED[wanted]
-            values, budget = compute(asked, "auto"), plan(Scene.from_text(asked, "effects_study")).budget
-            changed = changes(values, whole)
-            cpu = {"all": step["all"] * whole["time_s"], "auto": step[wanted] * values["time_s"]}
-            row = {
-                "scene": name, "wanted": wanted, **changed,
-                "within": all(abs(changed[share.measure]) <= 100.0 * share.allowed for share in budget.shares),
-                "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"],
-                "time_all_s": whole["time_s"], "time_auto_s": values["time_s"],
-                "left_out": " ".join(row.name for row in budget.rows if not row.on),
-            }  # fmt: skip
+            budget = plan(Scene.from_text(asked, "effects_study")).budget
+            row: dict[str, object] = {"scene": name, "wanted": wanted, "time_all_s": whole["time_s"]}
+            row["left_out"] = " ".join(row.name for row in budget.rows if not row.on)
+            try:
+                values = compute(asked, "auto")
+            except ColdsprayError as problem:
+                row |= {"within": f"gives up: {problem}"[:100]}
+            else:
+                changed = changes(values, whole)
+                cpu = {"all": step["all"] * whole["time_s"], "auto": step[wanted] * values["time_s"]}
+                row |= {
+                    **changed, "within": all(abs(changed[s.measure]) <= 100.0 * s.allowed for s in budget.shares),
+                    "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"],
+                    "time_auto_s": values["time_s"],
+                }  # fmt: skip
             print(table.add(row), flush=True)
 
 
@@ -294,12 +299,12 @@ def proof_part(rows: list[Row]) -> list[str]:
     lines = []
     for row in rows:
         cells = [f"{number(row, name):+.2f}" for name in BANDED]
-        cells += ["yes" if row["within"] == "True" else "no", f"{number(row, 'ratio'):.2f}"]
+        cells += [{"True": "yes", "False": "no"}.get(row["within"], row["within"]), f"{number(row, 'ratio'):.2f}"]
         lines.append([marked(row["scene"], row), row["wanted"], *cells, row["left_out"].replace("_", " ")])
     head = ["scene", "wanted", *(MEASURES[name].short for name in BANDED), "within budget", "time, ratio", "left out"]
     text = []
     for wanted in WANTED:
-        ratios = [number(row, "ratio") for row in rows if row["wanted"] == wanted]
+        ratios = [number(row, "ratio") for row in rows if row["wanted"] == wanted and row["ratio"]]
         if ratios:
             inside = sum(row["within"] == "True" for row in rows if row["wanted"] == wanted)
             text.append(
