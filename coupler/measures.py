@@ -120,6 +120,8 @@ TABLE = (
     Measure("bonded_area_m2", "area that bonded", VERDICT, low=0.0),
     Measure("bonded_area_end_m2", "bonded area at the end", VERDICT, low=0.0),
     Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
+    Measure("contact_dropped", "points of the particle that the contact has dropped"),
+    Measure("contact_dropped_bodies", "nodes that contact between bodies has dropped so far"),
     Measure("surface_level_m", "surface met at", SHAPE),
     Measure("material", "material of the particle", PARTICLE),
     Measure("diameter_m", "diameter before impact", PARTICLE, "diameter"),

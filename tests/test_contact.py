@@ -203,3 +203,27 @@ def test_positions_that_are_no_numbers_are_refused(rng: np.random.Generator) -> 
     x, facets = sheet(rng)
     with pytest.raises(SolverError, match="no longer numbers"):
         make(1, facets).search(np.array([[np.nan, 0, 0]]), x, 0.1)
+
+
+def test_a_dropped_point_is_counted_and_its_energy_kept(rng: np.random.Generator) -> None:
+    """A point pushed far in within a step loses its contact: once, with the energy of both of its springs."""
+    x, facets = sheet(rng)
+    xp, still = np.array([[0.05, 0.02, -0.004], [0.4, 0.3, -0.004]]), np.zeros((2, 3))
+    moving = still + np.array([1.0, 0.0, 0.0])
+    c = PointContact(2, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=0.5, jump=0.2)
+
+    def step() -> None:
+        c.forces(1e-4, xp, moving, x, np.zeros_like(x), np.zeros((2, 3)), np.zeros_like(x))
+
+    c.search(xp, x, 0.0)
+    step()
+    own = 0.5 * c.stiffness * c.depth[0] ** 2 + 0.5 * float(c.spring[0] @ c.spring[0]) / c.tangential
+    assert c.spring[0].any()
+    xp[0, 2] = -0.045
+    for _ in range(3):
+        step()
+    assert (c.dropped, c.sums[3]) == (1, 1.0)
+    assert c.dropped_energy == pytest.approx(own, rel=1e-12)
+    kept = PointContact(2, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=0.5, jump=0.2)
+    kept.restore(c.state())
+    assert (kept.dropped, kept.dropped_energy) == (c.dropped, c.dropped_energy)

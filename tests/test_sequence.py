@@ -7,10 +7,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from blocks import Blocks
 from runs import SharedRuns, Stopped, assert_same_files, assert_same_numbers
 from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
+from coupler.contact.overlap import overlaps, ways_out
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.joining import cloud_of, point_of_impact, release_time
 from coupler.deposition.run import resume
@@ -19,6 +21,7 @@ from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
 from coupler.geometry import mesher
+from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.bodies import Bodies, level_under
 from coupler.impact.ending import EndCriterion
@@ -113,6 +116,34 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
     low = new.target.x[reachable].mean(axis=1)
     under = (np.abs(low[:, :2]) < 3e-6).all(axis=1) & (low[:, 2] < 1e-6)  # a ring inside the rim stays
     assert not under.any()
+
+
+def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block with nodes deeper in the substrate than those that are put on facets: nothing overlaps, and its volume is kept."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    body = block((-10e-6, -10e-6, -0.5e-6), 0.0, 1.0, law)
+    low = (body.points[:, 2] < 0.0) & (np.hypot(body.points[:, 0], body.points[:, 1]) < 3e-6)
+    body.points[low, 2] -= 3e-6
+
+    def joined() -> tuple[Bodies, float]:
+        new = substrate().joined([body], Adhesion(kind="none"), 5e-6, (0.0, 0.0, 0.0), 1.0)
+        return new, float(overlaps(new.surfaces, new.target.x, [1]).max())
+
+    new, deepest = joined()
+    assert deepest < 0.1e-6
+    assert new.target.volume[new.body == 1].sum() == pytest.approx(volumes(body.points, body.tets).sum(), rel=0.05)
+    monkeypatch.setattr("coupler.impact.bodies.ROUNDS", 0)
+    assert joined()[1] > 3e-6
+
+
+def test_overlap_is_that_of_the_deepest_node() -> None:
+    """A cube 0.3 into another: its four corners lie 0.3 deep, the other's nodes in it count too."""
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((0.5,) * 3, 0.25, (0.25, 0.25, 0.7)))
+    depth = overlaps(b.surfaces, b.target.x, [1])
+    assert depth.max() == pytest.approx(0.3, rel=1e-3)
+    way = ways_out(b.surfaces, b.target.x, 1)
+    assert not way[b.nodes(0)].any()
+    assert np.linalg.norm(way, axis=1).max() == pytest.approx(0.3, rel=1e-3)
 
 
 def test_no_heat_flows_while_bodies_come_to_rest() -> None:

@@ -94,6 +94,16 @@ class BodyContact:
         return sum(side.contact.friction_heat for side in self._sides)
 
     @property
+    def dropped(self) -> int:
+        """How many nodes have lost their contact as too deep so far."""
+        return sum(side.contact.dropped for side in self._sides)
+
+    @property
+    def dropped_energy(self) -> float:
+        """Energy (J) that the springs of these held."""
+        return sum(side.contact.dropped_energy for side in self._sides)
+
+    @property
     def touching(self) -> int:
         """How many nodes touched at the last forces."""
         return int(sum(side.contact.sums[3] for side in self._sides))
@@ -212,7 +222,10 @@ class BodyContact:
             springs[node[side.nodes]], depth[node[side.nodes]] = side.contact.spring, side.contact.depth
         for side in self._sides:
             side.contact.spring[:], side.contact.depth[:] = springs[side.nodes], depth[side.nodes]
-            side.contact.friction_heat = 0.0
+            side.contact.friction_heat = side.contact.dropped_energy = 0.0
+            side.contact.dropped = 0
         if self._sides:
-            self._sides[0].contact.friction_heat = before.friction_heat
+            first = self._sides[0].contact
+            first.friction_heat, first.dropped = before.friction_heat, before.dropped
+            first.dropped_energy = before.dropped_energy
         self.lost = before.lost

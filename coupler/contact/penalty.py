@@ -17,9 +17,12 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 @dataclass(frozen=True)
 class ContactState:
     """spring (n,3) m: of friction, depth (n,) m, heat_point (n,) J of each point; heat_facet (k,) J; sums (4,): energy of the
-    penalty and friction springs, heat of the last step, J, and the number of points that touch; friction_heat: so far, J."""
+    penalty and friction springs, heat of the last step, J, and the number of points that touch; friction_heat: so far, J; dropped:
+    points that have lost their contact as too deep so far, dropped_energy: that their springs held, J."""
 
     friction_heat: float
+    dropped: int
+    dropped_energy: float
     spring: Annotated[np.ndarray, Shape(-1, 3)]
     depth: Annotated[np.ndarray, Shape(-1)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
@@ -63,7 +66,8 @@ class PointContact:
         self.spring, self.depth = np.zeros((points, 3)), np.zeros(points)
         self.heat_point, self.heat_facet = np.zeros(points), np.zeros(len(facets))
         self.sums = np.zeros(4)
-        self.friction_heat = 0.0
+        self.friction_heat = self.dropped_energy = 0.0
+        self.dropped = 0
         #: The points that may touch before the next search, ascending: `forces` reads and writes only these.
         self.rows = np.zeros(0, np.int64)
         self._ids = np.arange(len(facets))
@@ -157,8 +161,17 @@ class PointContact:
         )  # fmt: skip
         # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
         deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
-        self._nearest[rows[self.gap[rows] < -deepest]] = -1
+        self._drop(rows[self.gap[rows] < -deepest])
         k.note(rows, xp, self.gap, shift, self._seen, self._room)
+
+    def _drop(self, rows: np.ndarray) -> None:
+        """Take the contact from points that lie too deep, and note those that had one."""
+        self._nearest[rows] = -1
+        springs, depth = self.spring[rows], self.depth[rows]
+        stretch = np.einsum("ij,ij->i", springs, springs)
+        self.dropped += int(np.count_nonzero((depth > 0.0) | (stretch > 0.0)))
+        self.dropped_energy += 0.5 * float(self.stiffness * (depth @ depth) + stretch.sum() / self.tangential)
+        self.spring[rows], self.depth[rows] = 0.0, 0.0
 
     def forces(
         self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats

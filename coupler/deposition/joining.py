@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..contact.hold import Hold
+from ..contact.overlap import overlaps
 from ..errors import SolverError
 from ..fe.assemble import BodyState
 from ..files.summary import Values
@@ -89,6 +90,8 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
             f" may still be set free, {RELAXED:.0e} is sought"
         )
     report["after"] = _held(new)
+    deep = overlaps(new.surfaces, new.target.x, range(bodies.count, new.count))
+    report["overlap_m"] = float(deep.max())
     report["joining_s"] = clock.perf_counter() - started
     if report["released"] > RELEASED_BOUND:
         raise SolverError(

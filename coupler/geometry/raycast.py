@@ -50,8 +50,15 @@ class RaySurface:
 
     def closest(self, x: NDArray) -> NDArray[np.float64]:
         """The point (k,3) m of the surface closest to each of x (k,3) m."""
-        points = self._scene.compute_closest_points(self._single(x), nthreads=1)["points"].numpy()
-        return points.astype(float) * self.unit + self.middle
+        return self.feet(x)[0]
+
+    def feet(self, x: NDArray) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+        """The point (k,3) m of the surface closest to each of x (k,3) m, its triangle (k,) and its weights (k,3) there."""
+        closest = self._scene.compute_closest_points(self._single(x), nthreads=1)
+        points = closest["points"].numpy().astype(float) * self.unit + self.middle
+        uv = closest["primitive_uvs"].numpy().astype(float)
+        weights = np.concatenate([1.0 - uv.sum(axis=1, keepdims=True), uv], axis=1)
+        return points, closest["primitive_ids"].numpy().astype(np.int64), weights
 
     def on_verticals(self, x: NDArray, y: NDArray) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
         """Where vertical lines at x, y (k,) m meet the surface: line (c,), height (c,) m and triangle (c,) of each crossing."""

@@ -8,6 +8,7 @@ import numpy as np
 from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
+from ..contact.overlap import ways_out
 from ..contact.surfaces import Interface, Surfaces, interface
 from ..errors import CheckpointError, SolverError
 from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
@@ -22,6 +23,7 @@ from ..physics.constitutive import LAW
 from ..state.records import Shape, check_indices
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
+CLEAR, ROUNDS = 0.02, 6  # element sizes that a new splat may lie in other bodies; rounds of moving it out of them
 LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
 # Change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
 FITTED_VOLUME = 0.01
@@ -113,7 +115,7 @@ class Bodies:
     def energy(self) -> float:
         """What contact and bonds between bodies hold and have dissipated, J."""
         c, b = self.contact, self.bond
-        held = c.penalty_energy + c.friction_heat + c.lost if c is not None else 0.0
+        held = c.penalty_energy + c.friction_heat + c.lost + c.dropped_energy if c is not None else 0.0
         return held + (b.stored + b.dissipated if b is not None else 0.0)
 
     def state(self) -> BodiesState:
@@ -234,18 +236,27 @@ class Bodies:
             np.concatenate([t.mesh.facet_element, element + len(t.mesh.conn)]).astype(np.int64),
         )
         contact_pairs = interface(surfaces, x, self.count, NEAR * size)
-        before = volumes(splat.points, splat.tets)
-        wanted = contact_pairs.fitted(x, surfaces)[n:]
-        share = np.ones(len(wanted))  # of the way that each node goes
-        for _ in range(8):
-            points = splat.points + share[:, None] * (wanted - splat.points)
-            bad = volumes(points, splat.tets) < LEAST_QUALITY * before
-            if not bad.any():
+        points = _as_far_as_possible(splat, splat.points, contact_pairs.fitted(x, surfaces)[n:])
+        placed = contact_pairs.nodes - n
+        try:
+            cleared = self._cleared(splat, points, placed, surfaces, size)
+        except SolverError:  # what it would lose of its volume is worse than the overlap
+            cleared = self._of_volume(points, splat, placed, size)
+        return replace(splat, points=cleared)
+
+    def _cleared(
+        self, splat: BodyState, points: np.ndarray, placed: np.ndarray, surfaces: Surfaces, size: float
+    ) -> np.ndarray:
+        """Points (n,3) m of a splat moved out of what it still overlaps, with its volume; placed: nodes that lie on other bodies."""
+        before = self.target.x
+        for _ in range(ROUNDS):
+            way = ways_out(surfaces, np.concatenate([before, points]), self.count)[len(before) :]
+            depth = np.linalg.norm(way, axis=1)
+            if depth.max() < CLEAR * size:
                 break
-            share[np.unique(splat.tets[bad])] *= 0.5
-        else:
-            points = splat.points
-        return replace(splat, points=self._of_volume(points, splat, contact_pairs.nodes - n, size))
+            placed = np.union1d(placed, np.flatnonzero(depth))
+            points = _as_far_as_possible(splat, points, points + way)
+        return self._of_volume(points, splat, placed, size)
 
     @staticmethod
     def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
@@ -267,6 +278,19 @@ class Bodies:
                 " try a finer preset, or another [splat] method"
             )
         return points
+
+
+def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The nodes of a splat moved from points to wanted (n,3) m, each as far as its tetrahedra bear it."""
+    least = LEAST_QUALITY * volumes(splat.points, splat.tets)
+    share = np.ones(len(wanted))
+    for _ in range(8):
+        moved = points + share[:, None] * (wanted - points)
+        bad = volumes(moved, splat.tets) < least
+        if not bad.any():
+            return moved
+        share[np.unique(splat.tets[bad])] *= 0.5
+    return points
 
 
 def _check(state: BodiesState) -> None:

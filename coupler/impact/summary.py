@@ -65,6 +65,8 @@ def summarise(
         "rebound_velocity_m_s": max(measured["velocity_z_m_s"], 0.0),
         **verdict,
         "penetration_max_m": impact.deepest,
+        "contact_dropped": impact.contact.dropped,
+        "contact_dropped_bodies": impact.bodies.contact.dropped if impact.bodies.contact is not None else 0,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
         "numerical_dissipation": ledger.numerical_dissipation,

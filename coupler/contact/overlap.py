@@ -1,0 +1,58 @@
+"""How far bodies lie in each other, and how a new one is moved out of those that are there."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..geometry.raycast import RaySurface
+from .surfaces import Surfaces
+
+
+def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
+    """Depth (N,) m to which each surface node lies inside another body, where one of both is in `bodies`; 0 outside. x (N,3) m."""
+    depth, asked = np.zeros(len(x)), set(bodies)
+    for body in range(surfaces.bodies):
+        others = [other for other in range(surfaces.bodies) if other != body and (body in asked or other in asked)]
+        nodes, away, *_ = _inside(surfaces, x, body, others)
+        np.maximum.at(depth, nodes, np.linalg.norm(away, axis=1))
+    return depth
+
+
+def ways_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
+    """Displacements (N,3) m of the surface nodes of `body` that take it out of the others, to first order; 0 elsewhere.
+
+    A node of it inside another body goes to the closest place of that body's surface; where a node of another lies in it, the corners
+    of the closest facet go in by the least displacements that put the facet on the node. Of several the largest counts.
+    """
+    way = np.zeros((len(x), 3))
+    others = [other for other in range(surfaces.bodies) if other != body]
+
+    def take(nodes: np.ndarray, moves: np.ndarray) -> None:
+        for node, move in zip(nodes, moves, strict=True):
+            if move @ move > way[node] @ way[node]:
+                way[node] = move
+
+    for other in others:
+        nodes, out, *_ = _inside(surfaces, x, other, [body])
+        take(nodes, out)
+    _, out, facets, weights = _inside(surfaces, x, body, others)
+    share = weights / np.einsum("ij,ij->i", weights, weights)[:, None]
+    take(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))
+    return way
+
+
+def _inside(
+    surfaces: Surfaces, x: np.ndarray, body: int, others: list[int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Surface nodes (k,) of the others that lie inside a body, the way (k,3) m out of it, the facet (k,) there, its weights (k,3)."""
+    own = surfaces.facets_of(body)
+    corners = x[surfaces.facets[own]]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    nodes = np.unique(surfaces.facets[surfaces.facets_of(*others)])
+    nodes = nodes[((x[nodes] > low) & (x[nodes] < high)).all(axis=1)]
+    if len(nodes) == 0:
+        return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
+    surface = RaySurface(x, surfaces.facets[own])
+    nodes = nodes[surface.inside(x[nodes])]
+    feet, triangle, weights = surface.feet(x[nodes])
+    return nodes, feet - x[nodes], own[triangle], weights
