@@ -1,5 +1,7 @@
 """A coating: particles from a seed, and what is measured of made-up bodies whose thickness, roughness and voids are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -160,6 +162,16 @@ def test_an_opening_makes_voids_open(built: Splats) -> None:
     assert opened.sum() > 0
 
 
+def test_overlap_says_how_far_porosity_is_off(built: Splats) -> None:
+    """The splat on the half x > 0 sunk by 1 um into the one below: a tenth of what both fill there is filled twice."""
+    x = built.mesh.points.copy()
+    sunk = np.unique(built.mesh.cells[built.body == 2])
+    x[sunk, 2] -= 1e-6
+    c = Columns(replace(built, mesh=replace(built.mesh, points=x)), (6e-6, 0.0), 5e-6, 0.25e-6)
+    assert c.double.sum() * 0.25e-6 / len(c.x) == pytest.approx(1e-6, rel=0.02)
+    assert Columns(built, (6e-6, 0.0), 5e-6, 0.25e-6).double.sum() == 0
+
+
 def test_roughness_of_a_wave() -> None:
     sa, sq = roughness(3e-6 + 2e-6 * np.sin(2 * np.pi * np.arange(2000) / 200))
     assert sa == pytest.approx(2e-6 * 2 / np.pi, rel=1e-3)  # of a sine: 2 / pi of its height
@@ -177,4 +189,5 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
     assert inside
     assert all(row["sigma_xx"] == pytest.approx(-1e8) and row["coating"] == 1.0 for row in inside)
     assert by_depth[-1]["sigma_xx"] == pytest.approx(2e8)
+    assert all(row["sigma_p5"] <= 0.5 * (row["sigma_xx"] + row["sigma_yy"]) <= row["sigma_p95"] for row in by_depth)
     assert built.deposition_efficiency == pytest.approx(0.75)

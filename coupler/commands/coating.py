@@ -42,10 +42,12 @@ def run(arguments: argparse.Namespace) -> int:
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.WINDOW
         coating_files.section(result, folder / "section.png", radius, heading, arguments.section)
+        coating_files.micrograph(splats, folder / "micrograph.png", radius, arguments.section)
+        coating_files.stress_profile(measures, folder / "stress.png")
         with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks on the fields
             meshes = coating_files.write_meshes(splats, folder)
     print("\n".join(describe(measures)))
-    print(f"coating.json, coating_depth.csv, section.png, coating.vtu and {len(meshes) - 1} surfaces in {folder}")
+    print(f"{', '.join(coating_files.NAMES[:-1])} and {len(meshes) - 1} surfaces in {folder}")
     return 0
 
 
@@ -58,8 +60,8 @@ def describe(measures: "CoatingMeasures") -> list[str]:
         f"thickness              {um['thickness_mean_m']} (mean), {um['thickness_min_m']} to {um['thickness_max_m']},"
         f" in a window of {um['window_radius_m']} radius; bare: {measures.bare_share:.1%} of it",
         f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
-        f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; voids lower than"
-        f" {1e6 * measures.void_limit_m:.2f} um are not resolved",
+        f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open, too high by up to"
+        f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} um are not resolved",
         "",
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]

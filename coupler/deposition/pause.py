@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..contact.overlap import overlaps
 from ..contact.surfaces import interface
 from ..fe.cooling import Film, Links, cool, together
 from ..fe.explicit import Target
@@ -68,6 +69,9 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, counts: Sequence[int], kinetic_0
     t.x *= 1.0 + _contraction(*came[0], ambient)
     report = {**before, **_settled(bodies, kinetic_0, plan), "ambient_K": ambient}
     report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
+    thermal = t.thermal_stress[splats, :2].mean(axis=1)
+    report["thermal_stress_Pa"] = float(np.average(thermal, weights=t.volume[splats])) if splats.any() else 0.0
+    report["overlap_m"] = float(overlaps(bodies.surfaces, t.x, range(bodies.count)).max())
     return report | {"wall_s": clock.perf_counter() - started}
 
 

@@ -35,6 +35,7 @@ class Field:
 FIELDS = {
     "T": Field("temperature", "K", 1.0, "YlOrRd"),
     "eps_p": Field("equivalent plastic strain", "", 1.0, "YlGnBu", 0.0, 0.01),
+    "in_plane": Field("in-plane stress (xx + yy) / 2", "MPa", 1e-6, "PuOr_r"),
     "von_mises": Field("von Mises stress", "MPa", 1e-6, "BuPu", 0.0),
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -118,6 +118,13 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window
     Raises StoreError if something that is needed is missing.
     """
     particle, surface, target = read(result, step, names)
+    loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
+    images, extent = _images(particle, names, loops, at, pixels)
+    return replace(cut_bodies(target, names, at, seen), loops=loops, images=images, extent=extent)
+
+
+def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: Window) -> Cut:
+    """Cut tetrahedra alone; arguments as for `cut`."""
     polygons, _ = cut_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
     corners *= MICRO
@@ -130,9 +137,8 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
     skin, _ = boundary_faces(target.cells)
     rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
-    loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
-    images, extent = _images(particle, names, loops, at, pixels)
-    return Cut(particle.time, at.level, seen, loops, corners, rim, extent, values, images)
+    nothing = {name: np.zeros((0, 0)) for name in names}
+    return Cut(target.time, at.level, seen, [], corners, rim, (0.0, 1.0, 0.0, 1.0), values, nothing)
 
 
 def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fields, Fields]:

@@ -16,7 +16,7 @@ from scipy import ndimage
 from .. import units
 from ..errors import StoreError
 from ..files.inputs import parse_toml
-from ..files.result import Fields, Result
+from ..files.result import COLD, Fields, Result
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors
@@ -30,8 +30,8 @@ COLUMN = 0.125  # splat element sizes between two columns, and between two heigh
 
 @dataclass(frozen=True)
 class Splats:
-    """The coating at the last written step. mesh: substrate and splats; body (m,): of each tetrahedron, 0 the substrate; impact
-    (bodies,): from which each came, counted from 1, 0 for the substrate. last: surface of the last particle, still made of
+    """The coating at the last written step, or cold after the closing stage (is_cold). mesh: substrate and splats;
+    body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came, counted from 1, 0 for the substrate. last: surface of the last particle, still made of
     points, (points (k,3) m, triangles), None if it has left; rebounded (n,), mass (n,) kg: of each finished impact; planned: impacts of
     the run, in so many layers; patch m: radius of the disc that particles are aimed at; element_size m: of the splats."""
 
@@ -45,6 +45,7 @@ class Splats:
     layers: int
     patch: float
     element_size: float
+    is_cold: bool = False
 
     @property
     def finished(self) -> int:
@@ -80,7 +81,13 @@ def read(result: Result) -> Splats:
         impact[counts[k - 1] : counts[k]] = k
     left = [counts[k] == counts[k - 1] for k in range(1, done)]
     last = None
-    if result.finished and result.undecided is None:
+    is_cold = len(result.times(COLD)) > 0
+    if is_cold:
+        left.append(bool(result.summary["impacts"][-1]["rebounded"]))
+        mesh = result.fields(-1, COLD)
+        body = mesh.data["body"].astype(np.int64)
+        impact = np.append(impact, np.full(int(body.max()) + 1 - len(impact), done))
+    elif result.finished and result.undecided is None:
         left.append(bool(result.summary["impacts"][-1]["rebounded"]))
         surface = result.fields(-1, "surface")
         last = None if left[-1] else (surface.points, surface.cells)
@@ -91,14 +98,14 @@ def read(result: Result) -> Splats:
     coating = parse_toml(result.scene_text).get("coating")
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, np.array(left), mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size)  # fmt: skip
+                  plan.splat_element_size, is_cold)  # fmt: skip
 
 
 class Columns:
     """Upright columns over a disc of `radius` m about `centre`, `step` m apart, of cells `step` high from z = low on.
 
-    matter (k, layers): which cells lie in the substrate or a splat; splat (k, layers): in a splat. x, y (k,) m. A cell is in a body
-    where its middle is.
+    matter (k, layers): which cells lie in the substrate or a splat; splat (k, layers): in a splat; double (k, layers): in more than
+    one of all. x, y (k,) m. A cell is in a body where its middle is.
     """
 
     def __init__(self, splats: Splats, centre: tuple[float, float], radius: float, step: float):
@@ -123,7 +130,9 @@ class Columns:
         count = np.zeros((2, self._side, self._side, self.layers + 1), np.int16)
         for points, faces, splat in skins:
             self._cross(points, faces, count[int(splat)])
-        solid = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16) > 0
+        layered = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16)
+        solid = layered > 0
+        self.double = (layered.sum(axis=0) > 1)[self.inside]
         self.splat = solid[1][self.inside]
         self.substrate = solid[0][self.inside]
         self.matter = self.splat | self.substrate
@@ -190,7 +199,9 @@ def roughness(z: NDArray) -> tuple[float, float]:
 @dataclass(frozen=True)
 class CoatingMeasures:
     """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; bare_share: share of the window
-    without coating; void_limit_m: height below which a void is not resolved; layers, depth: rows of `per_layer`, `over_depth`."""
+    without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
+    that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; layers, depth:
+    rows of `per_layer`, `over_depth`."""
 
     impacts: int
     of: int
@@ -207,6 +218,7 @@ class CoatingMeasures:
     Sq_m: float
     porosity_open: float
     porosity_closed: float
+    overlap_share: float
     void_limit_m: float
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
@@ -230,9 +242,11 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         thickness_mean_m=float(thickness.mean()), thickness_min_m=float(thickness.min()), thickness_max_m=float(thickness.max()),
         height_mean_m=float(top.mean()), bare_share=float((thickness < columns.step).mean()), Sa_m=Sa, Sq_m=Sq,
         porosity_open=float(opened.sum()) / volume if volume else 0.0,
-        porosity_closed=float(closed.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
+        porosity_closed=float(closed.sum()) / volume if volume else 0.0,
+        overlap_share=float(columns.double.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
-        warnings=[] if splats.finished == planned else [unfinished],
+        warnings=([] if splats.finished == planned else [unfinished])
+        + ([] if splats.is_cold else ["the bodies have not cooled: their stresses are not residual stresses"]),
     )  # fmt: skip
 
 
@@ -255,19 +269,26 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
         }
         for name in ("eps_p", "T", "von_mises"):
             value = data[name][own].astype(float)
-            order = np.argsort(value)
-            share = np.cumsum(volume[own][order]) / volume[own].sum()
             row[f"{name}_mean"] = float(np.average(value, weights=volume[own]))
-            row[f"{name}_p99"] = float(value[order][np.searchsorted(share, 0.99)])
+            (row[f"{name}_p99"],) = _percentiles(value, volume[own], (0.99,))
             row[f"{name}_max"] = float(value.max())
         rows.append(row)
     return rows
 
 
+def _percentiles(values: NDArray, weights: NDArray, shares: tuple[float, ...]) -> list[float]:
+    """The values (k,) below which these shares of their weights (k,) lie."""
+    order = np.argsort(values)
+    below = np.cumsum(weights[order]) / weights.sum()
+    return [float(values[order[min(int(np.searchsorted(below, share)), len(order) - 1)]]) for share in shares]
+
+
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
     """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the window, from the top down.
 
-    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. coating: share of splats in the slice's matter.
+    sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. thermal_xx and so on: what of it changes of
+    temperature have made, of a cold coating; the rest is that of the impacts. sigma_p5, sigma_p95: of (xx + yy) / 2. coating:
+    share of splats in the slice's matter.
     """
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
@@ -275,6 +296,10 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
     columns = {
         f"sigma_{axis}": splats.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
     }
+    for i, axis in enumerate(("xx", "yy", "zz")):
+        thermal = splats.mesh.data.get("thermal_stress")
+        if thermal is not None:
+            columns[f"thermal_{axis}"] = thermal[own, i].astype(float)
     columns |= {name: splats.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
     columns["coating"] = (splats.body[own] > 0).astype(float)
     slot = np.floor(z / step).astype(int)
@@ -283,5 +308,9 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
         here = slot == number
         if here.sum() >= 4:
             means = {name: float(np.average(value[here], weights=volume[here])) for name, value in columns.items()}
+            low, high = _percentiles(
+                0.5 * (columns["sigma_xx"] + columns["sigma_yy"])[here], volume[here], (0.05, 0.95)
+            )
+            means |= {"sigma_p5": low, "sigma_p95": high}
             rows.append({"z_m": (number + 0.5) * step, "volume_m3": float(volume[here].sum()), **means})
     return rows

@@ -8,20 +8,25 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.outputs import write_text
-from ..files.result import Result
+from ..files.result import COLD, Result
+from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
-from ..report.picture import Stage, colour_range, cut, panels, read, save
+from ..report.picture import MICRO, Range, Stage, blank, colour_range, cut, cut_bodies, panels, read, save, scale_bar
 from .coating import CoatingMeasures, Splats
 from .table import write_rows
 
-NAMES = ("coating.json", "coating_depth.csv", "section.png", "coating.vtu", "splats/splat_*.stl")
-_DRAWN = ("eps_p", "T", "von_mises")
+NAMES = (
+    "coating.json", "coating_depth.csv", "section.png", "micrograph.png", "stress.png", "coating.vtu", "splats/splat_*.stl",
+)  # fmt: skip
+_DRAWN, _COLD = ("eps_p", "T", "von_mises"), ("eps_p", "von_mises", "in_plane")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress")
-MICRO = 1e6
 
 
 def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
@@ -35,19 +40,82 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
 def section(result: Result, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
     """The cut at y = plane (m) by strain, temperature and stress, as a PNG. radius: of what is shown, m.
 
-    The last particle is drawn where the cut meets it. Raises StoreError where there is nothing to draw.
+    A cold coating is drawn by strain, von Mises and in-plane stress; else the last particle is drawn where the cut meets it. Raises
+    StoreError where there is nothing to draw.
     """
+    if len(result.times(COLD)):
+        mesh = result.fields(-1, COLD)
+        mesh.data["in_plane"] = mesh.data["stress"][:, :2].mean(axis=1)
+        section_cut = cut_bodies(mesh, _COLD, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(mesh.points, radius))
+        ranges = {name: colour_range([section_cut], name) for name in _COLD}
+        most = float(np.percentile(np.abs(section_cut.values["in_plane"]), 98))
+        save(panels(section_cut, {**ranges, "in_plane": Range(-most, most, exceeded=True)}, heading), path)
+        return path
     read(result, -1, _DRAWN)
     mesh, surface = result.fields(-1, "target"), result.fields(-1, "surface")
-    inside = mesh.points[np.hypot(mesh.points[:, 0], mesh.points[:, 1]) < radius]
-    top = max(float(inside[:, 2].max()), 0.0) * MICRO
-    across = radius * MICRO
-    seen = (-across, across, -0.35 * across, top + 0.08 * across)
+    seen = _seen(mesh.points, radius)
     points = result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
-    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, across, 1.6 * spacing), seen)
+    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, radius * MICRO, 1.6 * spacing), seen)
     save(panels(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN}, heading), path)
     return path
+
+
+def _seen(points: NDArray, radius: float) -> tuple[float, float, float, float]:
+    """What of the section is shown, um: left, right, bottom, top. points (n,3) m of the bodies, radius m."""
+    inside = points[np.hypot(points[:, 0], points[:, 1]) < radius]
+    across = radius * MICRO
+    return -across, across, -0.35 * across, max(float(inside[:, 2].max()), 0.0) * MICRO + 0.08 * across
+
+
+def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
+    """The section at y = plane (m) as an etched one under a microscope: boundaries of splats dark, pores black. radius m: shown."""
+    seen = _seen(splats.mesh.points, radius)
+    left, right, bottom, top = seen
+    figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
+    axis = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor="black")
+    skins = [
+        (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0]) for b in range(len(splats.impact))
+    ]
+    skins += [splats.last] if splats.last is not None else []
+    for number, (points, faces) in enumerate(skins):
+        tone = 0.55 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
+        outlines = [Outline(loop * MICRO, closed=True) for loop in section_loops(points, faces, plane)]
+        if outlines:
+            outline = Outline.make_compound_path(*outlines)
+            axis.add_patch(PathPatch(outline, facecolor=str(tone), edgecolor="0.1", linewidth=0.8))
+    axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
+    scale_bar(axis, seen)
+    save(figure, path)
+    return path
+
+
+def stress_profile(measures: CoatingMeasures, path: Path) -> Path:
+    """In-plane stress over height: mean, 5 to 95 % of the volume, and the part that changes of temperature have made."""
+    rows = measures.depth
+    z, mean, low, high = (np.array(column) for column in zip(*(
+        (row["z_m"] * MICRO, 0.5e-6 * (row["sigma_xx"] + row["sigma_yy"]), 1e-6 * row["sigma_p5"], 1e-6 * row["sigma_p95"])
+        for row in rows
+    ), strict=True))  # fmt: skip
+    figure = blank(5.0, 5.0, 160, "constrained")
+    axis = figure.add_subplot()
+    axis.fill_betweenx(z, low, high, color="0.85", label="5 to 95 % of the volume")
+    axis.plot(mean, z, color="black", label="residual stress" if splits(rows) else "stress, not cooled")
+    if splits(rows):
+        thermal = np.array([0.5e-6 * (row["thermal_xx"] + row["thermal_yy"]) for row in rows])
+        axis.plot(thermal, z, color="#d55e00", label="of cooling (quench)")
+        axis.plot(mean - thermal, z, color="#0072b2", label="of impacts (deposition)")
+    axis.axhline(0.0, color="0.4", linewidth=0.8, dashes=(6, 4))
+    axis.axvline(0.0, color="0.4", linewidth=0.8)
+    axis.set(xlabel="in-plane stress (xx + yy) / 2 (MPa)", ylabel="height above the substrate's surface (µm)")
+    axis.legend(fontsize=8)
+    save(figure, path)
+    return path
+
+
+def splits(rows: list[dict[str, float]]) -> bool:
+    """Whether rows over depth tell stresses of cooling from those of impacts."""
+    return bool(rows) and "thermal_xx" in rows[0]
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
