@@ -189,5 +189,7 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
     assert inside
     assert all(row["sigma_xx"] == pytest.approx(-1e8) and row["coating"] == 1.0 for row in inside)
     assert by_depth[-1]["sigma_xx"] == pytest.approx(2e8)
-    assert all(row["sigma_p5"] <= 0.5 * (row["sigma_xx"] + row["sigma_yy"]) <= row["sigma_p95"] for row in by_depth)
+    assert all(
+        row["sigma_p5"] - 1.0 <= 0.5 * (row["sigma_xx"] + row["sigma_yy"]) <= row["sigma_p95"] + 1.0 for row in by_depth
+    )
     assert built.deposition_efficiency == pytest.approx(0.75)

@@ -31,7 +31,8 @@ COLUMN = 0.125  # splat element sizes between two columns, and between two heigh
 @dataclass(frozen=True)
 class Splats:
     """The coating at the last written step, or cold after the closing stage (is_cold). mesh: substrate and splats;
-    body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came, counted from 1, 0 for the substrate. last: surface of the last particle, still made of
+    body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came,
+    counted from 1, 0 for the substrate. last: surface of the last particle, still made of
     points, (points (k,3) m, triangles), None if it has left; rebounded (n,), mass (n,) kg: of each finished impact; planned: impacts of
     the run, in so many layers; patch m: radius of the disc that particles are aimed at; element_size m: of the splats."""
 
