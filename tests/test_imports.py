@@ -39,7 +39,7 @@ ONE_PLACE = {
 }
 KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py")  # how their files end
 HEAVY = {"open3d"}  # a second of processor time, which most runs do not need: imported where it is used
-OPTIONAL = {"sklearn", "snakemake", "pyvista", "pandas", "vtk"}  # packages that a run can do without
+OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "snakemake", "pyvista", "pandas", "vtk"}  # packages that a run can do without
 FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
 FILES = sorted(ROOT.rglob("*.py"))
 

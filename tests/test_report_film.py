@@ -82,6 +82,25 @@ def test_gif(folder, tmp_path):
     np.testing.assert_array_equal(bar[0], bar[3])
 
 
+def test_without_ffmpeg_a_film_is_a_gif(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("coupler.report.animation.ffmpeg", lambda: None)
+    with pytest.raises(StoreError, match=r"no ffmpeg; install it.*a \.gif needs none"):
+        animate(Result(folder), tmp_path / "film.mp4")
+    assert not list(tmp_path.iterdir())
+    run = shutil.copytree(folder, tmp_path / "run")
+    assert animate(Result(run)).name == "T.gif"
+
+
+def test_the_message_of_ffmpeg_is_passed_on(folder, tmp_path, monkeypatch):
+    program = tmp_path / "ffmpeg"
+    program.write_text("#!/bin/sh\nexec 0<&-\necho 'Unknown encoder libx264' >&2\nexit 8\n")
+    program.chmod(0o755)
+    monkeypatch.setattr("coupler.report.animation.ffmpeg", lambda: str(program))
+    with pytest.raises(StoreError, match="Unknown encoder libx264"):
+        animate(Result(folder), tmp_path / "film.mp4")
+    assert not (tmp_path / "film.mp4").exists()
+
+
 def test_films_that_cannot_be_made(folder, tmp_path, capsys):
     empty = tmp_path / "empty"
     empty.mkdir()

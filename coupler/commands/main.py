@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     add_force(option)
     option = add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
     option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    option("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4)")
+    option("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)")
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
     option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
     add_force(option)
@@ -258,9 +258,10 @@ def _report(arguments: argparse.Namespace) -> int:
 def _animate(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_file
     from ..files.result import Result
-    from ..report.animation import SUFFIXES, animate
+    from ..report.animation import SUFFIXES, animate, ffmpeg
 
-    result, out = Result(arguments.run), arguments.out or arguments.run / f"{arguments.field}.mp4"
+    result = Result(arguments.run)
+    out = arguments.out or arguments.run / f"{arguments.field}{SUFFIXES[ffmpeg() is None]}"
     claim_file(out, SUFFIXES, [arguments.run], arguments.force)
     with reading(arguments.run), working("cutting the bodies at each step") as progress:
         film = animate(result, out, arguments.field, arguments.fps, progress.stage)

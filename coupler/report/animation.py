@@ -1,11 +1,13 @@
-"""A film of the cut: MP4 or GIF, the same frame, the same colours and a scale bar from its first picture to its last."""
+"""A film of the cut: MP4 (by ffmpeg, where there is one) or GIF, the same frame, the same colours and a scale bar from its first picture to its last."""
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import imageio_ffmpeg  # type: ignore[import-untyped]
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
@@ -33,11 +35,12 @@ def animate(
 ) -> Path:
     """Write a film of the cut through particle and target, a picture for each stored step.
 
-    path: an .mp4 or .gif file, `<field>.mp4` in the run's folder unless given. field: a name of `fields.FIELDS`. fps: pictures in a
+    path: an .mp4 file, which needs ffmpeg (`ffmpeg`), or a .gif file; `<field>.mp4`, without ffmpeg `<field>.gif`, in the run's folder
+    unless given. field: a name of `fields.FIELDS`. fps: pictures in a
     second; such that the film lasts some seconds unless given. stage(text): told what comes next. Returns the path. Raises StoreError
     if the run lacks what is needed, the name of the file ends otherwise or the file cannot be written.
     """
-    path = Path(path) if path is not None else result.directory / f"{field}.mp4"
+    path = Path(path) if path is not None else result.directory / f"{field}{SUFFIXES[ffmpeg() is None]}"
     if path.suffix.lower() not in SUFFIXES:
         raise StoreError(f"cannot write {path}: a film ends in {' or '.join(SUFFIXES)}")
     if not path.parent.is_dir():
@@ -80,24 +83,46 @@ def _told(
         yield picture
 
 
-def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
-    picture = next(pictures)
+def ffmpeg() -> str | None:
+    """The program that writes MP4: of the system, or of the optional package imageio-ffmpeg; None where there is neither."""
     try:
-        film = imageio_ffmpeg.write_frames(
-            str(path), picture.shape[1::-1], fps=rate, codec="libx264", quality=8, macro_block_size=2,
-            ffmpeg_log_level="error", output_params=["-metadata", f"comment={MARK}"],
-        )  # fmt: skip
-        film.send(None)
-        film.send(picture)
-        for picture in pictures:
-            film.send(picture)
-        for _ in range(rest):
-            film.send(picture)
-        film.close()
-    except RuntimeError as error:  # no ffmpeg for this machine, or it failed
-        raise StoreError(
-            f"cannot write {path}: ffmpeg fails ({str(error).splitlines()[0]}); a .gif needs none"
-        ) from error
+        import imageio_ffmpeg
+
+        bundled = imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):  # a RuntimeError: none for this machine
+        bundled = None
+    return shutil.which("ffmpeg") or bundled
+
+
+def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
+    """Pipe the pictures to ffmpeg. Raises StoreError where it is not there or fails."""
+    program = ffmpeg()
+    if program is None:
+        raise StoreError(f"cannot write {path}: no ffmpeg; install it, or pip install coldspray[film]; a .gif needs none")
+    picture = next(pictures)
+    rows, columns, _ = picture.shape
+    command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{columns}x{rows}", "-r", f"{rate:g}",
+               "-i", "-", "-an", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p", "-metadata", f"comment={MARK}",
+               "-f", "mp4", str(path)]  # fmt: skip
+    with tempfile.TemporaryFile() as errors:
+        film = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors)
+        assert film.stdin is not None
+        try:
+            film.stdin.write(picture.tobytes())
+            for picture in pictures:
+                film.stdin.write(picture.tobytes())
+            film.stdin.write(picture.tobytes() * rest)
+            film.stdin.close()
+        except BrokenPipeError:
+            pass  # it has failed: its message follows
+        except BaseException:
+            film.kill()
+            film.wait()
+            raise
+        if film.wait():
+            errors.seek(0)
+            reason = (errors.read().decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+            raise StoreError(f"cannot write {path}: ffmpeg fails ({reason[:200]}); a .gif needs none")
 
 
 def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
