@@ -53,6 +53,12 @@ class PlacementError(ColdsprayError):
     """Ranks that cannot be arranged as asked."""
 
 
+class InterruptedRunError(ColdsprayError):
+    """A run of a study that was stopped from outside: it has no end, and the next attempt goes on with it."""
+
+    exit_code = 130
+
+
 class NoContactError(ColdsprayError):
     """A particle that has not touched the target: there is no impact to measure."""
 

@@ -12,7 +12,7 @@ from coupler import Result
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.impact.ending import EndCriterion
-from coupler.studies import coating, maps, sweep
+from coupler.studies import coating, points, runs_table
 
 LIMITED = scene(("Ni", 25, 500), **TINY, more='[end]\nat = "rest"\ntime = "20 ns"\n')
 
@@ -155,10 +155,10 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
 
 def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(limited):
     folder, _ = limited
-    ended = sweep.compute(folder / "limited.toml", folder / "limited.json")
+    ended = points.compute(folder / "limited.toml", folder / "limited.json")
     assert (ended["status"], ended["exit_code"]) == ("undecided", 4)
     assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 20 ns")
-    (row,) = (row for row in maps.table(folder) if row["point"] == "limited")
+    (row,) = (row for row in runs_table.table(folder) if row["point"] == "limited")
     assert row["status"] == "undecided"
     with pytest.raises(StoreError, match="no impact is finished yet"):
         coating.read(Result(folder / "limited"))

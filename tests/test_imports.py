@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[1] / "coupler"
 EVERYWHERE = {"errors", "units", "progress", "measures", "state", "__version__"}
 # package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
 ALLOWED: dict[str, set[str]] = {
-    "commands": {"studies", "report", "deposition", "splat", "files", "plan", "scene", "spray", "physics", "geometry"},
-    "studies": {"deposition", "report", "files", "plan", "scene", "physics", "geometry"},
+    "commands": {"studies", "report", "deposition", "splat", "files", "plan", "ranks", "scene", "spray", "physics", "geometry"},
+    "studies": {"deposition", "ranks", "report", "files", "plan", "scene", "physics", "geometry"},
     "deposition": {"report", "impact", "splat", "fe", "contact", "files", "ranks", "plan", "sph", "physics", "geometry"},
     "report": {"files", "geometry"},
     "impact": {"sph", "fe", "contact", "ranks", "files", "plan", "physics", "geometry"},
@@ -38,8 +38,10 @@ ONE_PLACE = {
     "mpi4py": ("ranks/", "sph/particle.py"),  # LAMMPS wants its communicator
 }
 KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py")  # how their files end
-HEAVY = {"open3d"}  # a second of processor time, which most runs do not need: imported where it is used
-OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "snakemake", "pyvista", "pandas", "vtk"}  # packages that a run can do without
+# A second of processor time, or MPI begun, which most runs do not need: imported where it is used
+HEAVY = {"open3d", "mpi4py"}
+# Packages that a run can do without
+OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "snakemake", "pyvista", "pandas", "vtk"}
 FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
 FILES = sorted(ROOT.rglob("*.py"))
 

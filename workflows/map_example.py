@@ -13,6 +13,7 @@ sweep = Sweep.from_dict(
             "material": ["Ni"],
             "diameter": ["10 um", "16 um", "25 um", "40 um"],
             "velocity": ["300 m/s", "450 m/s", "650 m/s", "900 m/s"],
+            "temperature": ["300 K"],
         },
         "scene": {"preset": "draft", "substrate": {"material": "SS304"}},
     }
@@ -23,7 +24,8 @@ print(len(sweep.points), "points, the first:", next(iter(sweep.points)))
 folder = sweep.run()
 
 # %% What came out: a list of rows, one for each point, in SI units
-from coupler.studies.maps import interpolate, table  # noqa: E402
+from coupler.studies.maps import interpolate  # noqa: E402
+from coupler.studies.runs_table import table  # noqa: E402
 
 rows = table(folder)
 for row in rows:

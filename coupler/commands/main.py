@@ -20,6 +20,7 @@ from . import map as map_command
 from . import materials as materials_command
 from . import mesh as mesh_command
 from . import new as new_command
+from . import sweep as sweep_command
 from . import watch as watch_command
 from .arguments import (
     Option,
@@ -110,14 +111,17 @@ def _parser() -> argparse.ArgumentParser:
     add_force(option)
     option = add_command(commands, "animate", _animate, "write a film of the cut through particle and target")
     option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    option("--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)")
+    option(
+        "--out", type=path, metavar="FILE", help="an .mp4 or .gif file (default: DIR/<field>.mp4; .gif without ffmpeg)"
+    )
     option("--field", default="T", help="T, eps_p or von_mises (default: T)")
     option("--fps", type=float, metavar="N", help="pictures in a second (default: a film of some seconds)")
     add_force(option)
     option = add_command(commands, "export", _export, "write the fields for tools that cannot read VTKHDF in time")
     option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
-    option("--format", choices=("pvd",), default="pvd", help="pvd: a .vtu file for each step, and their times")
-    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/pvd)")
+    option("--format", choices=("pvd", "xdmf"), default="pvd",
+           help="pvd (default): a .vtu file for each step, and their times; xdmf: all steps in two files for each domain")  # fmt: skip
+    option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/<format>)")
     add_force(option)
     option = add_command(commands, "compare", _compare, "print runs side by side and draw them")
     option("runs", type=path, nargs="+", metavar="DIR", help="folders of runs, two or more")
@@ -138,11 +142,11 @@ def _parser() -> argparse.ArgumentParser:
         mesh_command,
         coating_command,
         accuracy_command,
+        sweep_command,
         map_command,
         critical_command,
     ):
         command.add(commands)
-    map_command.add_sweep(commands)
     option = add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
     return parser
@@ -270,14 +274,14 @@ def _animate(arguments: argparse.Namespace) -> int:
 
 
 def _export(arguments: argparse.Namespace) -> int:
-    from ..files.export import NAMES, write_pvd
+    from ..files.export import NAMES, write_fields
     from ..files.outputs import claim_folder
     from ..files.result import Result
 
     result, out = Result(arguments.run), arguments.out or arguments.run / arguments.format
     claim_folder(out, "export", NAMES, [arguments.run], arguments.force)
     with reading(arguments.run), working("reading the run") as progress:
-        written = write_pvd(result, out, progress.stage)
+        written = write_fields(result, out, arguments.format, progress.stage)
     print(f"{', '.join(path.name for path in written)} in {out}")
     return 0
 

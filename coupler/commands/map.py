@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from ..studies.maps import Interpolation, Row
+    from ..studies.maps import Interpolation
+    from ..studies.runs_table import Row
 
 # measure -> colour map (all of them in even steps of lightness)
 COLOURS = {
@@ -41,28 +42,11 @@ def add(commands: Commands) -> None:
     option("--out", type=path, metavar="DIR", help="where map.csv and the pictures go (default: the same folder)")
 
 
-def add_sweep(commands: Commands) -> None:
-    """Add the command `sweep` to a parser's subcommands."""
-    option = add_command(commands, "sweep", run_sweep, "compute all points of a sweep; finished ones are kept")
-    option("sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME")
-    option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
-    option("--jobs", type=int, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
-
-
-def run_sweep(arguments: argparse.Namespace) -> int:
-    """Run the command `sweep`. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from ..studies.sweep import Sweep
-
-    folder = Sweep.load(arguments.sweep).run(arguments.out, arguments.jobs)
-    print(f"runs in {folder}; maps: coldspray map {folder}")
-    return 0
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import StoreError
     from ..files.outputs import MARK, check_folder, claim_file
-    from ..studies import maps
+    from ..studies import maps, runs_table
 
     if arguments.refine < 0:
         raise StoreError(f"--refine {arguments.refine}: give the number of points to run, zero or more")
@@ -91,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         lines = draw(rows, out, arguments.show, axes)
     print("\n".join(lines))
     # last: whoever waits for the table finds the pictures beside it
-    maps.write_table(rows, out / "map.csv", f"{MARK} map; SI units", axes)
+    runs_table.write_table(rows, out / "map.csv", f"{MARK} map; SI units", axes)
     print(f"table in {out / 'map.csv'}")
     return 0
 
@@ -99,23 +83,23 @@ def run(arguments: argparse.Namespace) -> int:
 def _table(arguments: argparse.Namespace) -> "tuple[list[Row], tuple[str, ...]]":
     """The rows of the folder, and the axes that were asked for."""
     from ..files.inputs import reading
-    from ..studies import maps
+    from ..studies import runs_table
 
     with reading(arguments.folder), working("reading the runs"):
-        rows = maps.table(arguments.folder)
-        return rows, maps.add_axes(rows, arguments.axes)
+        rows = runs_table.table(arguments.folder)
+        return rows, runs_table.add_axes(rows, arguments.axes)
 
 
 def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN, axes: Sequence[str] = ()) -> list[str]:
     """Draw quantities of a map's table into out/map_<material>_<quantity>.png.
 
     Two axes and more with values enough: a surface and its band, a row of panels for each value of a third axis; one axis: a curve;
-    fewer values: points and straight lines. axes: `maps.add_axes`; those of maps.AXES that vary by default. Returns remarks: file and
-    errors of each interpolation, what it cannot tell, and the next point worth a run.
+    fewer values: points and straight lines. axes: `runs_table.add_axes`; those of its AXES that vary by default. Returns remarks: file
+    and errors of each interpolation, what it cannot tell, and the next point worth a run.
     """
     from ..errors import StoreError
     from ..files.inputs import reading
-    from ..studies import maps
+    from ..studies import maps, runs_table
 
     remarks = []
     for material in dict.fromkeys(row["material"] for row in rows if row["status"] == "done"):
@@ -127,7 +111,7 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN, ax
                 f"{material}: no map; its {len(done)} points that are done vary in none of the axes: name keys of the scene with --axes"
             )
             continue
-        if others := maps.others_that_vary(done, used):
+        if others := runs_table.others_that_vary(done, used):
             remarks.append(f"{material}: points of the same place differ in {', '.join(others[:5])}, which is no axis")
         for quantity in quantities:
             path, m = out / f"map_{material}_{quantity}.png", MEASURES[quantity]

@@ -1,4 +1,4 @@
-"""A film of the cut: MP4 (by ffmpeg, where there is one) or GIF, the same frame, the same colours and a scale bar from its first picture to its last."""
+"""A film of the cut, MP4 (by ffmpeg, where there is one) or GIF: one frame, the same colours and a scale bar in all pictures."""
 
 from __future__ import annotations
 
@@ -98,7 +98,9 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
     """Pipe the pictures to ffmpeg. Raises StoreError where it is not there or fails."""
     program = ffmpeg()
     if program is None:
-        raise StoreError(f"cannot write {path}: no ffmpeg; install it, or pip install coldspray[film]; a .gif needs none")
+        raise StoreError(
+            f"cannot write {path}: no ffmpeg; install it, or pip install coldspray[film]; a .gif needs none"
+        )
     picture = next(pictures)
     rows, columns, _ = picture.shape
     command = [program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{columns}x{rows}", "-r", f"{rate:g}",

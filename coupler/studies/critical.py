@@ -13,7 +13,8 @@ from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import critical_velocity
 from ..plan.planning import plan
 from ..plan.reading import Scene
-from .sweep import run_point, toml_text
+from .points import run_point
+from .sweep import toml_text
 from .table import StudyTable
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, limits of the search unless said

@@ -6,14 +6,12 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,158 +21,16 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from .. import units
 from ..errors import StoreError
-from ..files.inputs import read_toml, reading
-from ..files.result import Result
+from ..files.inputs import read_toml
 from ..measures import measure
-from ..plan.record import read_plan
-from .sweep import how_ended, run_point, toml_text
-from .table import write_rows
+from .points import run_point
+from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
+from .sweep import set_key, toml_text
 
-AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
-KEYS = dict(
-    zip(("particle.velocity", "particle.diameter", "particle.temperature"), AXES, strict=True)
-)  # key of a scene -> axis
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
-MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
-            "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
-            "velocity_ratio")  # fmt: skip
-COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
 FEWEST_VALUES = 4  # along each axis, of which a map is interpolated
 LONGEST = 3.0  # length of the interpolation over the range of an axis
-LARGEST = 1e30  # a measure beyond it is damage
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
-_UNITS = {
-    "particle.temperature": "K",
-    "substrate.diameter": "um",
-    "substrate.height": "um",
-}  # of keys that a scene may leave out
-Row = dict[str, Any]
-
-
-def table(folder: str | Path) -> list[Row]:
-    """One row for each point of a sweep, or each run, in a folder: COLUMNS, SI units, in the order of material and axes.
-
-    status: "done", "failed" or "undecided" (then `reason` says why), or "unfinished"; measures, as in the summaries, of points that
-    are not done are missing. keys: every number of its scene by its key, SI units. verdict: of the run; version: of the program that
-    computed the run. Raises StoreError if the folder is not there or holds no point.
-    """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise StoreError(f"{folder} is not a folder of runs")
-    names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
-    names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
-    rows = [_readable_row(folder, name) for name in names]
-    if not rows:
-        raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
-    return sorted(rows, key=lambda row: (row["material"], *(row[axis] or 0.0 for axis in AXES[::-1]), row["point"]))
-
-
-def _readable_row(folder: Path, name: str) -> Row:
-    """The row of a point; one whose files make no sense has failed, and does not end the map."""
-    try:
-        with reading(folder / name):
-            return _row(folder, name)
-    except StoreError as error:
-        nothing = {"point": name, "material": "", "substrate": "", "status": "failed", "reason": str(error)}
-        return dict.fromkeys(COLUMNS) | nothing
-
-
-def _row(folder: Path, name: str) -> Row:
-    """The row of a point: from its plan, its end status and its summary."""
-    scene, run = scene_file(folder, name), folder / name
-    row = dict.fromkeys(COLUMNS) | {"point": name, "status": "unfinished", "reason": "", "keys": {}}
-    row |= _as_written(scene)
-    ended = how_ended(folder / f"{name}.json") or {}
-    if ended.get("status") == "failed":
-        return row | {"status": "failed", "reason": str(ended.get("reason") or "unknown")}
-    result = Result(run) if (run / "scene.toml").is_file() else None
-    if result is None or not result.finished:
-        return row
-    row["keys"] = scene_numbers(read_toml(run / "scene.toml"))
-    values, plan = result.values, read_plan(run)
-    if len(plan.impacts) > 1:
-        return row | {"status": "failed", "reason": f"has {len(plan.impacts)} impacts; a point of a map is one"}
-    impact = plan.impact
-    status = "done" if result.undecided is None else "undecided"
-    row |= {"status": status, "version": str(values["version"]), "reason": result.undecided or ""}
-    row |= {"material": impact.material.name, "substrate": plan.target.material.name}
-    row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
-    row |= {key: _number(values.get(key)) for key in MEASURES}
-    row["verdict"] = str(values.get("verdict") or "")
-    return row
-
-
-def scene_file(folder: Path, name: str) -> Path:
-    """The scene of a point: beside its run, or in it."""
-    beside = folder / f"{name}.toml"
-    return beside if beside.is_file() else folder / name / "scene.toml"
-
-
-def scene_numbers(table: dict[str, Any], above: str = "") -> dict[str, float]:
-    """The numbers of a scene by their keys, such as "contact.friction", SI units; texts without a unit are left out."""
-    numbers: dict[str, float] = {}
-    for key, value in table.items():
-        if isinstance(value, dict):
-            numbers |= scene_numbers(value, f"{above}{key}.")
-        elif isinstance(value, int | float) and not isinstance(value, bool):
-            numbers[above + key] = float(value)
-        elif isinstance(value, str) and (match := re.fullmatch(r"[-+.\deE]+ (\S+)", value)):
-            with contextlib.suppress(ValueError, LookupError):
-                numbers[above + key] = units.parse(value, units.dimension_of(match[1]))
-    return numbers
-
-
-def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
-    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of."""
-    names = []
-    for key in keys:
-        name = KEYS.get(key, key)
-        known = sorted({key for row in rows for key in row.get("keys", {})})
-        if name not in AXES:
-            if key not in known:
-                raise StoreError(f"--axes {key}: no scene has a number there{units.nearest(key, known)}")
-            for row in rows:
-                row[name] = row["keys"].get(key)
-        names.append(name)
-    return tuple(names)
-
-
-def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
-    """Keys of the scene that differ between points which are equal on the axes."""
-    seen: dict[tuple[float, ...], dict[str, float]] = {}
-    different: dict[str, None] = {}
-    for row in rows:
-        first = seen.setdefault(tuple(row[axis] for axis in axes), row["keys"])
-        different |= {key: None for key in first.keys() | row["keys"].keys() if first.get(key) != row["keys"].get(key)}
-    return sorted(different)
-
-
-def _number(value: object) -> float | None:
-    """A measure; None where a summary has no number, or one that no run gives."""
-    return value if isinstance(value, int | float) and abs(value) < LARGEST else None
-
-
-def _is_scene(path: Path) -> bool:
-    try:
-        return "particle" in read_toml(path)
-    except StoreError:
-        return False
-
-
-def _as_written(path: Path) -> Row:
-    """Material and axes as a scene says them, so far as they can be read."""
-    row: Row = {"material": "", "substrate": ""}
-    with contextlib.suppress(StoreError, ValueError, LookupError, TypeError):
-        data = read_toml(path)
-        row["material"], row["substrate"] = str(data["particle"]["material"]), str(data["substrate"]["material"])
-        for axis, dimension in zip(AXES, ("velocity", "length", "temperature"), strict=True):
-            row[axis] = units.parse(data["particle"][axis.split("_")[0]], dimension)
-    return row
-
-
-def write_table(rows: Iterable[Row], path: Path, about: str = "", axes: Sequence[str] = ()) -> None:
-    """The rows as CSV; about: a first line after "# "; axes: columns beside COLUMNS. Raises StoreError."""
-    write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS)), rows, about)
 
 
 class Regressor(Protocol):
@@ -335,12 +191,8 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
             if len(ratios) == 1 and ratios != {0.0}:
                 changes[key] = ratios.pop() * at["diameter_m"]
     for key, value in changes.items():
-        *tables, last = key.split(".")
-        table = data
-        for name in tables:
-            table = table.setdefault(name, {})
-        unit = str(table.get(last, "")).partition(" ")[2] or _UNITS.get(key, "")
-        table[last] = units.show(value, unit) if unit else value
+        unit = near["units"].get(key, "")
+        set_key(data, key, units.show(value, unit) if unit else value)
     point = "_".join([near["material"], *(f"{key.rpartition('.')[2]}{value:.4g}" for key, value in changes.items())])
     run_point(folder, point, toml_text(data))
     return point

@@ -1,0 +1,129 @@
+"""The command `coldspray sweep`: many runs of one scene, and the distribution of what comes out of them."""
+
+import argparse
+import signal
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from ..measures import UNDECIDED
+from .arguments import Commands, add_command, add_quiet, path, working
+
+if TYPE_CHECKING:
+    from ..studies.distribution import Spread
+    from ..studies.runs_table import Row
+    from ..studies.sweep import Sweep
+
+OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
+
+
+def add(commands: Commands) -> None:
+    """Add the command to a parser's subcommands."""
+    option = add_command(commands, "sweep", run, "compute all points of a sweep; finished ones are kept")
+    option(
+        "sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
+    )
+    option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
+    option("--jobs", type=int, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+    option("--executor", default="processes", metavar="WHERE",
+           help="processes (here; default), mpi (ranks of one allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep ...),"
+           " or slurm (jobs that take one run after another)")  # fmt: skip
+    option("--slurm", type=_slurm_option, action="append", default=[], metavar="KEY=VALUE",
+           help="of the Slurm jobs, may be repeated: cores=32 (runs at a time in a job; default 1), time=04:00:00 (default"
+           " 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
+    add_quiet(option)
+
+
+def _slurm_option(text: str) -> tuple[str, str]:
+    key, sign, value = text.lstrip("-").partition("=")
+    if not sign or not key or "\n" in text:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected KEY=VALUE, such as partition=short")
+    return key, value
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..files.outputs import claim_folder
+    from ..ranks.executors import executor
+    from ..studies.points import run_points
+    from ..studies.sweep import Sweep
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    sweep = Sweep.load(arguments.sweep)
+    out = arguments.out or Path("runs") / sweep.name
+    claim_folder(out, "sweep", OUTPUTS)
+    pool = executor(
+        arguments.executor, max(arguments.jobs, 1), out.resolve(), dict(arguments.slurm), starts_processes=True
+    )
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        statuses = run_points(out, sweep.points, pool, (lambda text: None) if arguments.quiet else _say)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    with working("reading the runs"):
+        lines = summarise(sweep, out)
+    if not arguments.quiet:
+        print("\n".join(lines))
+    stopped = sum(status == "stopped" for status in statuses.values())
+    if stopped:
+        print(f"{stopped} of {len(statuses)} runs have no end: the same command goes on with them")
+    return 3 if stopped else 0
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)
+
+
+def summarise(sweep: "Sweep", out: Path) -> list[str]:
+    """Write the table of all points, of an ensemble also the distributions, into a folder. Returns lines for the user."""
+    from ..files.outputs import MARK
+    from ..studies import distribution, runs_table
+
+    rows = [row for row in runs_table.table(out) if row["point"] in sweep.points]
+    keys = distribution.varied_numbers(rows, sweep.varied)
+    for row in rows:
+        row |= {key: row["keys"].get(key) for key in keys}
+    runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", keys)
+    count = {
+        status: sum(row["status"] == status for row in rows) for status in ("done", "undecided", "failed", "unfinished")
+    }
+    lines = [f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items() if n)]
+    bad = [row for row in rows if row["status"] in ("failed", "undecided")]
+    lines += [f"  {row['point']}: {row['status']}: {str(row['reason'])[:160]}" for row in bad]
+    measures = distribution.spreads(rows, keys) if sweep.is_ensemble else []
+    if measures:
+        lines += ["", *_table(measures), _verdicts(rows), ""]
+        distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
+        distribution.draw_spreads(out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs")
+        return [*lines, f"tables in {out / OUTPUTS[0]} and {OUTPUTS[1]}, figure in {OUTPUTS[2]}"]
+    axes = f" --axes {' '.join(keys)}" if keys else ""
+    return [*lines, f"table in {out / OUTPUTS[0]}; maps: coldspray map {out}{axes}"]
+
+
+def _table(measures: "Sequence[Spread]") -> list[str]:
+    """The distributions in columns."""
+    head = ("", "runs", "mean", "deviation", "5 %", "median", "95 %", "unit", "strongest rank correlation")
+    cells = [head]
+    for spread in measures:
+        m = spread.measure
+        low, middle, high = spread.quantiles[0], spread.quantiles[len(spread.quantiles) // 2], spread.quantiles[-1]
+        numbers = (spread.values.mean(), spread.values.std(ddof=1), low, middle, high)
+        cells.append(
+            (m.short, str(len(spread.values)), *(f"{m.factor * x:.4g}" for x in numbers), m.unit, spread.strongest)
+        )
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(w) if 0 < k < 7 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    ]
+
+
+def _verdicts(rows: "Sequence[Row]") -> str:
+    verdicts = [row["verdict"] or UNDECIDED for row in rows if row["status"] in ("done", "undecided")]
+    return "verdicts: " + ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(sorted(verdicts)))

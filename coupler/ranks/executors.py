@@ -1,0 +1,111 @@
+"""Where many computations run: a `concurrent.futures.Executor` over processes here, MPI ranks of an allocation, or jobs of Slurm.
+
+Whoever has many independent computations submits functions of a module with arguments that can be pickled, and does not know where
+they run.
+"""
+
+import os
+import re
+import shutil
+import sys
+from collections.abc import Mapping
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+
+from ..errors import PlacementError
+from ..units import nearest
+
+KINDS = ("processes", "mpi", "slurm")
+# option of a Slurm job -> its value unless given; any other is passed on to sbatch
+SLURM = {"cores": "1", "time": "01:00:00"}
+RETRIES = 3  # of a computation whose Slurm job ended before it
+_OF_MPI = (
+    "PMI",
+    "PMIX",
+    "OMPI_",
+    "MPI_",
+    "MPICH_",
+    "HYDI_",
+    "HYDRA_",
+)  # variables by which a process joins the ranks of its parent
+
+
+def executor(
+    kind: str, count: int, folder: Path, slurm: Mapping[str, str] | None = None, *, starts_processes: bool = False
+) -> Executor:
+    """An executor of a kind of KINDS, `count` computations at a time (those of `mpi` are as many as the ranks but the first).
+
+    folder: for logs of Slurm jobs. slurm: `cores`: computations at a time in each job; `time` of a job; any other option of sbatch.
+    starts_processes: the functions start a process themselves, so that threads are enough for `processes`. Raises PlacementError.
+    """
+    if kind == "processes":
+        return ThreadPoolExecutor(count) if starts_processes else ProcessPoolExecutor(count, get_context("spawn"))
+    if kind == "mpi":
+        return _mpi()
+    if kind == "slurm":
+        return _slurm(count, folder, {**SLURM, **(slurm or {})})
+    raise PlacementError(f"no executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
+
+
+def own_environment() -> dict[str, str]:
+    """The environment for a process that a worker starts: it is no rank of the worker's MPI, and computes on one core."""
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(_OF_MPI)}
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def _mpi() -> Executor:
+    """The ranks of `mpiexec -n N python -m mpi4py.futures ...` (Rogowski et al. 2023, doi:10.1109/TPDS.2022.3225481)."""
+    from mpi4py import MPI
+    from mpi4py.futures import MPIPoolExecutor
+
+    if MPI.COMM_WORLD.Get_size() < 2:
+        raise PlacementError(
+            "the executor mpi needs two ranks or more: mpiexec -n N python -m mpi4py.futures -m coupler sweep ... --executor mpi"
+        )
+    pool: Executor = MPIPoolExecutor(main=False)
+    return pool
+
+
+def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
+    """Pilot jobs (Babuji et al. 2019, doi:10.1145/3307681.3325400): each takes computations until none is left or its time is over."""
+    if shutil.which("sbatch") is None:
+        raise PlacementError("there is no Slurm here: sbatch is not installed")
+    try:
+        from parsl.concurrent import ParslPoolExecutor
+        from parsl.config import Config
+        from parsl.executors import HighThroughputExecutor
+        from parsl.launchers import SimpleLauncher
+        from parsl.providers import SlurmProvider
+    except ModuleNotFoundError as error:
+        raise PlacementError("the executor slurm needs Parsl: pip install coldspray[cluster]") from error
+    cores = options.pop("cores")
+    if not (cores.isdecimal() and int(cores) > 0):
+        raise PlacementError(f"--slurm cores={cores}: give the runs at a time in a job, one or more")
+    at_once, time = min(int(cores), count), options.pop("time")
+    if not re.fullmatch(r"\d+:\d\d:\d\d", time):
+        raise PlacementError(f"--slurm time={time}: give hours, minutes and seconds, such as 04:00:00")
+    provider = SlurmProvider(
+        partition=options.pop("partition", None),
+        account=options.pop("account", None),
+        cores_per_node=at_once,
+        init_blocks=0,
+        max_blocks=-(-count // at_once),
+        walltime=time,
+        scheduler_options="".join(f"#SBATCH --{name}={value}\n" for name, value in options.items()),
+        worker_init=f"export PATH={Path(sys.executable).parent}:$PATH PYTHONPATH={os.pathsep.join(filter(None, sys.path))}",
+        exclusive=False,
+        launcher=SimpleLauncher(),
+    )
+    workers = HighThroughputExecutor(
+        "slurm", provider, max_workers_per_node=at_once, encrypted=True, working_dir=str(folder)
+    )
+    config = Config(
+        [workers],
+        run_dir=str(folder / "slurm"),
+        retries=RETRIES,
+        strategy="simple",
+        initialize_logging=False,
+        usage_tracking=0,
+    )
+    return ParslPoolExecutor(config)

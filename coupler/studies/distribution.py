@@ -1,0 +1,101 @@
+"""The distribution of each measure over the runs of an ensemble: quantiles, rank correlations, figure."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from ..measures import Measure, measure
+from ..report.picture import blank, save
+from .runs_table import MEASURES, Row
+from .table import write_rows
+
+SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
+LEFT_OUT = ("wall_s", "energy_drift", "velocity_ratio")  # of MEASURES: not of the particle's fate
+FEWEST = 3  # runs
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A measure over the runs. values (n,): SI, ascending; quantiles: at SHARES; correlations: key of the scene -> Spearman's rank
+    correlation with it."""
+
+    measure: Measure
+    values: NDArray[np.float64]
+    quantiles: tuple[float, ...]
+    correlations: dict[str, float]
+
+    @property
+    def strongest(self) -> str:
+        """The key with the strongest rank correlation, and that; "" where there is none."""
+        if not self.correlations:
+            return ""
+        key = max(self.correlations, key=lambda name: abs(self.correlations[name]))
+        return f"{key} {self.correlations[key]:+.2f}"
+
+
+def varied_numbers(rows: Sequence[Row], varied: Sequence[str]) -> tuple[str, ...]:
+    """The numbers of the scenes that belong to varied keys ("particle.offset[1]" to "particle.offset") and differ between rows."""
+    keys = {key: None for row in rows for key in row["keys"] if key in varied or key.partition("[")[0] in varied}
+    return tuple(key for key in keys if len({row["keys"].get(key) for row in rows if row["keys"]}) > 1)
+
+
+def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
+    """Each measure that FEWEST finished runs have. keys: numbers of the scenes (`varied_numbers`)."""
+    result = []
+    for name in MEASURES:
+        used = [row for row in rows if row["status"] == "done" and row[name] is not None]
+        if name in LEFT_OUT or len(used) < FEWEST:
+            continue
+        y = np.array([row[name] for row in used], float)
+        correlations = {}
+        for key in keys:
+            x = np.array([row["keys"].get(key, np.nan) for row in used], float)
+            if np.ptp(x) > 0.0 and np.ptp(y) > 0.0:  # not with a nan either
+                correlations[key] = float(spearmanr(x, y).statistic)
+        quantiles = tuple(float(q) for q in np.quantile(y, SHARES))
+        result.append(Spread(measure(name), np.sort(y), quantiles, correlations))
+    return result
+
+
+def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
+    """A row for each measure, SI units. Raises StoreError."""
+    keys = dict.fromkeys(key for spread in measures for key in spread.correlations)
+    names = [f"quantile_{share:g}" for share in SHARES]
+    rows = [
+        {"measure": s.measure.key, "runs": len(s.values), "mean": float(s.values.mean()), "deviation": float(s.values.std(ddof=1))}
+        | dict(zip(names, s.quantiles, strict=True))
+        | {f"rank_correlation {key}": value for key, value in s.correlations.items()}
+        for s in measures
+    ]  # fmt: skip
+    write_rows(
+        path,
+        ("measure", "runs", "mean", "deviation", *names, *(f"rank_correlation {key}" for key in keys)),
+        rows,
+        about,
+    )
+
+
+def draw_spreads(path: Path, measures: Sequence[Spread], heading: str) -> None:
+    """Draw the share of runs below each value, a panel for each measure; shaded from the first to the last of SHARES."""
+    columns = min(3, len(measures))
+    rows = math.ceil(len(measures) / columns)
+    figure = blank(3.6 * columns, 2.7 * rows + 0.3, dpi=130, layout="constrained")
+    for place, spread in enumerate(measures, 1):
+        at, m = figure.add_subplot(rows, columns, place), spread.measure
+        n, scaled = len(spread.values), m.factor * np.array(spread.quantiles)
+        at.axvspan(scaled[0], scaled[-1], color="#0072b2", alpha=0.15, linewidth=0)
+        at.axvline(scaled[len(SHARES) // 2], color="#0072b2", linewidth=1.0)
+        at.step(m.factor * spread.values, np.arange(1, n + 1) / n, where="post", color="k", linewidth=1.0)
+        at.set_ylim(0.0, 1.02)
+        at.margins(x=0.04)
+        at.set_xlabel(f"{m.label} ({m.unit})" if m.unit else m.label, fontsize=8)
+        at.tick_params(labelsize=7)
+        if (place - 1) % columns == 0:
+            at.set_ylabel("share of runs below", fontsize=8)
+    figure.suptitle(heading, fontsize=10)
+    save(figure, path)

@@ -1,0 +1,114 @@
+"""Ensembles: values drawn from distributions by a quasi-random sequence, and the distribution of what comes out of the runs."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from .. import units
+
+# keys of the table of a distribution, by its kind
+KINDS = {
+    "normal": ("mean", "deviation"),
+    "log-normal": ("median", "spread"),
+    "uniform": ("from", "to"),
+    "choice": ("values",),
+}
+LIMITS = ("smallest", "largest")
+_EXAMPLES = (
+    '{ mean = "600 m/s", deviation = "40 m/s" }',
+    '{ median = "25 um", spread = 1.4 }',
+    '{ from = "0 um", to = "10 um" }',
+    "{ values = [...] }",
+)
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution of one number of a scene, or a choice among values. kind: of KINDS; numbers: of its keys, SI; unit: in which
+    values are written, "" for plain numbers; limits: SI, where it is cut; values: of a choice."""
+
+    kind: str
+    numbers: tuple[float, float] = (0.0, 1.0)
+    unit: str = ""
+    limits: tuple[float, float] = (-np.inf, np.inf)
+    values: tuple[object, ...] = ()
+
+    @staticmethod
+    def is_table(table: Mapping[str, object]) -> bool:
+        """Whether a table describes a distribution, and not keys of a scene."""
+        return any(keys[0] in table and not isinstance(table[keys[0]], Mapping) for keys in KINDS.values())
+
+    def at(self, share: float) -> object:
+        """The value that `share` of all values lie below, as a scene writes it."""
+        if self.values:
+            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
+        a, b = self.numbers
+        law = {
+            "normal": lambda: stats.norm(a, b),
+            "log-normal": lambda: stats.lognorm(np.log(b), scale=a),
+            "uniform": lambda: stats.uniform(a, b - a),
+        }[self.kind]()
+        low, high = law.cdf(self.limits[0]), law.cdf(self.limits[1])
+        value = float(law.ppf(low + share * (high - low)))
+        return units.rounded(value, self.unit, 6) if self.unit else float(f"{value:.6g}")
+
+
+def distribution_of(table: object) -> Distribution:
+    """Read a distribution: { mean, deviation }, { median, spread } (log-normal, geometric standard deviation), { from, to } or
+    { values = [...] }, the first two with `smallest` and `largest` if they are cut. Raises ValueError."""
+    kind = next(
+        (k for k, keys in KINDS.items() if isinstance(table, Mapping) and all(key in table for key in keys)), None
+    )
+    if kind is None or not isinstance(table, Mapping):
+        raise ValueError(f"expected a distribution: {', '.join(_EXAMPLES)}")
+    keys, known = KINDS[kind], (*KINDS[kind], *(LIMITS if kind in ("normal", "log-normal") else ()))
+    if unknown := [key for key in table if key not in known]:
+        raise ValueError(f"{unknown[0]}: unknown key; known: {', '.join(known)}")
+    if kind == "choice":
+        values = table["values"]
+        if not isinstance(values, list) or not values:
+            raise ValueError("values: expected a list")
+        return Distribution(kind, values=tuple(values))
+    numbers = {key: _number(key, table[key]) for key in known if key in table}
+    found = {unit for key, (_, unit) in numbers.items() if key != "spread"}
+    dimensions = {units.dimension_of(unit) if unit else "" for unit in found}
+    if len(dimensions) > 1:
+        raise ValueError(f"{', '.join(numbers)} must be of one dimension")
+    a, b = (numbers[key][0] for key in keys)
+    if kind == "normal" and numbers["deviation"][1] == "degC":
+        raise ValueError("deviation: give it in K")
+    if (
+        (kind == "normal" and b <= 0.0)
+        or (kind == "uniform" and b <= a)
+        or (kind == "log-normal" and (a <= 0.0 or b <= 1.0))
+    ):
+        raise ValueError({"normal": "deviation must be above zero", "uniform": "from must be below to",
+                          "log-normal": "median must be above zero and spread above 1"}[kind])  # fmt: skip
+    limits = tuple(
+        numbers[key][0] if key in numbers else default for key, default in zip(LIMITS, (-np.inf, np.inf), strict=True)
+    )
+    if limits[0] >= limits[1]:
+        raise ValueError("smallest must be below largest")
+    return Distribution(kind, (a, b), numbers[keys[0]][1], (limits[0], limits[1]))
+
+
+def _number(key: str, value: object) -> tuple[float, str]:
+    """A number and its unit, SI. Raises ValueError."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value), ""
+    unit = value.partition(" ")[2].strip() if isinstance(value, str) else ""
+    try:
+        return units.parse(value, units.dimension_of(unit)), unit
+    except (LookupError, ValueError):
+        raise ValueError(f'{key}: expected a number, or one with a space and its unit, such as "600 m/s"') from None
+
+
+def draws(laws: Sequence[Distribution], count: int, seed: int) -> list[list[object]]:
+    """`count` points of a scrambled Halton sequence (Owen 2017, arXiv:1706.02808) through the inverse distributions.
+
+    A longer series begins with the shorter one, so that an ensemble can be extended.
+    """
+    shares = stats.qmc.Halton(len(laws), scramble=True, rng=np.random.default_rng(seed)).random(count)
+    return [[law.at(float(share)) for law, share in zip(laws, row, strict=True)] for row in shares]

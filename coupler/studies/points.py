@@ -1,0 +1,172 @@
+"""Points of a study: many scenes, each a run in its own folder, wherever an executor computes them.
+
+OUT/<point>.toml is the scene, OUT/<point>/ the folder of its `coldspray run`, OUT/<point>.json how that ended. A point that
+has its .json is finished with, well or badly; one that has not is run, or gone on with. So a study that was killed is started
+again by the same command, whoever runs it: `run_points`, or workflows/Snakefile, whose rules call this file.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, as_completed
+from pathlib import Path
+from types import FrameType
+
+from ..errors import InterruptedRunError, SceneError
+from ..files.inputs import InputError, read_json_object, read_text
+from ..files.outputs import claim_folder, write_text
+from ..plan.reading import Scene
+from ..ranks.executors import own_environment
+
+_STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+_STATUS = {0: "done", 4: "undecided"}  # by the exit code of a run; "failed" else
+_running: set[subprocess.Popen[str]] = set()  # of this process
+
+
+def run_points(
+    folder: Path, points: Mapping[str, str], pool: Executor, log: Callable[[str], None] = print
+) -> dict[str, str]:
+    """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
+
+    A point that fails is marked and does not stop the others; "stopped": it has no end, the next call goes on with it. pool: is shut
+    down. log: told of each point as it ends.
+    """
+    folder = folder.resolve()
+    statuses: dict[str, str] = {}
+    try:
+        futures = {pool.submit(run_point, folder, point, text): point for point, text in points.items()}
+        for future in as_completed(futures):
+            point = futures[future]
+            try:
+                ended: Mapping[str, object] = future.result()
+            except InterruptedRunError as error:
+                ended = {"status": "stopped", "reason": str(error)}
+            except Exception as error:  # the worker itself was lost
+                ended = {"status": "stopped", "reason": f"its worker was lost ({error or type(error).__name__})"}
+            statuses[point] = str(ended["status"])
+            log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}")
+    except BaseException:
+        with contextlib.suppress(Exception):
+            pool.shutdown(wait=False, cancel_futures=True)
+        for run in list(_running):
+            run.terminate()  # it writes a checkpoint
+        raise
+    pool.shutdown()
+    return statuses
+
+
+def run_point(folder: Path, point: str, text: str, again: bool = False) -> dict[str, object]:
+    """Run a scene (TOML) as a point of a folder, unless it has been; how it ended, as `compute`. again: go on with an undecided one."""
+    known, scene = folder / f"{point}.json", write_scene(folder, point, text)
+    fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
+    ended = how_ended(known) if fresh and not again else None
+    return compute(scene, known) if ended is None else ended
+
+
+def write_scene(folder: Path, point: str, text: str) -> Path:
+    """The file of a point's scene, written unless it is there. Raises StoreError."""
+    path = folder / f"{point}.toml"
+    if not path.is_file() or read_text(path) != text:
+        claim_folder(folder, "sweep", [path.name])
+        write_text(path, text)
+    return path
+
+
+def compute(scene: Path, status: Path) -> dict[str, object]:
+    """Run a scene into the folder of its name, or go on there, on one core; write how it ended to `status` and return it.
+
+    {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
+    InterruptedRunError and leaves no status, so that the next attempt goes on with it.
+    """
+    folder = scene.with_suffix("")
+    folder.mkdir(parents=True, exist_ok=True)
+    _wait_for(folder)
+    verb = ["resume", folder] if _begun(scene, folder) else ["run", scene, "--out", folder, "--force"]
+    command = [sys.executable, "-m", "coupler", *map(str, verb), "--threads", "1", "--quiet"]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own_environment()
+    ) as run:
+        _running.add(run)
+        try:
+            _, errors = run.communicate()
+        except BaseException:
+            run.terminate()
+            run.communicate()
+            raise
+        finally:
+            _running.discard(run)
+    code = run.returncode
+    if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
+        raise InterruptedRunError(f"the run in {folder} was stopped; the same command goes on with it")
+    ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
+    write_text(status, json.dumps(ended, indent=1) + "\n")
+    return ended
+
+
+def main(arguments: list[str]) -> int:
+    """`python -m coupler.studies.points SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
+    scene, status = map(Path, arguments)
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    for number in _STOPPED:
+        signal.signal(number, stop)
+    try:
+        print(f"{scene.stem}: {status_text(compute(scene, status))}")
+    except (KeyboardInterrupt, InterruptedRunError):
+        return 128 + signal.SIGTERM
+    return 0
+
+
+def _wait_for(folder: Path) -> None:
+    """Until no other process writes to the folder: one of a sweep whose head was killed may go on to its end."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)  # the lock that a run holds; see coupler.files.store
+    except OSError:  # a file system without locks: as there
+        pass
+    finally:
+        os.close(descriptor)
+
+
+def _begun(scene: Path, folder: Path) -> bool:
+    """Whether the folder holds a run of this very scene."""
+    try:
+        return read_text(folder / "scene.toml") == Scene.load(scene).to_toml()
+    except (InputError, SceneError):
+        return False
+
+
+def _reason(code: int, errors: str) -> str:
+    """The message of a run that failed or is undecided: from its last line with the program's name, or the signal that killed it."""
+    if code == 0:
+        return ""
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    at = errors.rfind("coldspray: ")
+    text = errors[at + len("coldspray: ") :] if at >= 0 else (errors.strip().splitlines() or [f"exit code {code}"])[-1]
+    return " ".join(text.split())
+
+
+def how_ended(path: Path) -> dict[str, object] | None:
+    """How a point ended; None if its file is damaged."""
+    try:
+        ended = read_json_object(path)
+    except InputError:
+        return None
+    return ended if isinstance(ended.get("status"), str) else None
+
+
+def status_text(ended: Mapping[str, object]) -> str:
+    """How a point ended, in words."""
+    return f"{ended['status']}" + (f": {ended['reason']}" if ended.get("reason") else "")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main(sys.argv[1:]))
