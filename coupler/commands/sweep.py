@@ -107,7 +107,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 def _table(measures: "Sequence[Spread]") -> list[str]:
     """The distributions in columns."""
     head = ("", "runs", "mean", "deviation", "5 %", "median", "95 %", "unit", "strongest rank correlation")
-    cells = [head]
+    cells: list[tuple[str, ...]] = [head]
     for spread in measures:
         m = spread.measure
         low, middle, high = spread.quantiles[0], spread.quantiles[len(spread.quantiles) // 2], spread.quantiles[-1]
