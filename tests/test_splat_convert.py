@@ -13,6 +13,7 @@ from mesher_that_fails import dies, hangs
 
 from coupler.errors import DependencyError, SplatError
 from coupler.geometry import tetrahedra
+from coupler.geometry.poisson import poisson_surface
 from coupler.geometry.triangles import open_or_double
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
@@ -202,6 +203,14 @@ def test_a_conversion_needs_open3d(method: str, package: ModuleType | None, monk
 def test_carried_needs_a_surface() -> None:
     with pytest.raises(SplatError, match="needs the carried surface"):
         convert(bad(surface=None), 3.4e-6, "carried")
+
+
+def test_every_vertex_of_the_papers_surface_has_a_place() -> None:
+    """Euler: a closed surface without holes of 2 n triangles has n + 2 vertices; decimation may leave others, without a triangle."""
+    cloud = cloud_of()
+    vertices, triangles = poisson_surface(cloud.x, cloud.spacing)
+    assert np.isfinite(vertices).all()
+    assert len(vertices) == len(triangles) // 2 + 2
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ def poisson_surface(x: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarr
     skin.compute_vertex_normals()
     samples = skin.sample_points_poisson_disk(SAMPLES)
     mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(samples, depth=DEPTH, n_threads=1)
-    mesh = mesh.simplify_quadric_decimation(TRIANGLES).subdivide_loop(1)
+    mesh = mesh.simplify_quadric_decimation(TRIANGLES).remove_unreferenced_vertices().subdivide_loop(1)
     vertices, triangles = np.asarray(mesh.vertices) * unit, np.asarray(mesh.triangles).astype(np.int64)
     if len(triangles) == 0:
         raise SplatError("the Poisson reconstruction left no surface")
