@@ -14,7 +14,18 @@ from coupler.studies.table import read_rows
 LIMITS = (50.0, 1500.0)
 # strong bonds of little energy: fast particles rebound, slow ones are held
 HELD = '[adhesion]\nkind = "cohesive"\nstrength = "462 MPa"\nenergy = "{} J/m2"\n'
-EXPOSED = '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\nenergy = "{} J/m2"\n'
+EXPOSED = """[adhesion]
+kind = "cohesive"
+criterion = "exposure"
+[materials.SS304]
+oxide_thickness = "5 nm"
+oxide_strength = "20 GPa"
+oxide_threshold = 0.0
+[materials.Ni]
+oxide_thickness = "5 nm"
+oxide_strength = "20 GPa"
+oxide_threshold = 0.0
+"""
 
 
 def searched(judge: Callable[[float], str], start: float = 600.0, tolerance: float = 0.05) -> dict[float, str]:
@@ -61,7 +72,7 @@ def test_sticking_at_low_velocity_is_no_critical_velocity() -> None:
 def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rebound at the lower limit, sticking at the upper one: the bracket is as wide as asked for after both."""
     file, out = tmp_path / "ni.toml", tmp_path / "out"
-    file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED.format(100)))
+    file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
     call = ["critical", str(file), "--out", str(out), "--low", "300 m/s", "--high", "700 m/s", "--within", "90%"]
     assert main(call) == 0
     said = capsys.readouterr()

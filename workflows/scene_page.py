@@ -131,6 +131,8 @@ MATERIAL = {
     "Gamma0": "Grüneisen's parameter", "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
     "thermal_expansion": "linear; one value, or two pairs [T, value], linear between; 0: not known",
     "sigma_TS": "tensile strength at 293 K, for critical velocities",
+    "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
+    "oxide_threshold": "share of clean metal at which the film cracks",
     "cp": "specific heat: one value, or two pairs [T, cp], linear between",
     "k": "conductivity: one value, or two pairs [T, k], linear between",
     "source": "where the numbers come from", "note": "what to know of them",

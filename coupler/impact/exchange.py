@@ -16,8 +16,9 @@ from ..contact.penalty import ContactState
 from ..errors import SolverError
 from ..geometry.points import depths
 from ..geometry.triangles import vertex_areas
-from ..physics.adhesion import HELD_STIFFNESS
+from ..physics.adhesion import HELD_STIFFNESS, ligament_bonds, oxide_film
 from ..physics.constitutive import is_metal
+from ..physics.materials import Material
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..sph.threads import SecondThread
@@ -77,6 +78,7 @@ class Impact:
         self.limits: dict[str, int] = {"particle": 0, "target": 0, "contact": 0}
         self.hold: Hold | None = None
         self.exposure: Exposure | None = None
+        self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
 
     def close(self) -> None:
@@ -180,11 +182,13 @@ class Impact:
         if self.hold is not None:
             self.paths.release_fracture(self.hold)
 
-    def expose(self, threshold: float) -> None:
-        """Take note of the clean metal that this window has exposed. threshold: exposure at which the oxide cracks."""
+    def expose(self, plan: Plan, impact_plan: ImpactPlan) -> None:
+        """Take note of the clean metal that this window has exposed."""
         if self.exposure is None:
             self.exposure = Exposure(self.domains)
-        self.exposure.update(self.domains, threshold)
+        if self._films is None:
+            self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
+        self.exposure.update(self.domains, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
@@ -216,22 +220,25 @@ class Impact:
         else:
             chosen = adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
         if chosen.any():
-            law = adhesion.law_on(impact_plan.material.name, self._metals(plan, facets[chosen]))
-            if self.exposure is not None:
-                strength = softer_strength(self.domains, rows[chosen], facets[chosen])
-                law = adhesion.by_exposure(law, sound[chosen], strength)
-            rows, corners = rows[chosen], t.mesh.facets[facets[chosen]]
-            later = Hold(rows, corners, s.contacts(p.x), t.x, area[chosen], stiffness, **law)
+            rows, facets, area = rows[chosen], facets[chosen], area[chosen]
+            law_of = t.law_of[t.mesh.facet_element[facets]]
+            if self.exposure is not None and self._films is not None:
+                strength, force = softer_strength(self.domains, rows, facets), self._films[law_of, 1]
+                law = ligament_bonds(sound[chosen], self.exposure.exposed[rows], force, strength, stiffness)
+            else:
+                metals = self._metals(plan)
+                law = adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
+            corners = t.mesh.facets[facets]
+            later = Hold(rows, corners, s.contacts(p.x), t.x, area, stiffness, **law)
             self.hold = (later if self.hold is None else self.hold.joined(later)).on(s.triangles)
 
-    def _metals(self, plan: Plan, facets: np.ndarray) -> list[str]:
-        """Names of the metals behind facets (n,) of the target."""
-        law_of = self.target.law_of[self.target.mesh.facet_element[facets]]
-        names = np.full(len(self.target.laws), plan.target.material.name, object)
-        for impact in plan.impacts:
-            names[is_metal(self.target.laws, impact.material)] = impact.material.name
-        names[is_metal(self.target.laws, plan.target.material)] = plan.target.material.name
-        return [str(name) for name in names[law_of]]
+    def _metals(self, plan: Plan) -> list[Material]:
+        """The metal of each law of the target."""
+        metals = [plan.target.material] * len(self.target.laws)
+        for metal in (*(impact.material for impact in plan.impacts), plan.target.material):
+            for i in np.flatnonzero(is_metal(self.target.laws, metal)):
+                metals[i] = metal
+        return metals
 
     def _pressed(self, rows: np.ndarray) -> np.ndarray:
         """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does."""

@@ -40,8 +40,8 @@ class Exposure:
         start, ring = rings(surface.triangles, np.arange(len(skin)))
         self._ring = csr_matrix((np.ones(len(ring)), ring, start), shape=(len(skin), len(skin)))
 
-    def update(self, domains: Domains, threshold: float) -> None:
-        """Take note of an instant. threshold: exposure at which the oxide cracks."""
+    def update(self, domains: Domains, threshold: np.ndarray) -> None:
+        """Take note of an instant. threshold (l,): exposure at which the films on each law of the target crack."""
         surface, particle, target, contact = domains.surface, domains.particle, domains.target, domains.contact
         rows, facets = contact.touching(len(self.sound), CONTACT_RANGE * particle.spacing)
         self.extruding[:] = False
@@ -55,7 +55,8 @@ class Exposure:
         pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
         strength = softer_strength(domains, rows, facets)
         self.extruding[rows] = pressure > EXTRUSION * strength
-        sound = sound_fraction(self.exposed[rows], threshold, pressure, strength)
+        cracked = threshold[target.law_of[target.mesh.facet_element[facets]]]
+        sound = sound_fraction(self.exposed[rows], cracked, pressure, strength)
         self.sound[rows] = np.maximum(self.sound[rows], sound)
 
     def state(self) -> ExposureState:

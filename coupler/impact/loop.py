@@ -25,7 +25,7 @@ def advance_to_end(
         keep()
         dt = advance_window(impact, end_time)
         if adhesion.criterion == "exposure":
-            impact.expose(adhesion.threshold or 0.0)
+            impact.expose(recorder.plan, recorder.impact_plan)
             impact.bond(recorder.plan, recorder.impact_plan)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above)

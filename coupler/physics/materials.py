@@ -31,6 +31,9 @@ _LIMITS: dict[str, tuple[str, float, float]] = {
     "T_m": ("K", 200.0, 5000.0),
     "taylor_quinney": ("", 0.0, 1.0),
     "sigma_TS": ("MPa", 1e6, 1e10),
+    "oxide_thickness": ("nm", 1e-10, 1e-6),
+    "oxide_strength": ("GPa", 1e6, 1e11),
+    "oxide_threshold": ("", 0.0, 0.9),
 }
 _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
@@ -41,6 +44,9 @@ _DEFAULTS: dict[str, float | str | Pairs | None] = {
     "taylor_quinney": 0.9,
     "thermal_expansion": ((300.0, 0.0),),
     "sigma_TS": None,
+    "oxide_thickness": None,
+    "oxide_strength": None,
+    "oxide_threshold": None,
     "source": "",
     "note": "",
 }
@@ -52,7 +58,8 @@ class Material:
 
     rho kg/m^3; G Pa; c0 m/s; s, Gamma0, taylor_quinney without unit; T_m K; cp ((T, J/(kg K)), ...), k ((T, W/(m K)), ...),
     thermal_expansion (linear) ((T, 1/K), ...): one pair, a constant, or two, linear between them and constant outside; sigma_TS Pa:
-    tensile strength at 293 K, for critical velocities, None where it is not known.
+    tensile strength at 293 K, for critical velocities; oxide_thickness m, oxide_strength Pa: of the native film; oxide_threshold:
+    surface exposure at which it cracks (`physics.adhesion`). None where one is not known.
     """
 
     name: str
@@ -67,6 +74,9 @@ class Material:
     k: Pairs
     thermal_expansion: Pairs
     sigma_TS: float | None
+    oxide_thickness: float | None
+    oxide_strength: float | None
+    oxide_threshold: float | None
     source: str
     note: str
     strength: Strength

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from ..physics import materials
-from ..physics.adhesion import HELD_STIFFNESS, Adhesion, critical_velocity, stored_at_strength
+from ..physics.adhesion import HELD_STIFFNESS, Adhesion, critical_velocity, oxide_film, stored_at_strength
 from ..physics.materials import Material
 from ..scene.messages import shown, text_of
 from ..scene.model import SceneData
@@ -195,6 +195,12 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
             yield ("adhesion.pair",), f"adhesion.pair: {materials.unknown(unknown[0], catalogue)}"
     for each in (law, *(law.between(*pair.metals) for pair in law.pairs)):
         yield from _bond_energy(d, each, catalogue)
+    if law.criterion == "exposure":
+        for name in sorted({scene.substrate.material, *(p.material for p in scene.particles)} & set(catalogue)):
+            try:
+                oxide_film(catalogue[name], catalogue[name])
+            except ColdsprayError as error:
+                yield ("adhesion.criterion",), f'adhesion.criterion = "exposure": {error}'
     if law.criterion != "velocity" or law.kind == "none":
         return
     hits = {p.material: (label, p.temperature) for label, p in zip(scene.labels, scene.particles, strict=True)}
