@@ -6,7 +6,7 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arguments import Commands, add_command, add_force, path
+from .arguments import Commands, Option, add_command, add_force, path
 
 if TYPE_CHECKING:
     from ..scene.tables import GasConditions
@@ -21,22 +21,27 @@ _FIELDS = ("kind", "pressure", "temperature", "nozzle", "standoff", "ambient", "
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(commands, "gas", run, "impact velocity and temperature from gas, nozzle and particle diameter")
+    add_conditions(option)
+    option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
+    option("--csv", type=path, metavar="FILE", help="write the table to a file too")
+    option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
+    add_force(option)
+    option("--list", action="store_true", help="print the nozzles with their sources and stop")
+
+
+def add_conditions(option: Option) -> None:
+    """The options of gas, nozzle and material; `read_conditions` reads them."""
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
     option("--nozzle", metavar="NAME", help="a nozzle of the library (see --list), or of --nozzles FILE")
     option("--nozzles", type=path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
     option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
-    option("--diameter", nargs="+", metavar="D", default=DIAMETERS, help='one or more, such as "25 um" "22 um"')
     option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
     option("--powder-temperature", metavar="T", default="20 degC", help="of the powder when fed (default: 20 degC)")
     option("--drag", default="henderson", metavar="LAW", help="henderson (default) or carlson-hoglund")
     option("--bow-shock", action="store_true", help="let a normal shock stop the jet before the target")
-    option("--csv", type=path, metavar="FILE", help="write the table to a file too")
-    option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
-    add_force(option)
-    option("--list", action="store_true", help="print the nozzles with their sources and stop")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -46,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..plan import gas as scene_gas
     from ..spray import flight
 
-    nozzles = _nozzles(arguments.nozzles)
+    nozzles = known_nozzles(arguments.nozzles)
     if arguments.list:
         print("\n\n".join(shown(nozzle) for nozzle in nozzles.values()))
         return 0
@@ -54,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
         if out is not None:
             claim_file(out, suffixes, inputs, arguments.force)
-    conditions, diameters = _read(arguments, nozzles)
+    conditions, diameters = read_conditions(arguments, nozzles)
     material = materials.material(arguments.material)
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
     law = flight.DRAG_LAWS[conditions.drag]
@@ -67,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple[GasConditions, list[float]]":
+def read_conditions(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple[GasConditions, list[float]]":
     """The checked conditions and the diameters, m. Raises SceneError with every problem."""
     from ..errors import ColdsprayError, SceneError
     from ..physics import materials
@@ -97,11 +102,19 @@ def _read(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple
     return conditions, diameters
 
 
+def given(arguments: argparse.Namespace) -> list[str]:
+    """The options as given, for the command that remakes a table."""
+    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
+    options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
+    return [*options, *(["--bow-shock"] if arguments.bow_shock else [])]
+
+
 def _option(field: str) -> str:
     return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
-def _nozzles(file: Path | None) -> "dict[str, Nozzle]":
+def known_nozzles(file: Path | None) -> "dict[str, Nozzle]":
+    """The nozzles of the library and of a file. Raises SceneError with every problem of the file."""
     from ..errors import SceneError
     from ..files.inputs import read_toml
     from ..spray import nozzles
@@ -155,10 +168,7 @@ def _write_csv(arguments: argparse.Namespace, flow: "Flow", diameters: list[floa
     from ..files.outputs import MARK
     from ..studies.table import write_rows
 
-    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
-    options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
-    switches = ["--bow-shock"] if arguments.bow_shock else []
-    head = f"{MARK} gas; remake: coldspray gas {shlex.join([*options, *switches, '--diameter', *arguments.diameter])}"
+    head = f"{MARK} gas; remake: coldspray gas {shlex.join([*given(arguments), '--diameter', *arguments.diameter])}"
     columns = ("diameter_um", "exit_velocity_m_s", "velocity_m_s", "temperature_K", "flight_time_ms")
     rows = [
         (D * 1e6, _at_exit(flow, flight), flight.velocity, flight.temperature, flight.t[-1] * 1e3)

@@ -22,6 +22,7 @@ from . import mesh as mesh_command
 from . import new as new_command
 from . import sweep as sweep_command
 from . import watch as watch_command
+from . import window as window_command
 from .arguments import (
     Option,
     add_command,
@@ -139,6 +140,7 @@ def _parser() -> argparse.ArgumentParser:
         watch_command,
         materials_command,
         gas_command,
+        window_command,
         mesh_command,
         coating_command,
         accuracy_command,

@@ -1,0 +1,69 @@
+"""The window of deposition: size of the critical velocity, distribution of the powder, efficiency, and the command."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from coupler.commands.main import main
+from coupler.physics import materials
+from coupler.physics.adhesion import THERMAL, critical_velocity
+from coupler.spray.window import Spray, critical_at, quantile
+from coupler.studies.table import read_rows
+
+GAS = ["window", "--pressure", "40 bar", "--temperature", "800 degC", "--nozzle", "D42PBI"]
+POWDER = ["--powder", "15 um", "25 um", "40 um"]
+
+
+def test_the_critical_velocity_falls_with_size_as_published() -> None:
+    """Assadi et al. (2011): v = k1 sqrt(cp (T_m - T) + ...), k1 = 0.64 (D / 10 um)^-0.18; at 25 um k1^2 is Schmidt's F2 within 2 %."""
+    metal = materials.material("Cu")
+    assert critical_at(metal, 300.0, 25e-6) == critical_velocity(metal, 300.0)
+    assert critical_at(metal, 300.0, 50e-6) / critical_at(metal, 300.0, 25e-6) == pytest.approx(2.0**-0.18)
+    assert (0.64 * 2.5**-0.18) ** 2 == pytest.approx(THERMAL, rel=0.02)
+
+
+def test_the_distribution_passes_through_its_three_diameters() -> None:
+    sizes = 15e-6, 25e-6, 40e-6
+    assert [quantile(*sizes, u) for u in (0.1, 0.5, 0.9)] == pytest.approx(sizes, rel=1e-12)
+    assert quantile(25e-6, 25e-6, 25e-6, 0.01) == 25e-6
+
+
+@pytest.mark.parametrize(
+    ("slowest", "fastest", "factor", "stays"), [(0.5, 1.5, 1.0, 0.5), (0.5, 1.5, 1.2, 0.3), (1.0, 3.0, 1.0, 0.5), (0.2, 0.9, 1.0, 0.0)]
+)  # fmt: skip
+def test_what_flies_between_critical_and_erosion_velocity_stays(
+    slowest: float, fastest: float, factor: float, stays: float
+) -> None:
+    """Velocities over the critical one that are uniform between two values: the share between 1 and 2 of them."""
+    share, one = np.linspace(0.0, 1.0, 26), np.ones(26)
+    powder = Spray(share, one, 600.0 * (fastest + (slowest - fastest) * share), one, 600.0 * one)
+    assert powder.efficiency(factor) == pytest.approx(stays, abs=1e-3)
+
+
+def test_the_command_prints_tabulates_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, picture = tmp_path / "w.csv", tmp_path / "w.png"
+    assert main([*GAS, "--material", "Ni", *POWDER, "--csv", str(table), "--png", str(picture)]) == 0
+    assert "deposition efficiency" in capsys.readouterr().out
+    rows = read_rows(table)
+    diameter, ratio = (np.array([float(row[name]) for row in rows]) for name in ("diameter_um", "velocity_ratio"))
+    assert np.all(np.diff(diameter) > 0.0)
+    assert np.interp(0.5, [float(row["share"]) for row in rows], diameter) == pytest.approx(25.0, rel=1e-3)
+    metal = materials.material("Ni")
+    expected = [critical_at(metal, float(row["temperature_K"]), float(row["diameter_um"]) * 1e-6) for row in rows]
+    assert ratio == pytest.approx([float(row["velocity_m_s"]) for row in rows] / np.array(expected), rel=1e-4)
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--powder", "25 um", "15 um", "40 um"], "must not fall"), (["--powder", "15", "25 um", "40 um"], "unit"),
+        ([*POWDER, "--material", "42CrMo4"], "has no sigma_TS"), ([*POWDER, "--within", "half"], "--within"),
+    ],
+)  # fmt: skip
+def test_what_the_command_cannot_use_is_refused(
+    options: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*GAS, *options]) == 2
+    assert says in capsys.readouterr().err
