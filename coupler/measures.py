@@ -119,6 +119,7 @@ TABLE = (
     Measure("velocity_ratio", "normal velocity / critical velocity", VERDICT, "velocity / critical velocity", low=0.0),
     Measure("bonded_area_m2", "area that bonded", VERDICT, low=0.0),
     Measure("bonded_area_end_m2", "bonded area at the end", VERDICT, low=0.0),
+    Measure("bond_energy_J", "energy to tear what bonded", VERDICT, low=0.0),
     Measure("penetration_max_m", "greatest penetration", SHAPE, low=0.0),
     Measure("contact_dropped", "points of the particle that the contact has dropped"),
     Measure("contact_dropped_bodies", "nodes that contact between bodies has dropped so far"),

@@ -97,7 +97,8 @@ def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: floa
     """The part of the record of a finished impact that is its verdict.
 
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
-    bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds.
+    bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds; bond_energy_J: to tear all that bonded, in tension,
+    None where a bond does not break.
     """
     decided = judge(law, impact, mass, upwards, hold)
     left = decided.rebounded
@@ -108,7 +109,12 @@ def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: floa
     }  # fmt: skip
     if law.in_impact:
         first, last = hold.area if hold is not None else (0.0, 0.0)
-        values |= {"bonded_area_m2": first, "bonded_area_end_m2": last}
+        energy = 0.0 if hold is None else float(hold.bond.area @ hold.bond.energy[:, 0])
+        values |= {
+            "bonded_area_m2": first,
+            "bonded_area_end_m2": last,
+            "bond_energy_J": energy if math.isfinite(energy) else None,
+        }
     return values | {"velocity_ratio": impact.velocity_ratio, "particle_mass_kg": mass}
 
 
