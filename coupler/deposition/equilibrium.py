@@ -108,6 +108,7 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
     for springs in (bodies.bond, bodies.contact):
         if springs is not None:
             mass += 0.25 * dt * dt * springs.load(n)
+    mass += 0.25 * dt * dt * t.foundation_load()
     t.inv_mass = np.where(free, 1.0 / mass, 0.0)
     return dt
 

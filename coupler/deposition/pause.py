@@ -66,7 +66,9 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, counts: Sequence[int], kinetic_0
     missing *= t.laws["expansion"][t.law_of]
     t.heat += missing
     t.sums[2] += float(missing.sum())
-    t.x *= 1.0 + _contraction(*came[0], ambient)
+    shrunk = 1.0 + _contraction(*came[0], ambient)
+    t.x *= shrunk
+    t.spring_rest *= shrunk
     report = {**before, **_settled(bodies, kinetic_0, plan), "ambient_K": ambient}
     report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
     thermal = t.thermal_stress[splats, :2].mean(axis=1)

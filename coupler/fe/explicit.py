@@ -14,11 +14,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
-from ..geometry.triangles import areas_and_normals
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from ..state.records import assign, collect, fill_rows
 from . import kernels as k
+from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, take_heat
 from .mesh import TetMesh
 from .stability import HighestFrequency
@@ -102,10 +102,15 @@ class Target:
         self.conduction = Conduction(n, m) if conduction else None
         self.inertia = np.ones(m)
         self.force_suffix_sum = np.zeros((n + 1, 3))
-        self.fixed = _nodes_of(mesh, fixed)
+        self.fixed = nodes_of(mesh, fixed)
         self.horizon = np.inf
         self._weigh()
-        self.dashpot_nodes, self.dashpot = self._dashpots(absorbing)
+        own = self.laws[self.law_of]
+        self.dashpot_nodes, self.dashpot = dashpots(
+            mesh, own, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
+        )
+        self.spring_nodes, self.springs = foundation(mesh, own["G"])
+        self.spring_rest = mesh.points[self.spring_nodes].copy()
         self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
@@ -120,24 +125,11 @@ class Target:
         self.active_nodes = self.active_elements = 0
         self._activate(0.0)
 
-    def _dashpots(self, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Lysmer & Kuhlemeyer (1969): a matrix per boundary node, rho (c_p n n^T + c_s (1 - n n^T)) area / 3 from each facet."""
-        nodes = np.setdiff1d(_nodes_of(self.mesh, names), self.fixed)
-        matrix = np.zeros((len(self.mass), 3, 3))
-        for name in names:
-            ids = self.mesh.sets[name]
-            corners = self.mesh.facets[ids]
-            area, normal = areas_and_normals(self.mesh.points, corners)
-            law = self.laws[self.law_of[self.mesh.facet_element[ids]]]
-            cp = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"])
-            cs = np.sqrt(law["G"] / law["rho"])
-            nn = normal[:, :, None] * normal[:, None, :]
-            share = (law["rho"] * area / 3.0)[:, None, None] * (
-                cp[:, None, None] * nn + cs[:, None, None] * (np.eye(3) - nn)
-            )
-            for i in range(3):
-                np.add.at(matrix, corners[:, i], share)
-        return nodes, matrix[nodes]
+    def foundation_load(self) -> np.ndarray:
+        """What the springs of the half-space add to each node (n,) in the bound on omega^2, N/m."""
+        load = np.zeros(len(self.x))
+        load[self.spring_nodes] = np.abs(self.springs).sum(axis=2).max(axis=1, initial=0.0)
+        return load
 
     def _weigh(self) -> None:
         """Masses (n,) kg of the nodes; those that are held count as infinite."""
@@ -262,6 +254,11 @@ class Target:
             self.absorbed -= 0.5 * dt * float(np.einsum("ai,ai->", drag + self.drag, self.v[nodes]))
             self.drag = drag
             self.support += drag.sum(axis=0)
+        if len(self.spring_nodes):
+            nodes = self.spring_nodes
+            pull = -np.einsum("aij,aj->ai", self.springs, self.x[nodes] - self.spring_rest)
+            self.total[nodes] += pull
+            self.support += pull[nodes < n].sum(axis=0)  # what is inactive is in balance with its springs
         if len(self.fixed):
             self.support -= self.total[self.fixed].sum(axis=0)
 
@@ -356,11 +353,13 @@ class Target:
         return self.mass @ self.velocity()
 
     def elastic(self) -> float:
-        """Recoverable energy in J: deviators, and the volumetric energy less the heat in it."""
+        """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of the half-space."""
         shear = k.elastic_shear_energy(
             0, len(self.mesh.conn), self.volume, self.mesh.V0, self.laws, self.law_of, self.s
         )  # inactive elements may be under stress
         pending = float(np.sum(self.heat))  # reaches the nodes in the next step
+        way = self.x[self.spring_nodes] - self.spring_rest
+        shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
@@ -406,8 +405,3 @@ class Target:
             f"element {e} of the target{within} inverted at t = {self.time * 1e9:.3f} ns near "
             f"({where[0]:.2f}, {where[1]:.2f}, {where[2]:.2f}) um: try {remedy} or a smaller dt"
         )
-
-
-def _nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
-    ids = [mesh.facets[mesh.sets[name]].ravel() for name in names]
-    return np.unique(np.concatenate(ids)) if ids else np.zeros(0, np.int64)

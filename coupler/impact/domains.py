@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..contact.penalty import JUMP, PointContact
+from ..fe.boundary import HALF_SPACE
 from ..fe.explicit import Target
 from ..fe.mesh import prepare
 from ..geometry import mesher
@@ -60,6 +61,8 @@ def build_target(plan: Plan) -> Bodies:
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
     mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))
+    if cut := t.faces("half_space"):
+        mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
     target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
     target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)

@@ -88,6 +88,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     raw.setdefault("name", safe_name(source))
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
+        _set_half_space(raw)
     _set_end(raw)
     if "gas" in raw or "nozzles" in raw:
         problems += fill(raw, catalogue)
@@ -111,6 +112,12 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     if problems or read is None:
         raise SceneError(problems, source)
     return read
+
+
+def _set_half_space(raw: dict[str, object]) -> None:
+    """Let the substrate of a coating go on as a half-space at the faces that a scene says nothing of."""
+    if isinstance(substrate := raw.get("substrate"), dict):
+        raw["substrate"] = {"sides": "half_space", "bottom": "half_space"} | substrate
 
 
 def _set_end(raw: dict[str, object]) -> None:

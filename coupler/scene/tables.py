@@ -131,7 +131,7 @@ def read_table(kind: type[T], data: object) -> tuple[T | None, list[ErrorDetails
 
 Offset = Annotated[float, Quantity("um", "-5000 um", "5000 um")]
 Temperature = Annotated[float, Quantity("K", "100 K", "5000 K")]
-Face = Literal["absorbing", "free", "fixed"]
+Face = Literal["absorbing", "free", "fixed", "half_space"]
 Shape = Literal["sphere", "hollow_sphere", "oblate", "rod", "flake", "angular"]  # those of coupler.physics.shapes
 SHAPES: tuple[str, ...] = get_args(Shape)
 

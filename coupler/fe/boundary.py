@@ -1,0 +1,58 @@
+"""Where a target is cut from a larger body: dashpots that let waves out, and springs that stand for the rest of a half-space."""
+
+import numpy as np
+
+from ..geometry.triangles import areas_and_normals
+from .mesh import TetMesh
+
+HALF_SPACE = "half_space"  # the set of facets at which the target goes on as a half-space
+
+
+def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
+    """Nodes of facet sets, ascending."""
+    ids = [mesh.facets[mesh.sets[name]].ravel() for name in names]
+    return np.unique(np.concatenate(ids)) if ids else np.zeros(0, np.int64)
+
+
+def dashpots(
+    mesh: TetMesh, laws: np.ndarray, names: tuple[str, ...], fixed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lysmer & Kuhlemeyer (1969): nodes (k,) of facet sets that are not fixed, and a matrix (k,3,3) kg/s of each, of every facet
+    rho (c_p n n^T + c_s (1 - n n^T)) area / 3. laws (m,): the LAW record of each element."""
+    nodes = np.setdiff1d(nodes_of(mesh, names), fixed)
+    matrix = np.zeros((len(mesh.points), 3, 3))
+    for name in names:
+        ids = mesh.sets[name]
+        law = laws[mesh.facet_element[ids]]
+        cp = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"])
+        cs = np.sqrt(law["G"] / law["rho"])
+        _add(mesh, ids, law["rho"] * cp, law["rho"] * cs, matrix)
+    return nodes, matrix[nodes]
+
+
+def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The static stiffness of a half-space at the facets HALF_SPACE: nodes (k,) and a matrix (k,3,3) N/m of each. G (m,) Pa.
+
+    What a coating does to its substrate is in balance with itself: its displacements fall with the square of the distance R, u ~ R^-2.
+    Of a centre of dilatation the traction is then -4 G u / R, normal to a sphere; the tangential stiffness is half of that, as in
+    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 77). R is reckoned from the axis at z = 0.
+    """
+    ids = mesh.sets.get(HALF_SPACE, np.zeros(0, np.int64))
+    matrix = np.zeros((len(mesh.points), 3, 3))
+    nodes = np.unique(mesh.facets[ids])
+    if len(ids):
+        axis = np.array([*mesh.points[nodes, :2].mean(axis=0), 0.0])
+        R = np.linalg.norm(mesh.points[mesh.facets[ids]].mean(axis=1) - axis, axis=1)
+        shear = G[mesh.facet_element[ids]] / R
+        _add(mesh, ids, 4.0 * shear, 2.0 * shear, matrix)
+    return nodes, matrix[nodes]
+
+
+def _add(mesh: TetMesh, ids: np.ndarray, normal: np.ndarray, tangential: np.ndarray, matrix: np.ndarray) -> None:
+    """Add a third of (normal n n^T + tangential (1 - n n^T)) area of each facet to each of its nodes: matrix (n,3,3)."""
+    corners = mesh.facets[ids]
+    area, n = areas_and_normals(mesh.points, corners)
+    nn = n[:, :, None] * n[:, None, :]
+    share = (area / 3.0)[:, None, None] * (normal[:, None, None] * nn + tangential[:, None, None] * (np.eye(3) - nn))
+    for i in range(3):
+        np.add.at(matrix, corners[:, i], share)
