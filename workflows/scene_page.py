@@ -57,8 +57,8 @@ WORDS = {
     "substrate.diameter": "of the cylinder",
     "substrate.height": "of the cylinder",
     "substrate.temperature": "at the start, uniform",
-    "substrate.sides": "`absorbing` lets waves out, `free` and `fixed` send them back, `half_space` lets them out and has the static stiffness"
-    " of the rest of a half-space ([target](../theory/target.md)); `half_space` by default with `[coating]`",
+    "substrate.sides": "`absorbing` lets waves out, `free` and `fixed` send them back, `half_space` lets them out and has the"
+    " static stiffness of the rest of a half-space ([target](../theory/target.md)); `half_space` by default with `[coating]`",
     "substrate.bottom": "as `sides`",
     "substrate.window": "radius round each impact within which the target is computed, the rest keeps still"
     f" ([sequences](sequences.md)); {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and"
