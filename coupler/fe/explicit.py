@@ -255,10 +255,11 @@ class Target:
             self.drag = drag
             self.support += drag.sum(axis=0)
         if len(self.spring_nodes):
-            nodes = self.spring_nodes
-            pull = -np.einsum("aij,aj->ai", self.springs, self.x[nodes] - self.spring_rest)
+            active = self.spring_nodes < n  # what is inactive is in balance with its springs
+            nodes = self.spring_nodes[active]
+            pull = -np.einsum("aij,aj->ai", self.springs[active], self.x[nodes] - self.spring_rest[active])
             self.total[nodes] += pull
-            self.support += pull[nodes < n].sum(axis=0)  # what is inactive is in balance with its springs
+            self.support += pull.sum(axis=0)
         if len(self.fixed):
             self.support -= self.total[self.fixed].sum(axis=0)
 
