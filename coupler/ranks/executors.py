@@ -98,7 +98,12 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
         launcher=SimpleLauncher(),
     )
     workers = HighThroughputExecutor(
-        "slurm", provider, max_workers_per_node=at_once, encrypted=True, working_dir=str(folder)
+        "slurm",
+        provider,
+        interchange_launch_cmd=[sys.executable, "-m", "parsl.executors.high_throughput.interchange"],
+        max_workers_per_node=at_once,
+        encrypted=True,
+        working_dir=str(folder),
     )
     config = Config(
         [workers],
