@@ -48,13 +48,13 @@ class Progress:
         limit: float = float("inf"),
         i: int = 0,
         before: float = 0.0,
-        shares: Sequence[float] = (1.0,),
+        shares: Sequence[tuple[float, float]] = ((0.0, 1.0),),
     ) -> None:
         """Begin impact i. expected, limit: its expected and longest simulated time, s; before: that of the impacts before it, s;
-        shares: of each impact in the expected wall time."""
+        shares: of each impact, the part of the expected wall time before it and its own."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
-        self._done, self._share = sum(shares[:i]), shares[i]
+        self._done, self._share = shares[i]
         self.time, self._running = before if i else float("nan"), True
         self._open()
 

@@ -185,14 +185,14 @@ def test_progress_without_a_terminal_is_a_line_now_and_then():
 
 
 def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(monkeypatch):
-    """Two impacts of 10 s of wall time each; the first takes 1.4 times the simulated time that was expected."""
+    """Two impacts of 10 s of wall time each, 4 s between them; the first takes 1.4 times the simulated time that was expected."""
     now, stream, recorded = [100.0], io.StringIO(), []
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
     progress = Progress(stream=stream)
     progress.record = recorded.append
     left = []
     for i, (expected, taken) in enumerate([(50e-9, 70e-9), (50e-9, 50e-9)]):
-        progress.start(expected, 150e-9, i, before=70e-9 * i, shares=(0.5, 0.5))
+        progress.start(expected, 150e-9, i, before=70e-9 * i, shares=((0.0, 10 / 24), (14 / 24, 10 / 24)))
         for step in range(1, 101):
             now[0] += 0.1
             progress.update(taken * step / 100, 0.5, 3e-11, step)
@@ -200,10 +200,11 @@ def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(m
             if found:
                 left.append((now[0] - 100.0, int(found[1])))
         progress.stage("joining")
+        now[0] += 4.0
     progress.stop()
     assert progress.time == pytest.approx(120e-9)
     for gone, to_go in left:
-        assert gone + to_go > 20.0 * 2 / 3, "ends early by more than a third"
+        assert gone + to_go > 24.0 * 2 / 3, "ends early by more than a third"
     assert any("impact 2 of 2  120.0 ns" in line for line in recorded)
     assert "impact 1 of 2  joining" in recorded
     assert set(stream.getvalue().splitlines()) <= set(recorded)

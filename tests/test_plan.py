@@ -95,6 +95,22 @@ def test_cost_grows_with_the_splats_that_join():
     assert one.target_load < two.target_load < three.target_load
 
 
+def test_what_lies_between_impacts_costs_time():
+    """Conversion, rest and pause after each impact but the last; a closing stage after that one too."""
+    plain, cold = plan(several({}, {}, end__at="rest")), plan(several({}, {}, end__at="cold"))
+    E, splat = plain.target.elements_estimate, plain.impact.splat_elements
+    for made, closed in ((plain, False), (cold, True)):
+        cooled = made.effects.cooling
+        between = estimates.between_impacts((E, E + splat), (splat, splat), cooled, closed)
+        assert made.cost.rest == pytest.approx(estimates.run_time(E) + sum(between))
+        (first, own), (second, last) = made.shares
+        whole = made.cost.steps + made.cost.points + sum(between)
+        assert (first, second + last + between[1] / whole) == (0.0, pytest.approx(1.0, rel=0.01))
+        assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
+        assert (between[1] > 0.0) == closed
+        assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if cooled else 0.0)
+
+
 def test_of_several_impacts_the_largest_number_counts():
     made = plan(several({"velocity": "50 m/s"}, {}))
     assert row(made, "mie_gruneisen").value == row(plan(scene_with()), "mie_gruneisen").value

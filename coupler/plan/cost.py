@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,7 +44,13 @@ SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4
 SECONDS_PER_RUN = 0.3  # files and pictures; not the start of the program
 SECONDS_PER_MESHED_ELEMENT = 1e-4
-SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000
+SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000 ...
+SECONDS_PER_CONVERSION = 0.3  # ... and of its own process
+# Between impacts (`deposition`): steps of the target alone in which a new splat, or a pause, comes to rest, and of implicit conduction.
+JOIN_STEPS = 110
+PAUSE_STEPS = 190
+HEAT_STEPS = 145
+SECONDS_PER_HEAT_ELEMENT = 1e-6  # of one of those
 SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
@@ -167,6 +174,22 @@ def machine_memory() -> float:
 def run_time(n_elements: float) -> float:
     """Time of a run but its steps, on one core, s: mesh, files, pictures; not the start of the program."""
     return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
+
+
+def between_impacts(elements: Sequence[float], splats: Sequence[int], cooled: bool, closed: bool) -> tuple[float, ...]:
+    """Time after each impact on one core, s: conversion of its splat, rest, pause; after the last only with a closing stage.
+
+    elements: tetrahedra that each impact meets; splats: of its own splat; cooled: heat flows in pauses; closed: all cools to ambient.
+    """
+    times = []
+    for i, (before, own) in enumerate(zip(elements, splats, strict=True)):
+        last, each = i == len(splats) - 1, SECONDS_PER_ELEMENT * (before + own)
+        pause = (
+            PAUSE_STEPS * each if last else PAUSE_STEPS * each + HEAT_STEPS * SECONDS_PER_HEAT_ELEMENT * (before + own)
+        )
+        joining = SECONDS_PER_CONVERSION + SECONDS_PER_SPLAT_ELEMENT * own + JOIN_STEPS * each
+        times.append(joining + pause * (closed if last else cooled) if closed or not last else 0.0)
+    return tuple(times)
 
 
 def step_time(steps: float, n_elements: float) -> float:

@@ -1,5 +1,6 @@
 """The plan of a run: everything decided, nothing computed, no solver imported."""
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -146,15 +147,18 @@ class Plan:
         return self.cost.whole
 
     @property
-    def shares(self) -> tuple[float, ...]:
-        """The part of each impact, with the conversion of its splat, in the expected wall time of all."""
-        times, elements = [], self.target.elements_estimate
-        for impact in self.impacts:
+    def shares(self) -> tuple[tuple[float, float], ...]:
+        """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it."""
+        elements = _met([each.splat_elements for each in self.impacts], self.target.elements_estimate)
+        after = estimates.between_impacts(
+            elements, [each.splat_elements for each in self.impacts], self.effects.cooling, self.ambient is not None
+        )
+        own = []
+        for impact, met in zip(self.impacts, elements, strict=True):
             steps = impact.expected / impact.dt_expected
-            times.append(estimates.step_time(steps, elements) + estimates.point_time(steps, impact.points, self.engine))
-            elements += impact.splat_elements
-            times[-1] += estimates.SECONDS_PER_SPLAT_ELEMENT * impact.splat_elements
-        return tuple(time / sum(times) for time in times)
+            own.append(estimates.step_time(steps, met) + estimates.point_time(steps, impact.points, self.engine))
+        ends = list(itertools.accumulate(a + b for a, b in zip(own, after, strict=True)))
+        return tuple((begin / ends[-1], time / ends[-1]) for begin, time in zip([0.0, *ends], own, strict=False))
 
     @property
     def impact(self) -> ImpactPlan:
@@ -183,13 +187,12 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
     dt = [i.dt_expected for i in impacts]
     steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
     # every impact but the first finds the splats of those before it among the target's elements
-    elements = [target.elements_estimate]
-    for particle in scene.particles[:-1]:
-        elements.append(elements[-1] + scene.derived.splat_elements_of(particle))
+    splats = [i.splat_elements for i in impacts]
+    elements = _met(splats, target.elements_estimate)
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
     loads = [estimates.target_load(points, n, scene.resolution.engine) for _, points, n in costs]
-    conversions = estimates.SECONDS_PER_SPLAT_ELEMENT * (elements[-1] - elements[0])
+    between = estimates.between_impacts(elements, splats, decided.cooling, scene.derived.ambient is not None)
     return Plan(
         name=scene.name,
         impacts=impacts,
@@ -208,7 +211,7 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         cost=estimates.Cost(
             steps=sum(estimates.step_time(n, E) for n, _, E in costs),
             points=sum(estimates.point_time(n, N, scene.resolution.engine) for n, N, _ in costs),
-            rest=estimates.run_time(elements[0]) + conversions,
+            rest=estimates.run_time(elements[0]) + sum(between),
         ),
         target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
@@ -220,6 +223,11 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
         spray=_spray(scene),
         solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
     )
+
+
+def _met(splats: Sequence[int], substrate: int) -> list[int]:
+    """Elements that each impact meets: those of the substrate and of the splats before it."""
+    return list(itertools.accumulate(splats[:-1], initial=substrate))
 
 
 def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Budget:
