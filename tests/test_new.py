@@ -129,3 +129,12 @@ def test_shapes_and_nozzles_are_listed(capsys: pytest.CaptureFixture[str]) -> No
     assert main(["shapes"]) == main(["nozzles"]) == 0
     text = capsys.readouterr().out
     assert all(name in text for name in (*SHAPES, *library()))
+
+
+def test_a_new_ensemble_is_a_sweep_over_distributions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "ensemble", "scatter"]) == 0
+    sweep = Sweep.load("scatter.toml")
+    assert sweep.is_ensemble
+    assert len(sweep.points) == 32
+    assert not sweep.refused
