@@ -24,7 +24,7 @@ from coupler.studies.table import Row
 POINTS = (300, 500, 700, 1000, 1400, 2000, 3500, 5000)
 ELEMENTS = (1.2, 1.45, 1.7, 2.1)  # smallest edge of the target's elements over the spacing
 STIFFNESS = (1.0, 3.0)
-MOST = {"ni500": 5000, "ti500": 5000, "ni1000": 2000, "al725": 1400, "triple": 2000}  # points
+MOST = {"ni500": 5000, "ti500": 5000, "ni1000": 1000, "al725": 700, "triple": 2000}  # points
 JUDGED = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")
 WITHOUT_LIMIT = {"ni1000": ("flattening_ratio",), "al725": ("splat_diameter_m",)}  # no ladder shows one
 FINEST = 4  # rows of a ladder that its limit rests on
