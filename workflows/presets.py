@@ -7,10 +7,12 @@ The limits are those of the ladders (`workflows/accuracy.py`), by their four fin
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
 from accuracy import STUDIES, table_of
+from matplotlib.ticker import NullFormatter
 from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
 
 from coupler.measures import MEASURES
@@ -28,7 +30,17 @@ MOST = {"ni500": 5000, "ti500": 5000, "ni1000": 1000, "al725": 700, "triple": 20
 JUDGED = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")
 WITHOUT_LIMIT = {"ni1000": ("flattening_ratio",), "al725": ("splat_diameter_m",)}  # no ladder shows one
 FINEST = 4  # rows of a ladder that its limit rests on
-Entry = tuple[float, float, str]  # s, worst error in percent, label
+
+
+class Entry(NamedTuple):
+    """A setting of a case: time of its loop (s), worst error (percent), and that of it and all finer ones with its elements and
+    stiffness; points and label."""
+
+    time: float
+    error: float
+    from_here: float
+    points: int
+    label: str
 
 
 def settings(case: str) -> list[ladder.LadderPoint]:
@@ -69,14 +81,18 @@ def limits(case: str) -> dict[str, tuple[float, float]]:
 
 
 def entries(case: str) -> list[Entry]:
-    """All settings of a case: processor time, worst error of the measures judged, label; ladder and grid."""
+    """All settings of a case, by time; ladder and grid."""
     at = limits(case)
     grid = [row for row in ladder.finished(table_rows("presets")) if row["axis"] == case]
-    ladders = [dict(row) | {"setting": f"e{ELEMENT_SIZE_OVER_SPACING:g} k1"} for row in ladder_of(case)]
-    listed = []
+    ladders = [{**row, "setting": f"e{ELEMENT_SIZE_OVER_SPACING:g} k1"} for row in ladder_of(case)]
+    found: dict[tuple[str, int], tuple[float, float]] = {}
     for row in [*grid, *ladders]:
         worst = max(100.0 * abs(number(row, name) / limit - 1.0) for name, (limit, _) in at.items())
-        listed.append((number(row, "cpu_loop_s"), worst, f"{row['points']} points, {row['setting']}"))
+        found[row["setting"], int(row["points"])] = number(row, "cpu_loop_s"), worst
+    listed = []
+    for (kind, points), (time, error) in found.items():
+        finer = max(worst for (other, n), (_, worst) in found.items() if other == kind and n >= points)
+        listed.append(Entry(time, error, finer, points, f"{points} points, {kind}"))
     return sorted(listed)
 
 
@@ -84,9 +100,15 @@ def front(listed: Sequence[Entry]) -> list[Entry]:
     """Settings that no cheaper one beats."""
     best: list[Entry] = []
     for entry in sorted(listed):
-        if not best or entry[1] < best[-1][1]:
+        if not best or entry.error < best[-1].error:
             best.append(entry)
     return best
+
+
+def own(preset: str, listed: Sequence[Entry]) -> Entry | None:
+    """The setting that a preset takes, if it is computed."""
+    label = f"{PRESETS[preset]} points, e{ELEMENT_SIZE_OVER_SPACING:g} k1"
+    return next((entry for entry in listed if entry.label == label), None)
 
 
 def part() -> list[str]:
@@ -95,10 +117,12 @@ def part() -> list[str]:
     for case, study in STUDIES.items():
         listed = entries(case)
         for preset, asked in ACCURACY.items():
-            usual = f"{PRESETS[preset]} points, e{ELEMENT_SIZE_OVER_SPACING:g} k1"
-            own = next((f"{error:.1f} % in {s:.3g} s" for s, error, label in listed if label == usual), "not computed")
-            best = next((f"{label}: {s:.3g} s" for s, error, label in listed if error <= 100.0 * asked), "none")
-            cells.append([study.heading, f"{preset}, {100.0 * asked:g} %", own, best])
+            usual = own(preset, listed)
+            best = next(
+                (f"{each.label}: {each.time:.3g} s" for each in listed if each.from_here <= 100.0 * asked), "none"
+            )
+            error = f"{usual.error:.1f} % in {usual.time:.3g} s" if usual else "not computed"
+            cells.append([study.heading, f"{preset}, {100.0 * asked:g} %", error, best])
         at, values = limits(case), []
         for name in JUDGED:
             m = MEASURES[name]
@@ -116,16 +140,19 @@ def draw() -> None:
     figure, axes = plt.subplots(1, len(STUDIES), figsize=(3.1 * len(STUDIES), 3.4), sharey=True, layout="constrained")
     for axis, (case, study) in zip(axes, STUDIES.items(), strict=True):
         listed = entries(case)
-        axis.loglog(*zip(*((s, e) for s, e, _ in listed), strict=True), ".", color="0.65", label="settings")
-        axis.loglog(*zip(*((s, e) for s, e, _ in front(listed)), strict=True), "-", color="C0", label="front")
-        for i, (preset, points) in enumerate(PRESETS.items(), start=1):
-            usual = f"{points} points, e{ELEMENT_SIZE_OVER_SPACING:g} k1"
-            for s, error, label in listed:
-                if label == usual:
-                    axis.loglog(s, error, "D", color=f"C{i}", label=preset)
+        axis.loglog(
+            [each.time for each in listed], [each.error for each in listed], ".", color="0.65", label="settings"
+        )
+        best = front(listed)
+        axis.loglog([each.time for each in best], [each.error for each in best], "-", color="C0", label="front")
+        for i, preset in enumerate(PRESETS, start=1):
+            if (usual := own(preset, listed)) is not None:
+                axis.loglog(usual.time, usual.error, "D", color=f"C{i}", label=preset)
             axis.axhline(100.0 * ACCURACY[preset], color=f"C{i}", linewidth=0.7, linestyle=":")
         axis.set(title=study.heading, xlabel="time of the loop (s)")
         axis.title.set_fontsize(9)
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
     axes[0].set_ylabel("worst error of flattening,\ncrater, diameter (%)")
     axes[0].legend(fontsize=7)
     save(figure, figure_path("accuracy", "presets.png"))
