@@ -235,18 +235,35 @@ SEEN_BY = {
 }
 
 
-@pytest.mark.parametrize("eyes", SEEN_BY)
-@pytest.mark.parametrize("name", FIELDS)
-def test_everybody_sees_more_as_darker(name, eyes):
+def lightness_of(name, eyes):
+    """CIE lightness of 33 colours of a field, as seen by these eyes."""
     from matplotlib import colormaps
 
     rgb = colormaps[FIELDS[name].colours](np.linspace(0, 1, 33))[:, :3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     seen = np.clip(linear @ np.array(SEEN_BY[eyes]).T, 0, 1)
     luminance = seen @ [0.2126, 0.7152, 0.0722]
-    lightness = np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+    return np.where(luminance > 0.008856, 116 * np.cbrt(luminance) - 16, 903.3 * luminance)
+
+
+WITH_SIGN = ("in_plane",)
+
+
+@pytest.mark.parametrize("eyes", SEEN_BY)
+@pytest.mark.parametrize("name", [name for name in FIELDS if name not in WITH_SIGN])
+def test_everybody_sees_more_as_darker(name, eyes):
+    lightness = lightness_of(name, eyes)
     assert lightness[0] - lightness[-1] > 60
     assert (np.diff(lightness) < 0).all()
+
+
+@pytest.mark.parametrize("eyes", SEEN_BY)
+@pytest.mark.parametrize("name", WITH_SIGN)
+def test_of_a_stress_with_sign_zero_is_the_lightest(name, eyes):
+    lightness = lightness_of(name, eyes)
+    middle = len(lightness) // 2
+    assert abs(int(np.argmax(lightness)) - middle) <= 1
+    assert lightness[middle] - max(lightness[0], lightness[-1]) > 40
 
 
 def test_values_between_nodes_and_points():

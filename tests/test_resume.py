@@ -138,7 +138,7 @@ def test_records_that_make_no_summary_are_refused(
     deposition = object.__new__(Deposition)
     deposition.plan, deposition.folder = read_plan(result.directory), tmp_path
     deposition.options, deposition.joins = RunOptions(Progress(quiet=True), tmp_path / "log"), []
-    deposition._before = deposition._started = 0.0
+    deposition._before, deposition._started, deposition.closing = 0.0, 0.0, None
     bodies = build_target(deposition.plan)
     record = ImpactRecord(result.summary["impacts"][0], [], [], 1.0)
     deposition.records = [record]

@@ -10,7 +10,8 @@ from . import cost as estimates
 from .planning import BEYOND_FIT, ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
-_FEW = 3  # lines of a list, in brief
+_FEW = 3  # lines of the impacts, in brief
+_FEWER = 2  # lines of other lists, in brief
 _MOST_SHAPES = 3
 
 
@@ -89,7 +90,7 @@ def _note(warning: str, brief: bool) -> list[str]:
 
 def _cut(lines: list[str], brief: bool) -> list[str]:
     """The lines; in brief the first ones."""
-    return [*lines[:_FEW], "             ..."] if brief and len(lines) > _FEW else lines
+    return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
 
 
 def _shares(plan: Plan) -> list[str]:

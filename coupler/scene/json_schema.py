@@ -36,6 +36,9 @@ def _draft_4(node: Any) -> Any:
     node = {
         {"$defs": "definitions", "prefixItems": "items"}.get(key, key): _draft_4(value) for key, value in node.items()
     }
+    for limit in ("minimum", "maximum"):  # in Draft 4 the exclusive one is a switch beside the limit
+        if isinstance(own := node.get(exclusive := f"exclusive{limit.title()}"), float | int):
+            node |= {limit: own, exclusive: True}
     choices = [choice for choice in node.get("anyOf", ()) if choice != {"type": "null"}]
     if len(choices) == 1:
         node = {**choices[0], **{key: value for key, value in node.items() if key != "anyOf"}}
