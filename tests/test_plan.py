@@ -84,7 +84,7 @@ def test_an_impact_that_ends_at_a_time():
 
 
 def test_cost_grows_with_the_splats_that_join():
-    one, two, three = (plan(several(*[{}] * n)) for n in (1, 2, 3))
+    one, two, three = (plan(several(*[{}] * n, adhesion__kind="tied")) for n in (1, 2, 3))
     splat = one.impact.splat_elements
     assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
     later = two.steps_estimate - one.steps_estimate  # on a splat: smaller steps, and another metal under it
@@ -97,7 +97,7 @@ def test_cost_grows_with_the_splats_that_join():
 
 def test_what_lies_between_impacts_costs_time():
     """Conversion, rest and pause after each impact but the last; a closing stage after that one too."""
-    plain, cold = plan(several({}, {}, end__at="rest")), plan(several({}, {}, end__at="cold"))
+    plain, cold = (plan(several({}, {}, end__at=at, adhesion__kind="tied")) for at in ("rest", "cold"))
     E, splat = plain.target.elements_estimate, plain.impact.splat_elements
     for made, closed in ((plain, False), (cold, True)):
         cooled = made.effects.cooling
@@ -109,6 +109,14 @@ def test_what_lies_between_impacts_costs_time():
         assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
         assert (between[1] > 0.0) == closed
         assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if cooled else 0.0)
+
+
+def test_a_particle_that_rebounds_leaves_no_splat_in_the_forecast():
+    """Below the critical velocity by which the scene decides: no elements, no conversion, and the next one meets the substrate."""
+    slow, fast = (plan(several({"velocity": f"{v} m/s"}, {"velocity": "500 m/s"})) for v in (300, 1000))
+    assert slow.impact.velocity_ratio < 1.0 < fast.impact.velocity_ratio
+    assert slow.impact.splat_elements == 0 < fast.impact.splat_elements
+    assert slow.impacts[1].dt_expected > fast.impacts[1].dt_expected
 
 
 def test_of_several_impacts_the_largest_number_counts():

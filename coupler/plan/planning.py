@@ -14,7 +14,7 @@ from ..geometry.tetrahedra import COARSEST
 from ..measures import NEED_REST, WANTABLE
 from ..physics.adhesion import Adhesion, critical_velocity
 from ..physics.materials import Material, fitted_at
-from ..scene.tables import End, Face
+from ..scene.tables import End, Face, Particle
 from . import cost as estimates
 from . import effects
 from .bands import Band, Kind, of_measures
@@ -40,7 +40,7 @@ class ImpactPlan:
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
     component normal to the surface over the critical velocity of material and temperature, None where the material has none.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
-    splat_elements: of its splat, an estimate.
+    splat_elements: of its splat, an estimate; 0 where it is expected to rebound.
     initial_strain: plastic strain of the powder, from its hardness. bands: accuracy of each measure at this resolution."""
 
     material: Material
@@ -250,12 +250,21 @@ def _to_greatest(impact: ImpactPlan) -> ImpactPlan:
     return replace(impact, end_at="greatest", expected=impact.expected * estimates.GREATEST_OVER_REST)
 
 
+def _stays(scene: Scene, particle: Particle) -> bool:
+    """Whether a particle is expected to become a splat: not where its velocity decides and is below the critical one."""
+    law, normal = scene.derived.adhesion_law, particle.velocity * math.cos(particle.angle)
+    if law.kind == "none" or law.criterion != "velocity":
+        return True
+    ratio = _velocity_ratio(scene.derived.material(particle.material), particle.temperature, normal)
+    return ratio is None or ratio >= (1.0 if law.threshold is None else law.threshold)
+
+
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
     """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), whether a
     splat."""
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
-        if math.dist(earlier.offset, at) < earlier.diameter / 2:
+        if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
             return scene.derived.material(earlier.material), earlier.temperature, True
     return scene.derived.material(scene.substrate.material), scene.substrate.temperature, False
 
@@ -294,7 +303,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         window=scene.derived.window_of(particle),
         velocity_ratio=_velocity_ratio(material, particle.temperature, v * math.cos(particle.angle)),
         lengths=particle.form.lengths,
-        splat_elements=scene.derived.splat_elements_of(particle),
+        splat_elements=scene.derived.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
         bands=of_measures(
             Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)

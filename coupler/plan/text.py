@@ -153,7 +153,9 @@ def _splats(plan: Plan) -> list[str]:
     a, splats = plan.adhesion, len(plan.impacts) - 1
     if not splats and a.kind == "none":
         return []
-    each = [impact.splat_elements for impact in plan.impacts]
+    each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
+    if not each:
+        return [f"  adhesion   {a.words}", "  splats     none expected: all are below the critical velocity"]
     count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
     size = units.rounded(plan.splat_element_size, "um")
     return [
