@@ -11,7 +11,10 @@ import pytest
 import scenes
 from runs import SharedRuns
 
+from coupler import Scene
+from coupler.deposition import run as deposition
 from coupler.deposition.pause import cool_to_ambient
+from coupler.errors import SplatError
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState
 from coupler.fe.explicit import Target
@@ -115,3 +118,32 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
     thermal = np.abs(cold.data["thermal_stress"]).max(axis=1)
     assert thermal[cold.data["body"] > 0].mean() > 5 * thermal[cold.data["body"] == 0].mean()
     assert json.dumps(closing)
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumed: bool) -> None:
+    """The second of three cannot be meshed: without it the run goes on, at once or resumed, and says so."""
+    text = scenes.scene(
+        ("Ni", 20, 500), ("Ti", 20, 450), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0}, end=6
+    )
+    true_join = deposition.join
+
+    def join(plan: Any, i: int, *more: Any) -> Any:
+        if plan.impacts[i].material.name == "Ti":
+            raise SplatError("the cloud has a hole")
+        return true_join(plan, i, *more)
+
+    monkeypatch.setattr(deposition, "join", join)
+    scene, out = Scene.from_text(text, "skip"), tmp_path / "out"
+    if resumed:
+        with pytest.raises(SplatError):
+            deposition.run(scene, out, quiet=True, checkpoint_every=0.0)
+        result = deposition.resume(out, quiet=True, skip_failed=True)
+    else:
+        result = deposition.run(scene, out, quiet=True, skip_failed=True)
+    assert [impact["material"] for impact in result.impacts] == ["Ni", "Ni"]
+    assert (
+        result.summary["run"]["warnings"][0] == "particle 2 of the scene's sequence was skipped: the cloud has a hole"
+    )
+    assert list(np.unique(result.history("impact"))) == [1.0, 2.0]
+    assert len(result.summary["joins"]) == 1

@@ -165,6 +165,7 @@ def _add_running(option: Option) -> None:
            " particle on all ranks)")  # fmt: skip
     option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
+    option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -208,13 +209,16 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from ..deposition.run import run
 
-    return _compute(arguments, out, partial(run, scene, out=out, force=arguments.force))
+    return _compute(
+        arguments, out, partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed)
+    )
 
 
 def _resume(arguments: argparse.Namespace) -> int:
     from ..deposition.run import resume
 
-    return _compute(arguments, arguments.folder, partial(resume, arguments.folder, until=arguments.until))
+    more = {"until": arguments.until, "skip_failed": arguments.skip_failed}
+    return _compute(arguments, arguments.folder, partial(resume, arguments.folder, **more))
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:

@@ -1,21 +1,23 @@
 """From a scene to a result: run, resume, and the impacts one after another."""
 
 import hashlib
+import math
 import os
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from numba.core import event
 
 from .. import __version__, report
-from ..errors import CheckpointError, is_first_rank
+from ..errors import CheckpointError, ColdsprayError, NoContactError, SolverError, SplatError, is_first_rank
 from ..files import checkpoint
+from ..files.outputs import write_text
 from ..files.provenance import command, provenance
 from ..files.result import COLD, Result
-from ..files.store import PICTURE, Store, StoreState
+from ..files.store import PICTURE, PLAN, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
@@ -51,6 +53,7 @@ def run(
     placement: str | None = None,
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
+    skip_failed: bool = False,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
@@ -59,6 +62,7 @@ def run(
     in turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the scheme, values in
     place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps with the
     `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
+    skip_failed: of several impacts, leave out those that fail, in one process.
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
     there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
@@ -68,7 +72,9 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
-    options = _options(folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every)
+    options = _options(
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed
+    )
     deposition = Deposition(decided, folder, options)
     return deposition.run(lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided)))
 
@@ -84,6 +90,7 @@ def resume(
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
     until: float | None = None,
+    skip_failed: bool = False,
 ) -> Result:
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
@@ -103,7 +110,9 @@ def resume(
         )
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
-    options = _options(folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until)
+    options = _options(
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed
+    )
     return Deposition(decided, folder, options).run()
 
 
@@ -125,17 +134,28 @@ def _options(
     probe: Probe | None,
     checkpoint_every: float,
     until: float | None = None,
+    skip_failed: bool = False,
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world(), placement)
     threads = (threads or cores()) if ranks.size == 1 else 1
-    return RunOptions(progress, folder / "log.lammps", ranks, threads, numerics, probe, checkpoint_every, until)
+    return RunOptions(
+        progress, folder / "log.lammps", ranks, threads, numerics, probe, checkpoint_every, until, skip_failed
+    )
+
+
+@dataclass(frozen=True)
+class Pristine:
+    """What an impact meets: the bodies, and how much of the files is written then."""
+
+    bodies: BodiesState
+    store: StoreState
 
 
 @dataclass(frozen=True)
 class DepositionState:
     """What a checkpoint holds: an impact on its way or, between two of them, the bodies; how much of the files is written; records and
-    reports of the finished impacts; wall time so far, s."""
+    reports of the finished impacts; wall time so far, s; pristine: what an impact on its way has met."""
 
     running: RunningState | None
     bodies: BodiesState | None
@@ -143,6 +163,7 @@ class DepositionState:
     records: list[ImpactRecord]
     joins: list[Values]
     wall: float
+    pristine: Pristine | None
 
 
 class Deposition:
@@ -154,6 +175,7 @@ class Deposition:
         self.records: list[ImpactRecord] = []  # of the finished impacts
         self.joins: list[Values] = []  # reports of the joining of their splats
         self.closing: Values | None = None  # report of the closing stage
+        self._pristine: Pristine | None = None
 
     @property
     def wall(self) -> float:
@@ -163,7 +185,7 @@ class Deposition:
     @property
     def undecided(self) -> bool:
         """Whether the last impact so far has ended without its end criterion."""
-        return self.records[-1].values["undecided"] is not None
+        return bool(self.records) and self.records[-1].values["undecided"] is not None
 
     def run(self, create: Callable[[], Store] | None = None) -> Result:
         """Compute all impacts and write summary.json and the picture. create: makes the folder's files; None: go on with those that
@@ -180,31 +202,22 @@ class Deposition:
             _logged(options.progress, self.store),
         ):
             options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
-            scene = (Result(self.folder).scene_text + plan_text(plan)).encode()
-            self._belongs_to = {
-                "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
-                "numerics": repr(sorted(options.numerics.items())),
-            }  # fmt: skip
+            self._belongs_to = self._identity()
             options.progress.stage("meshing the target")
             bodies, running = (build_target(plan), None) if create is not None else self._restored()
-            for i in range(len(self.records), len(plan.impacts)):
-                before, outcome = simulated(self.records), None
+            while len(self.records) < len(self.plan.impacts):
+                if running is None and len(plan.impacts) > 1:
+                    self._pristine = Pristine(bodies.state(), self.store.state())
                 try:
-                    outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
-                    bodies, running = outcome.domains.bodies, None
-                    self.records.append(outcome.record)
-                    is_last = i + 1 == len(plan.impacts)
-                    if self.undecided or (is_last and plan.ambient is None):
-                        break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-                    bodies, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
-                    self.joins.append(joined)
-                    if is_last:
-                        self._close(bodies)
-                        break
-                finally:
-                    if outcome is not None:
-                        outcome.domains.particle.close()
-                self._save(None, bodies.state())
+                    bodies, running = self._impact(bodies, running), None
+                except (SolverError, SplatError, NoContactError) as error:
+                    bodies, running = self._without_impact(error), None
+                if self.undecided:
+                    break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
+                if len(self.joins) < len(self.plan.impacts):
+                    self._save(None, bodies.state())
+            if plan.ambient is not None and not self.undecided:
+                self._close(bodies)
             origin = provenance(Result(self.folder).scene_text, plan.engine)
             self.store.finish({**self._summary(bodies), "provenance": origin})
             if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
@@ -215,9 +228,56 @@ class Deposition:
             options.progress.record(report.screen(result, verbose=True))
         return result
 
+    def _impact(self, bodies: Bodies, running: RunningState | None) -> Bodies:
+        """Compute the next impact; returns the bodies after it, with its splat where it joins them."""
+        plan, options, i, outcome = self.plan, self.options, len(self.records), None
+        kept = list(self.records)
+        try:
+            before = simulated(self.records)
+            outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
+            self.records.append(outcome.record)
+            if self.undecided or (i + 1 == len(plan.impacts) and plan.ambient is None):
+                return outcome.domains.bodies
+            new, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
+            self.joins.append(joined)
+            return new
+        except (SolverError, SplatError):
+            self.records = kept
+            raise
+        finally:
+            if outcome is not None:
+                outcome.domains.particle.close()
+
+    def _without_impact(self, error: ColdsprayError) -> Bodies:
+        """Take the impact that has failed out of the plan, which is written anew; the bodies as it met them.
+
+        Raises the error where nobody has asked for that, or nothing else would be left.
+        """
+        i, kept, options = len(self.records), self._pristine, self.options
+        if not options.skip_failed or options.ranks.size > 1 or kept is None or len(self.plan.impacts) == 1:
+            raise error
+        text = f"particle {i + 1} of the scene's sequence was skipped: {error}"
+        options.progress.log(text)
+        impacts = (*self.plan.impacts[:i], *self.plan.impacts[i + 1 :])
+        self.plan = replace(self.plan, impacts=impacts, skipped=(*self.plan.skipped, text))
+        write_text(self.folder / PLAN, plan_text(self.plan))
+        self._belongs_to = self._identity()
+        self.store.go_back(kept.store, options.progress.log)
+        return restored_target(self.plan, kept.bodies)
+
+    def _identity(self) -> dict[str, str]:
+        """What a checkpoint belongs to."""
+        scene = (Result(self.folder).scene_text + plan_text(self.plan)).encode()
+        return {
+            "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
+            "numerics": repr(sorted(self.options.numerics.items())),
+        }  # fmt: skip
+
     def _close(self, bodies: Bodies) -> None:
         """The closing stage: the bodies cool to ambient, come to equilibrium and are written."""
         self.options.progress.stage("cooling to ambient")
+        if math.isfinite(bodies.target.horizon):  # made ready for an impact that was skipped
+            bodies = bodies.renumbered((0.0, 0.0, 0.0))
         counts = [join["bodies"] for join in self.joins]
         self.closing = cool_to_ambient(self.plan, bodies, counts, self.records[-1].values["kinetic_energy_0_J"])
         t = bodies.target
@@ -233,7 +293,7 @@ class Deposition:
         kept = running.impact.bodies if running is not None else state.bodies
         if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
             raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
-        bodies = restored_target(self.plan, kept)
+        bodies, self._pristine = restored_target(self.plan, kept), state.pristine
         self._check_records(bodies)
         return bodies, running
 
@@ -268,7 +328,8 @@ class Deposition:
         self._save(running, None)
 
     def _save(self, running: RunningState | None, bodies: BodiesState | None) -> None:
-        state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall)
+        pristine = self._pristine if running is not None else None
+        state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall, pristine)
         checkpoint.write(self.folder, state, self._belongs_to)
 
 

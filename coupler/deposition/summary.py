@@ -66,6 +66,7 @@ def summary(
             "ranks": ranks.size,
             "memory_peak_bytes": records[-1].memory_peak,
             "warnings": [
+                *plan.skipped,
                 *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),
                 *merged([*expected, *own]),
             ],

@@ -31,7 +31,8 @@ class RunOptions:
 
     threads: 2 computes the target beside the particle; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
     called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)
-    of an impact that goes on after its own one, None for as long again.
+    of an impact that goes on after its own one, None for as long again;
+    skip_failed: impacts that fail are left out.
     """
 
     progress: Progress
@@ -42,6 +43,7 @@ class RunOptions:
     probe: Callable[[Impact], None] | None = None
     checkpoint_every: float = 60.0
     until: float | None = None
+    skip_failed: bool = False
 
 
 @dataclass(frozen=True)

@@ -114,6 +114,7 @@ class Plan:
     about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
     ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
     (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
+    skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
     """
 
     name: str
@@ -140,6 +141,7 @@ class Plan:
     ambient: float | None
     surface_heat: tuple[float, float] | None
     spray: str
+    skipped: tuple[str, ...] = ()
 
     @property
     def wall_estimate(self) -> float:

@@ -26,7 +26,7 @@ NAMES = (
     "coating.json", "coating_depth.csv", "section.png", "micrograph.png", "stress.png", "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
 _DRAWN, _COLD = ("eps_p", "T", "von_mises"), ("eps_p", "von_mises", "in_plane")
-_IN_CELLS = ("eps_p", "T", "von_mises", "stress")
+_IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
 def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
@@ -119,21 +119,20 @@ def splits(rows: list[dict[str, float]]) -> bool:
 
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
-    """The splats for homogenisation: coating.vtu, tetrahedra of all with the body and the impact of each and its fields, and
+    """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body and impact (0: the substrate) of each
+    tetrahedron and its fields, and
     splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m. Raises StoreError.
     """
     inner = folder / "splats"
-    own = np.flatnonzero(splats.body > 0)
-    cells = splats.mesh.cells[own]
-    used, local = np.unique(cells, return_inverse=True)
-    data = {name: [splats.mesh.data[name][own]] for name in _IN_CELLS}
-    data |= {"body": [splats.body[own].astype(np.int32)], "impact": [splats.impact[splats.body[own]].astype(np.int32)]}
+    cells = splats.mesh.cells
+    data = {name: [splats.mesh.data[name]] for name in _IN_CELLS if name in splats.mesh.data}
+    data |= {"body": [splats.body.astype(np.int32)], "impact": [splats.impact[splats.body].astype(np.int32)]}
     paths = [folder / "coating.vtu"]
     try:
         inner.mkdir(parents=True, exist_ok=True)
         for old in inner.glob("splat_*.stl"):
             old.unlink()
-        meshio.Mesh(splats.mesh.points[used], [("tetra", local.reshape(cells.shape))], cell_data=data).write(paths[0])
+        meshio.Mesh(splats.mesh.points, [("tetra", cells)], cell_data=data).write(paths[0])
         skins = [
             (int(splats.impact[b]), splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0])
             for b in range(1, len(splats.impact))
