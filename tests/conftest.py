@@ -52,6 +52,16 @@ def shared_run(tmp_path_factory: pytest.TempPathFactory) -> SharedRuns:
     return SharedRuns((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared_runs")
 
 
+@pytest.fixture
+def general_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Laws stay plain records, whichever effects are off: kernels are compiled once, not for each combination of effects.
+
+    That both agree is held by `test_effects`; whole runs have the kernels of their effects.
+    """
+    for module in ("coupler.sph.particle", "coupler.fe.explicit"):
+        monkeypatch.setattr(f"{module}.specialised", lambda laws, numbers=(): laws)
+
+
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:
     """A linear elastic material in the shape of Material: it never yields and does not heat."""
     return SimpleNamespace(

@@ -13,6 +13,8 @@ from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)
 NONE = np.zeros(0, np.int64)
@@ -75,7 +77,7 @@ def test_two_bodies_level_out_through_their_contact() -> None:
     links = _links(m, foot, m.facets[m.sets["a.top"]].astype(np.int64))
     assert links.area.sum() == pytest.approx(1.0)
     tau = 0.05 / ALPHA
-    cool(t, tau, NONE, 0.0, links)
+    cool(t, tau, NONE, 0.0, [links])
     means = [float(np.average(t.T[body == i], weights=m.V0[body == i])) for i in (0, 1)]
     assert sum(means) == pytest.approx(900.0, rel=1e-9)
     crossed = 150.0 * 2 * K * sqrt(tau / (pi * ALPHA))

@@ -1,11 +1,13 @@
 """Both engines are one particle: in MACHDYN's form our compiled passes give MACHDYN's numbers to rounding."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
 import numpy as np
 import pytest
+from convergence import HCP  # workflows/convergence.py
 
 from coupler import Scene, run
 from coupler.errors import SolverError
@@ -14,13 +16,15 @@ from coupler.physics.materials import material
 from coupler.sph import compiled, compiled_kernels, packing
 from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
-from coupler.sph.packing import Lattice
+from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics, Particle
 from coupler.sph.threads import SecondThread
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 D = 25e-6
 DT = 1e-11
-TURNED = Lattice("fcc", (0.3, -0.5, 0.8))
+TURNED = replace(FCC, turn=(0.3, -0.5, 0.8))
 BOTH = (MachdynParticle, CompiledParticle)
 # What of the largest value two engines may differ by: rounding, as some 300 explicit steps let it grow
 CLOSE = {"x": 1e-13, "v": 1e-11, "eps_p": 1e-12, "T": 1e-12, "J": 1e-12, "p": 1e-10, "sigma_y": 1e-12, "energy": 1e-10}
@@ -31,8 +35,8 @@ def pair() -> Iterator[Callable[..., tuple[Particle, Particle]]]:
     """Builds the same particle with both engines: MACHDYN, compiled."""
     alive: list[Particle] = []
 
-    def build(name: str = "Ni", points: int = 500, T: float = 300.0, lattice: Lattice | None = None, **numerics: float):
-        cloud, volume = packing.sphere(D, points, lattice or Lattice())
+    def build(name: str = "Ni", points: int = 500, T: float = 300.0, lattice: Lattice = FCC, **numerics: float):
+        cloud, volume = packing.sphere(D, points, lattice)
         law = constitutive.law_record(material(name), rate_filter=5e-10)
         made = [cls(cloud, volume, law, (0.0, 0.0, 0.0), T, Numerics(**numerics)) for cls in BOTH]
         alive.extend(made)
@@ -74,7 +78,7 @@ def assert_equal(a: Particle, b: Particle, factor: float = 1.0) -> None:
 
 
 @pytest.mark.parametrize("name", ["Ni", "Ti"])
-@pytest.mark.parametrize("lattice", [Lattice(), TURNED, Lattice("hcp")], ids=["fcc", "turned", "hcp"])
+@pytest.mark.parametrize("lattice", [FCC, TURNED, HCP], ids=["fcc", "turned", "hcp"])
 def test_300_steps_are_the_same(pair: Callable[..., tuple[Particle, Particle]], name: str, lattice: Lattice) -> None:
     particles = pair(name, lattice=lattice)
     both(particles, set_velocity((4e7, 3e7, -7e7)))

@@ -1,17 +1,21 @@
 """The enriched scheme: closed forms and conservation; what F does not see costs energy, and flows with the rest."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import elastic
+from convergence import BCC, HCP  # workflows/convergence.py
 
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 from coupler.sph import packing
 from coupler.sph.enriched import EnrichedParticle
-from coupler.sph.packing import Lattice
+from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics
+
+pytestmark = pytest.mark.usefixtures("general_kernels")
 
 D = 25e-6
 E, NU = 200e9, 0.3
@@ -67,7 +71,7 @@ def test_a_plate_of_five_layers_vibrates_as_a_beam(made: Build) -> None:
     assert 0.25 / quarter == pytest.approx(beam, rel=0.03)
 
 
-@pytest.mark.parametrize("lattice", [Lattice(), Lattice("hcp"), Lattice("bcc"), Lattice("fcc", (0.3, -0.5, 0.8))],
+@pytest.mark.parametrize("lattice", [FCC, HCP, BCC, replace(FCC, turn=(0.3, -0.5, 0.8))],
                          ids=["fcc", "hcp", "bcc", "turned"])  # fmt: skip
 def test_a_linear_field_is_exact(made: Build, lattice: Lattice) -> None:
     """Patch test: F at every point, at the rim too, no residuals, no force on points inside."""

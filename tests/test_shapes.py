@@ -1,11 +1,12 @@
 """Particle shapes: equal volume, the paper's aspect ratios, uniform points, closed surfaces; and each of them in an impact."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
-from convergence import turned_at_random  # workflows/convergence.py
+from convergence import BCC, HCP, turned_at_random  # workflows/convergence.py
 from scipy.spatial import cKDTree
 from test_scene import problems_with, scene_with
 
@@ -104,11 +105,11 @@ def test_spacing_is_uniform(body: tuple[str, shapes.Body]) -> None:
 @pytest.mark.parametrize(
     ("lattice", "count", "distance"),
     [
-        (packing.Lattice("fcc"), 12, 2 ** (1 / 6)),
-        (packing.Lattice("hcp"), 12, 2 ** (1 / 6)),
-        (packing.Lattice("bcc"), 8, 3**0.5 / 2 ** (2 / 3)),
-        (packing.Lattice("fcc", (0.3, -1.2, 0.8)), 12, 2 ** (1 / 6)),
-        (turned_at_random(4, "bcc"), 8, 3**0.5 / 2 ** (2 / 3)),
+        (packing.FCC, 12, 2 ** (1 / 6)),
+        (HCP, 12, 2 ** (1 / 6)),
+        (BCC, 8, 3**0.5 / 2 ** (2 / 3)),
+        (replace(packing.FCC, turn=(0.3, -1.2, 0.8)), 12, 2 ** (1 / 6)),
+        (turned_at_random(4, BCC), 8, 3**0.5 / 2 ** (2 / 3)),
     ],
 )
 @pytest.mark.parametrize("name", ["sphere", "flake"])
@@ -127,17 +128,11 @@ def test_any_lattice_fills_a_body(name: str, lattice: packing.Lattice, count: in
     assert np.array_equal(b.points, plain) == same
 
 
-@pytest.mark.parametrize("kind", packing.KINDS)
-def test_the_moment_of_a_lattices_cells(kind: str, rng: np.random.Generator) -> None:
-    lattice = packing.Lattice(kind)
-    x = rng.uniform(0, 1, (200_000, 3)) * lattice._cell(1.0)
+@pytest.mark.parametrize("lattice", [packing.FCC, HCP, BCC], ids=["fcc", "hcp", "bcc"])
+def test_the_moment_of_a_lattices_cells(lattice: packing.Lattice, rng: np.random.Generator) -> None:
+    x = rng.uniform(0, 1, (200_000, 3)) * lattice.cell(1.0)
     far = cKDTree(lattice.points(1.0, [5.0] * 3, (0.0, 0.0, 0.0))).query(x)[0]
     assert (far**2).mean() / 3 == pytest.approx(lattice.cell_moment(1.0), rel=5e-3)
-
-
-def test_an_unknown_lattice_is_named_with_those_there_are() -> None:
-    with pytest.raises(ValueError, match="'fcx' is not one of fcc, hcp, bcc"):
-        packing.Lattice("fcx")
 
 
 def test_surface_is_closed_outward_and_even(body: tuple[str, shapes.Body]) -> None:

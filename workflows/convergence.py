@@ -12,6 +12,7 @@ refined together.
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from unittest import mock
@@ -24,7 +25,7 @@ from coupler import Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
 from coupler.sph import shapes
-from coupler.sph.packing import Lattice
+from coupler.sph.packing import FCC, Lattice
 from coupler.studies.order import FEWEST, fit_order, line
 from coupler.studies.table import Row
 
@@ -34,13 +35,18 @@ COLUMNS = (
     "eps_p_mean", "eps_p_p99", "eps_p_max", "T_mean_K", "T_p99_K", "T_max_K", "rebound_m_s", "plastic_particle",
     "plastic_target", "numerical_particle", "numerical_target", "friction", "drift", "failed",
 )  # fmt: skip
-LATTICES = {"fcc": Lattice(), "hcp": Lattice("hcp"), "bcc": Lattice("bcc")}
+BCC = Lattice((1.0, 1.0, 1.0), ((0, 0, 0), (0.5, 0.5, 0.5)), (0.5, 0.5, 0.5), 0.0785433)
+HCP = Lattice(
+    (1.0, np.sqrt(3.0), np.sqrt(8.0 / 3.0)), ((0, 0, 0), (0.5, 0.5, 0), (0.5, 5 / 6, 0.5), (0, 1 / 3, 0.5)), (0.5, 0.25, 0.5),
+    FCC.moment,
+)  # fmt: skip
+LATTICES = {"fcc": FCC, "hcp": HCP, "bcc": BCC}
 
 
-def turned_at_random(seed: int, kind: str = "fcc") -> Lattice:
+def turned_at_random(seed: int, lattice: Lattice = FCC) -> Lattice:
     """A lattice with a random orientation of uniform distribution, the same for the same seed."""
-    turn = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec()
-    return Lattice(kind, (float(turn[0]), float(turn[1]), float(turn[2])))
+    x, y, z = Rotation.random(rng=np.random.default_rng(seed)).as_rotvec().tolist()
+    return replace(lattice, turn=(x, y, z))
 
 
 LATTICES |= {f"fcc turned {seed}": turned_at_random(seed) for seed in (1, 2, 3)}

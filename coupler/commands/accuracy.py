@@ -168,9 +168,8 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     asked = share(accuracy) if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]
-    coarsest = max(
-        LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes))
-    )  # the smallest needs points too
+    # the smallest needs points too
+    coarsest = max(LEAST, math.ceil(1.1 * estimates.LEAST_POINTS * largest / min(volumes)))
     pace = here() if within else None
 
     def takes(points: int) -> float:

@@ -12,17 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
-from . import accuracy as accuracy_command
-from . import coating as coating_command
-from . import critical as critical_command
-from . import gas as gas_command
-from . import map as map_command
-from . import materials as materials_command
-from . import mesh as mesh_command
-from . import new as new_command
-from . import sweep as sweep_command
-from . import watch as watch_command
-from . import window as window_command
+from . import accuracy, coating, critical, gas, materials, mesh, new, sweep, watch, window
+from . import map as maps
 from .arguments import (
     Option,
     add_command,
@@ -104,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     add_scene(option)
     option("--out", type=path, metavar="DIR", help="folder of the results (default: runs/<scene name>)")
     option("--force", action="store_true", help="replace a finished run, or files of the same names")
-    accuracy_command.add_to_run(option)
+    accuracy.add_to_run(option)
     _add_running(option)
     option = add_command(commands, "report", _report, "write all about a run as one HTML page")
     option("run", type=path, metavar="DIR", help="folder of a run, finished or not")
@@ -135,19 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--until", type=quantity("--until", "time"), metavar="TIME",
            help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
     _add_running(option)
-    for command in (
-        new_command,
-        watch_command,
-        materials_command,
-        gas_command,
-        window_command,
-        mesh_command,
-        coating_command,
-        accuracy_command,
-        sweep_command,
-        map_command,
-        critical_command,
-    ):
+    for command in (new, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
     option = add_command(commands, "completion", _completion, "print the completion script of a shell")
     option("shell", choices=("bash", "zsh"), help='bash: eval "$(coldspray completion bash)" in ~/.bashrc')
@@ -190,8 +169,8 @@ def _check(arguments: argparse.Namespace) -> int:
     from ..plan.text import describe
 
     planned = plan(scene_of(arguments))
-    pace = accuracy_command.here(arguments.recalibrate)
-    print(describe(planned, accuracy_command.forecast(planned, pace, arguments.verbose), brief=not arguments.verbose))
+    pace = accuracy.here(arguments.recalibrate)
+    print(describe(planned, accuracy.forecast(planned, pace, arguments.verbose), brief=not arguments.verbose))
     return 0
 
 
@@ -203,7 +182,7 @@ def _run(arguments: argparse.Namespace) -> int:
     check_folder(out)
     keep_inputs(out, RUN_FILES, [arguments.scene])
     if arguments.within or arguments.accuracy:
-        scene, remark = accuracy_command.chosen(scene, arguments.within, arguments.accuracy)
+        scene, remark = accuracy.chosen(scene, arguments.within, arguments.accuracy)
         if not arguments.quiet and is_first_rank():
             print(remark)
 

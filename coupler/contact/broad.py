@@ -117,6 +117,17 @@ def candidates(
     return degree, out, pairs
 
 
+def pairs_within(
+    points: Floats, low: Floats, high: Floats, cell: float, room: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """`candidates`, with room for all of them; room: for so many pairs at first. Returns start, box indices, and the room taken."""
+    while True:
+        start, boxes, needed = candidates(points, low, high, cell, room)
+        if needed <= room:
+            return start, boxes, room
+        room = 2 * needed
+
+
 @njit(cache=True, nogil=True)
 def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floats) -> NDArray[np.int64]:
     """Those of the boxes `ids`, rows of low and high (k,3), that overlap the box [least, most]."""

@@ -16,9 +16,8 @@ from .surfaces import Interface, Surfaces
 CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
 HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
 FEWEST = 3  # bonds: fewer hold a point or a line, about which a particle turns
-SECURE = (
-    4.0  # ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
-)
+# ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
+SECURE = 4.0
 
 
 @dataclass(frozen=True)

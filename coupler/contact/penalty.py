@@ -119,11 +119,7 @@ class PointContact:
         near = broad.boxes_within(np.arange(len(ids)), self._low, self._high, least - margin, most + margin)
         self._ids = ids[near]
         low, high = self._low[near] - margin, self._high[near] + margin
-        while True:
-            self._start, self._boxes, pair_count = broad.candidates(xp, low, high, self.spacing, self._capacity)
-            if pair_count <= self._capacity:
-                break
-            self._capacity = 2 * pair_count
+        self._start, self._boxes, self._capacity = broad.pairs_within(xp, low, high, self.spacing, self._capacity)
         # points that remember a contact are visited too, so that what they remember is settled
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
@@ -173,9 +169,7 @@ class PointContact:
         self.dropped_energy += 0.5 * float(self.stiffness * (depth @ depth) + stretch.sum() / self.tangential)
         self.spring[rows], self.depth[rows] = 0.0, 0.0
 
-    def forces(
-        self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats
-    ) -> None:  # fmt: skip
+    def forces(self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats) -> None:
         """Add the contact forces of this instant to f_point (n,3) and f_node (N,3), N; friction moves on by dt s.
 
         Of xp, vp (n,3) only `rows` are read, of f_point only they are written.

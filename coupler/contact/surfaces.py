@@ -132,12 +132,7 @@ def _facing(
     """
     corners = x[facets[ids]]
     low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
-    room = 64 * len(points)
-    while True:
-        start, boxes, pairs = broad.candidates(points, low, high, cell, room)
-        if pairs <= room:
-            break
-        room = pairs
+    start, boxes, _ = broad.pairs_within(points, low, high, cell, 64 * len(points))
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
     bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
     return face, weights, gap

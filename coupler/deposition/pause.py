@@ -13,7 +13,7 @@ import numpy as np
 
 from ..contact.overlap import overlaps
 from ..contact.surfaces import interface
-from ..fe.cooling import Film, Links, cool, together
+from ..fe.cooling import Film, Links, cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
 from ..files.summary import Values
@@ -121,11 +121,11 @@ def _missing_energy(metal: Material, T: float, ambient: float) -> float:
     return 3.0 * metal.K / metal.Gamma0 * _contraction(metal, T, ambient) - heat
 
 
-def _links(bodies: Bodies, size: float) -> Links:
+def _links(bodies: Bodies, size: float) -> list[Links]:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
     surfaces, x = bodies.surfaces, bodies.target.x
     contacts = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
-    return together([Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts])
+    return [Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts if len(c.nodes)]
 
 
 def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:

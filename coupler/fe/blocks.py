@@ -69,9 +69,7 @@ def edge_cofactors(
 @njit(cache=True, nogil=True, inline="always")
 def _nine(rows: Floats, i: int) -> Matrix:
     """Column i of nine rows: a matrix, row by row."""
-    return (
-        rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
-    )  # fmt: skip
+    return rows[0, i], rows[1, i], rows[2, i], rows[3, i], rows[4, i], rows[5, i], rows[6, i], rows[7, i], rows[8, i]
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -8,7 +8,7 @@ to the tolerance of the linear solver.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
@@ -41,14 +41,14 @@ class Film:
 class Links:
     """Perfect thermal contact between bodies: nodes (k,), each with a place on a triangle (k,3), weights (k,3), and area (k,) m2."""
 
-    nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    area: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    nodes: np.ndarray
+    triangles: np.ndarray
+    weights: np.ndarray
+    area: np.ndarray
 
 
 def cool(
-    target: Target, time: float, held: np.ndarray, held_T: float, links: Links | None = None, film: Film | None = None
+    target: Target, time: float, held: np.ndarray, held_T: float, links: Sequence[Links] = (), film: Film | None = None
 ) -> dict[str, float]:
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
@@ -56,7 +56,7 @@ def cool(
     Returns steps, hottest and mean temperatures before and after
     (K), and the heat (J) that held nodes have taken away. Raises SolverError when the linear solver does not come to an end.
     """
-    t, links = target, links or Links()
+    t = target
     n, m = len(t.x), len(t.mesh.conn)
     share, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
     heat, laws, law_of, V0 = np.zeros(m), t.laws, t.law_of, t.mesh.V0
@@ -81,7 +81,7 @@ def cool(
         T_mean = T[t.mesh.conn].mean(axis=1)
         k = conductivities(laws[law_of], T_mean)
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
-            K, known = assemble(k) + _across(links, laws, law_of, t, n, k) + diags(from_gas), T.copy()
+            K, known = assemble(k) + sum((_across(each, n, k) for each in links), diags(from_gas)), T.copy()
         rate = k * grad2 / (4.0 * share / V0)
         dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
@@ -122,13 +122,9 @@ def _conduction(t: Target) -> tuple[np.ndarray, Callable[[np.ndarray], csr_matri
     return sum(np.einsum("ae,ae->e", g, g) for g in squares), lambda k: form.assemble(basis, k=k[:, None]).tocsr()
 
 
-def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Target, n: int, k: np.ndarray) -> csr_matrix:
+def _across(links: Links, n: int, k: np.ndarray) -> csr_matrix:
     """What links add to the matrix: H d d^T each, d the difference of a node and its place on a triangle."""
-    count = len(links.nodes)
-    if count == 0:
-        return csr_matrix((n, n))
-    size = np.sqrt(links.area)
-    h = 1.0 / (LINK_RESISTANCE * size / float(k.min()))
+    count, h = len(links.nodes), float(k.min()) / (LINK_RESISTANCE * np.sqrt(links.area))
     rows = np.repeat(np.arange(count), 4)
     columns = np.concatenate([links.nodes[:, None], links.triangles], axis=1).ravel()
     d = csr_matrix(
@@ -139,14 +135,3 @@ def _across(links: Links, laws: np.ndarray, law_of: np.ndarray, t: Target, n: in
 
 def _extremes(t: Target) -> tuple[float, float]:
     return float(t.T.max()), float(np.average(t.T, weights=t.mesh.V0))
-
-
-def together(links: Sequence[Links]) -> Links:
-    """Several sets of links as one."""
-    if not links:
-        return Links()
-    parts = {
-        name: np.concatenate([getattr(link, name) for link in links])
-        for name in ("nodes", "triangles", "weights", "area")
-    }
-    return Links(**parts)

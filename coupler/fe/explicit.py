@@ -191,9 +191,7 @@ class Target:
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
-        bound, where = k.stable_dt(
-            0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of
-        )  # fmt: skip
+        bound, where = k.stable_dt(0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of)
         if self.inertia.max() > 1.0:
             self.dt_of[:e] *= np.sqrt(self.inertia[:e])
             where = int(np.argmin(self.dt_of[:e]))

@@ -154,9 +154,7 @@ class HighestFrequency:
             w *= (t.inv_mass[:n] > 0)[:, None]
             before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
             _volume_change(0, m, t.x, self._w, mesh.conn, self._dv)
-            _nodal_stiffening(
-                0, n, t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp
-            )  # fmt: skip
+            _nodal_stiffening(0, n, t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp)
             _forces(0, m, t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe)
             gather_forces(0, n, t.start, t.table, self._fe, f)
             w[:] = f[:n] * t.inv_mass[:n, None]

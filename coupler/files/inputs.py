@@ -27,6 +27,7 @@ _TOO_DEEP = f"it is nested more than {DEPTH_LIMIT} deep"
 INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
 _LEAST_DESCRIPTORS = 64
+_STATUS = "/proc/self/status"
 _LEAST_FILE = 16 * 1024**2  # bytes: MPI keeps its messages in files in memory
 # tomllib keeps a copy of every prefix of a dotted key: the memory grows with the square of its length
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
@@ -176,7 +177,7 @@ def reading(folder: str | Path) -> Iterator[None]:
 
 def free_memory() -> int:
     """Bytes that this process can still use: free on the machine, left of its cgroup, and left of its own limits."""
-    return min(_available(), _cgroup(), _own_limits())
+    return min(_field("/proc/meminfo", "MemAvailable") or 2**62, _cgroup(), _own_limits())
 
 
 def require_memory(needed: float, purpose: str) -> None:
@@ -197,7 +198,7 @@ def bounded_memory() -> Iterator[None]:
     """
     _check_own_limits()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    used = _status("VmData") + _status("VmStk")
+    used = _field(_STATUS, "VmData") + _field(_STATUS, "VmStk")
     bound = used + free_memory()
     if used and (hard == resource.RLIM_INFINITY or bound < hard):
         if soft != resource.RLIM_INFINITY:
@@ -224,10 +225,6 @@ def _check_own_limits() -> None:
             raise LimitError(f"{words} to {_bytes(bound)}, {_bytes(least)} are needed: raise ulimit {option}")
 
 
-def _available() -> int:
-    return _field("/proc/meminfo", "MemAvailable") or 2**62
-
-
 def _cgroup() -> int:
     """Bytes left of the tightest memory limit of this process's cgroups (version 2)."""
     left, root = 2**62, Path("/sys/fs/cgroup")
@@ -250,12 +247,8 @@ def _own_limits() -> int:
     for limit, used in ((resource.RLIMIT_AS, "VmSize"), (resource.RLIMIT_DATA, "VmData")):
         soft = resource.getrlimit(limit)[0]
         if soft != resource.RLIM_INFINITY:
-            left = min(left, max(soft - _status(used), 0))
+            left = min(left, max(soft - _field(_STATUS, used), 0))
     return left
-
-
-def _status(name: str) -> int:
-    return _field("/proc/self/status", name)
 
 
 def _field(path: str | Path, name: str, unit: int = 1024) -> int:

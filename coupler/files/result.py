@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import pandas
     import pyvista
 
-# Names are repeated here so that reading needs nothing of the writing side.
 DOMAINS = ("particle", "surface", "target")
 COLD = "cold"  # the bodies after the closing stage, one step
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell

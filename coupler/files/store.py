@@ -35,7 +35,7 @@ from ..state.records import Shape
 from . import checkpoint
 from .outputs import RUN_FILES, check_folder, claim_folder, write_text
 from .result import COLD, DOMAINS, Result
-from .vtkhdf import VtkHdfWriter
+from .vtkhdf import Data, VtkHdfWriter
 
 HISTORY, SCENE, PLAN, LOG = "history.csv", "scene.toml", "plan.json", "run.log"
 SUMMARY, PICTURE = "summary.json", "section.png"
@@ -176,15 +176,7 @@ class Store:
         writer.path = path
         self._writers[domain] = writer
 
-    def write(
-        self,
-        domain: str,
-        time: float,
-        points: ArrayLike,
-        cells: ArrayLike,
-        point_data: Mapping[str, ArrayLike] | None = None,
-        cell_data: Mapping[str, ArrayLike] | None = None,
-    ) -> None:
+    def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one time step to `DIR/<domain>.vtkhdf`.
 
         domain: "particle" (cells (n, 1)), "surface" (triangles (m, 3)), "target" or "cold" (tets (m, 4)). time: s.
@@ -196,7 +188,7 @@ class Store:
         with _named(path):
             if domain not in self._writers:
                 self._writers[domain] = VtkHdfWriter(path)
-            self._writers[domain].write(time, points, cells, point_data, cell_data)
+            self._writers[domain].write(time, points, cells, *data)
 
     def record(self, row: Mapping[str, float]) -> None:
         """Append one line to history.csv; the first row names the columns, later rows carry the same ones."""

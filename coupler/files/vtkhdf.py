@@ -23,6 +23,8 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Data = Mapping[str, ArrayLike]
+
 # Columns of the connectivity -> VTK cell type: vertex, triangle, tetrahedron.
 CELL_TYPES = {1: 1, 3: 5, 4: 10}
 
@@ -73,25 +75,18 @@ class VtkHdfWriter:
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
 
-    def write(
-        self,
-        time: float,
-        points: ArrayLike,
-        cells: ArrayLike,
-        point_data: Mapping[str, ArrayLike] | None = None,
-        cell_data: Mapping[str, ArrayLike] | None = None,
-    ) -> None:
+    def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one step; it counts only once all of it is in the file.
 
         time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points, stored again only on a change.
-        point_data, cell_data: name -> (n,) or (n, k), whole numbers stay; (n, 6) are symmetric tensors, xx yy zz xy yz xz as
-        VTK has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
+        data, at points and then in cells: name -> (n,) or (n, k), whole numbers stay; (n, 6) are symmetric tensors, xx yy zz xy yz
+        xz as VTK has them. Every step carries the same names. Raises ValueError for shapes or names that do not fit,
         OSError if the file cannot be written; it then takes no more steps and keeps those it has.
         """
         if not self._file:
             raise OSError(errno.EBADF, "closed, or given up after an earlier error")
         try:
-            self._append_step(time, np.ascontiguousarray(points, np.float64), cells, point_data or {}, cell_data or {})
+            self._append_step(time, np.ascontiguousarray(points, np.float64), cells, *(*data, {}, {})[:2])
         except (OSError, RuntimeError):  # HDF5 reports some failed writes as the second
             self._give_up()
             raise
@@ -117,14 +112,7 @@ class VtkHdfWriter:
             os.close(sink)
             self._file.close()
 
-    def _append_step(
-        self,
-        time: float,
-        xyz: NDArray,
-        cells: ArrayLike,
-        point_data: Mapping[str, ArrayLike],
-        cell_data: Mapping[str, ArrayLike],
-    ) -> None:
+    def _append_step(self, time: float, xyz: NDArray, cells: ArrayLike, point_data: Data, cell_data: Data) -> None:
         if xyz.ndim != 2 or xyz.shape[1] != 3:
             raise ValueError(f"points must be (n, 3), got {xyz.shape}")
         fields = {"PointData": _fields(point_data, len(xyz), "point"),
@@ -218,7 +206,7 @@ def _longest_file() -> float:
     return math.inf if limit == resource.RLIM_INFINITY else limit
 
 
-def _fields(data: Mapping[str, ArrayLike], count: int, owner: str) -> dict[str, NDArray]:
+def _fields(data: Data, count: int, owner: str) -> dict[str, NDArray]:
     """The fields as they are stored: whole numbers as int32, all others as float32."""
     arrays = {name: np.asarray(values) for name, values in data.items()}
     fields = {

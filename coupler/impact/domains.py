@@ -20,7 +20,7 @@ from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
 from ..sph import shapes
 from ..sph.carried_surface import CarriedSurface
-from ..sph.engine import ENGINES
+from ..sph.engine import engine
 from ..sph.heat import PointConduction
 from ..sph.particle import Numerics, Particle
 from .bodies import Bodies, BodiesState, level_under
@@ -148,8 +148,9 @@ def build_particle(
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
     law = law_record(p.material, plan.effects.switches, p.rate_filter)
-    return ENGINES[plan.engine](
-        body.points + place, body.volume, law, p.velocity, p.temperature, Numerics(**(numerics or {})),
+    settings = Numerics(**(numerics or {}))
+    return engine(plan.engine, settings)(
+        body.points + place, body.volume, law, p.velocity, p.temperature, settings,
         comm=ranks.sph_comm, log=log_file, shares=ranks.shares, strain=p.initial_strain,
     )  # fmt: skip
 

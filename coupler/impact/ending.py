@@ -55,9 +55,8 @@ class EndCriterion:
             s = replace(s, risen=True)
         if s.risen and sinking >= 0.0 and grip in ("held", "secure"):
             s = replace(s, arrested=True)
-        is_tearing = grip == "failing" or (
-            grip != "free" and s.risen
-        )  # energy of waves and of rotation may still part bonds
+        # energy of waves and of rotation may still part bonds
+        is_tearing = grip == "failing" or (grip != "free" and s.risen)
         if grip == "free" or is_tearing or (grip == "held" and abs(sinking) > self.held_slow):
             s = replace(s, fast=time)
         if above:
@@ -76,9 +75,7 @@ class EndCriterion:
 
     def met(self, time: float) -> bool:
         """Whether the criterion itself is met at `time` s."""
-        return {
-            "rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)
-        }[self.at]  # fmt: skip
+        return {"rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)}[self.at]
 
     def settled(self, time: float) -> bool:
         """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, bonds have

@@ -16,14 +16,8 @@ from .retry import Retry
 from .verdict import verdict_values
 
 V = TypeVar("V")
-NEEDS_REST = (
-    "rebound_velocity_m_s",
-    "rebounded",
-    "restitution",
-    "margin_J",
-    "margin_m_s",
-    "bonded_area_end_m2",
-)  # beside the measures of the end
+# beside the measures of the end
+NEEDS_REST = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s", "bonded_area_end_m2")
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ CONSTRAINT = (2.0 + math.pi) / math.sqrt(
     3.0
 )  # net stress of a ligament between deep cracks, over its flow stress (Prandtl)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
-HELD_STIFFNESS = (
-    1.0  # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
-)
+# of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
+HELD_STIFFNESS = 1.0
 
 
 def critical_velocity(material: Material, temperature: float) -> float:
@@ -38,18 +37,6 @@ def critical_velocity(material: Material, temperature: float) -> float:
     mechanical = MECHANICAL * 4.0 * _tensile_strength(material) * softening / material.rho
     thermal = THERMAL * material.cp_at(T) * max(T_m - T, 0.0)
     return math.sqrt(mechanical + thermal)
-
-
-def critical_velocity_linear(material: Material, temperature: float) -> float:
-    """Critical velocity, m/s, as the linear fit v = 667 - 14 rho + 0.08 T_m + 0.1 sigma_TS - 0.4 T to computed impacts.
-
-    There rho is in g/cm3, temperatures in degC, sigma_TS in MPa: Assadi, Gaertner, Stoltenhoff & Kreye (2003), Acta
-    Mater. 51, 4379. It was fitted for copper and for small changes about it: use it for nothing far from copper. Raises
-    ColdsprayError where the material has no sigma_TS.
-    """
-    strength = _tensile_strength(material) * 1e-6
-    T, T_m = temperature - 273.15, material.T_m - 273.15
-    return 667.0 - 14.0 * material.rho * 1e-3 + 0.08 * T_m + 0.1 * strength - 0.4 * T
 
 
 def _tensile_strength(material: Material) -> float:

@@ -34,11 +34,8 @@ CFL_FIT = (-1.068, 1.053, 0.089, 0.356, 1.752)
 STEP_ON_SPLAT = 0.58  # of an impact on a splat over that on a substrate: 0.5 to 0.66 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
 SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
-SECONDS_PER_POINT = {
-    "compiled": 0.7e-6,
-    "enriched": 1.0e-6,
-    "machdyn": 2.6e-6,
-}  # wall time of one step, one core, by engine
+# wall time of one step, one core, by engine
+SECONDS_PER_POINT = {"compiled": 0.7e-6, "enriched": 1.0e-6, "machdyn": 2.6e-6}
 SECONDS_PER_ELEMENT = 0.12e-6
 SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4

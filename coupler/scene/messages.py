@@ -32,9 +32,7 @@ def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> S
             table, *inner = table[int(inner[0])], *inner[1:]
             if inner and isinstance(table, dict):
                 table.pop(inner[0], None)
-        elif (
-            section in ("gas", "nozzles", "coating") or not inner
-        ):  # what those two say of the particle is in it already
+        elif section in ("gas", "nozzles", "coating") or not inner:  # what they say of the particle is in it already
             mended.pop(str(section), None)
         elif isinstance(table, dict):
             table.pop(inner[0], None)

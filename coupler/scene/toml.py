@@ -14,9 +14,8 @@ from .. import units
 from .model import SceneData
 from .tables import BySize, Quantity, Section
 
-Settings = Sequence[
-    tuple[str, str | None]
-]  # (key such as "particle[2].velocity", its value as text; None takes the key out)
+# (key such as "particle[2].velocity", its value as text; None takes the key out)
+Settings = Sequence[tuple[str, str | None]]
 
 _STEP = re.compile(r'("[^"]+"|[A-Za-z0-9_-]+)(?:\[(\d+)\])?(?:\.|$)')
 _DERIVED = re.compile(r"^# \w+ = .*\(from: .*\)\n", re.MULTILINE)  # written by `to_toml` below

@@ -20,10 +20,8 @@ from .particle import H, Particle, PointState
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
 PARTS = 4  # that a pass is divided into, for two threads to take as each is free
-LEAST_POINTS, LEAST_PAIRS = (
-    1200,
-    6600,
-)  # in a part at the least: with less of them a second thread costs more than it gives
+# in a part at the least: with less of them a second thread costs more than it gives
+LEAST_POINTS, LEAST_PAIRS = 1200, 6600
 RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
 
 

@@ -12,8 +12,6 @@ Two changes of the scheme of `sph.compiled`, with which it has no hourglass cont
   that a plate is too soft in bending. There the gradient is that of a quadratic fit, over the second layer of neighbours too. It
   is exact for linear fields, and with little ridge for quadratic ones.
 
-With `Numerics.control` (a remedy of `impact.retry`: rims that are stretched very far) it is the scheme of `sph.compiled`.
-
 The rate of deformation is that of v at n+1/2: central differences then conserve the energy of elastic waves.
 """
 
@@ -53,8 +51,6 @@ class EnrichedParticle(CompiledParticle):
 
     def _start_engine(self) -> None:
         super()._start_engine()
-        if self.numerics.control:
-            return
         self._rates = self._all_half
         counts = np.diff(self._first.astype(np.int64))
         if counts.max(initial=0) > MOST_SIDES:
@@ -63,7 +59,7 @@ class EnrichedParticle(CompiledParticle):
             )
         sides = len(self._neighbour)
         rows = np.arange(sides)
-        self._slot = 3 * (rows - self._first[self._point].astype(np.int64))
+        self._slot = 3 * (rows - self._first[self._point].astype(np.int64))[:, None] + np.arange(3)
         self._plastic = np.zeros((sides, 3))
         pair_rows = np.zeros((len(self._pairs), 2), np.int64)
         seconds = self._signed < 0
@@ -101,8 +97,6 @@ class EnrichedParticle(CompiledParticle):
         return pair_rows, len(order)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
-        if self.numerics.control:
-            return super()._are_neighbours(pairs, r0)
         self._rim = _one_sided(self._whole, self._h)[self._tag - 1]
         return (r0 < self._h) | ((r0 < SECOND_LAYER * self.spacing) & self._rim[pairs].any(axis=1))
 
@@ -124,22 +118,26 @@ class EnrichedParticle(CompiledParticle):
 
     def _skip_step(self) -> None:
         super()._skip_step()
-        if not self.numerics.control:
-            self._swap(self._side_sends, self._side_receives, self._residual)
+        self._swap(self._side_sends, self._side_receives, self._residual)
 
     def elastic(self) -> float:
         return super().elastic() + self.volume_of_point * float(self.unseen.sum())
 
     def _points(self) -> dict[str, np.ndarray]:
-        for axis in range(0 if self.numerics.control else 3):
-            self.bend[self._point, self._slot + axis] = self._plastic[:, axis]
+        self.bend[self._point[:, None], self._slot] = self._plastic
         return super()._points()
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         super().restore(state, first)
         bend = take(state.points, self.ids).bend  # type: ignore[attr-defined]
-        for axis in range(0 if self.numerics.control else 3):
-            self._plastic[:, axis] = bend[self._point, self._slot + axis]
+        self._plastic[:] = bend[self._point[:, None], self._slot]
+
+
+class ControlledParticle(CompiledParticle):
+    """The scheme of `sph.compiled` for the state of an enriched particle, whose residuals rest: a remedy of `impact.retry`, for rims
+    that are stretched very far."""
+
+    POINTS = EnrichedPoints
 
 
 def _one_sided(X: np.ndarray, h: float) -> np.ndarray:

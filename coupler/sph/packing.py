@@ -11,75 +11,45 @@ MIN_NEIGHBOURS = 4
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """A lattice with an orthogonal cell.
+class Lattice:
+    """The lattice of the points, with an orthogonal cell, and its orientation.
 
     edges (3,) of the cell, any unit; base (b,3): the points in it, in cells; layers (3,): mean distance of the layers across
     each edge, in cells; moment: second moment of a point's Voronoi cell about its centre, per axis, over volume^(5/3)
-    (Conway & Sloane 1999, chapter 2).
+    (Conway & Sloane 1999, chapter 2). turn: rotation vector (3,), rad, of the lattice, not of the body; without it the edges of
+    the cell are along x, y, z.
     """
 
     edges: tuple[float, float, float]
     base: tuple[tuple[float, float, float], ...]
     layers: tuple[float, float, float]
     moment: float
-
-
-_KINDS = {
-    "fcc": _Kind((1.0, 1.0, 1.0), ((0, 0, 0), (0, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 0.5, 0)), (0.5, 0.5, 0.5), 0.0787451),
-    "hcp": _Kind(
-        (1.0, np.sqrt(3.0), np.sqrt(8.0 / 3.0)),
-        ((0, 0, 0), (0.5, 0.5, 0), (0.5, 5 / 6, 0.5), (0, 1 / 3, 0.5)),
-        (0.5, 0.25, 0.5),
-        0.0787451,
-    ),
-    "bcc": _Kind((1.0, 1.0, 1.0), ((0, 0, 0), (0.5, 0.5, 0.5)), (0.5, 0.5, 0.5), 0.0785433),
-}
-KINDS = tuple(_KINDS)
-
-
-@dataclass(frozen=True)
-class Lattice:
-    """The lattice of the points and its orientation.
-
-    kind: fcc, hcp or bcc; turn: rotation vector (3,), rad, of the lattice, not of the body; without it the edges of the cell
-    are along x, y, z. Raises ValueError for another kind.
-    """
-
-    kind: str = "fcc"
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        if self.kind not in _KINDS:
-            raise ValueError(f"lattice kind {self.kind!r} is not one of {', '.join(KINDS)}")
 
     def points(self, spacing: float, half: tuple[float, ...] | list[float], offset: tuple[float, ...]) -> np.ndarray:
         """The points (k,3), one per spacing^3, over a box of half extents `half` m; offset in cells."""
-        cell = self._cell(spacing)
-        reach = np.asarray(half) if not any(self.turn) else np.full(3, np.linalg.norm(half))
-        counts = np.ceil(reach / cell).astype(int) + 1
-        axes = [np.arange(-count, count) for count in counts]
+        cell, turned = self.cell(spacing), any(self.turn)
+        reach = np.full(3, np.linalg.norm(half)) if turned else np.asarray(half)
+        axes = [np.arange(-count, count) for count in np.ceil(reach / cell).astype(int) + 1]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 1, 3)
-        at = (grid + (np.array(_KINDS[self.kind].base) + np.asarray(offset))).reshape(-1, 3) * cell
-        if not any(self.turn):
-            return at
-        return Rotation.from_rotvec(self.turn).apply(at)
+        at = (grid + (np.array(self.base) + np.asarray(offset))).reshape(-1, 3) * cell
+        return Rotation.from_rotvec(self.turn).apply(at) if turned else at
 
     def layer(self, spacing: float, axis: int) -> float:
         """Distance (m) of the layers along x, y or z of a lattice that is not turned."""
-        return float(_KINDS[self.kind].layers[axis] * self._cell(spacing)[axis])
+        return float(self.layers[axis] * self.cell(spacing)[axis])
 
     def cell_moment(self, spacing: float) -> float:
         """Mean square distance (m2), along an axis, of a Voronoi cell from its point."""
-        return _KINDS[self.kind].moment * spacing**2
+        return self.moment * spacing**2
 
-    def _cell(self, spacing: float) -> np.ndarray:
-        kind = _KINDS[self.kind]
-        edges = np.array(kind.edges)
-        return edges * (len(kind.base) / edges.prod()) ** (1.0 / 3.0) * spacing
+    def cell(self, spacing: float) -> np.ndarray:
+        """Edges (3,) of the cell, m."""
+        edges = np.array(self.edges)
+        return edges * (len(self.base) / edges.prod()) ** (1.0 / 3.0) * spacing
 
 
-FCC = Lattice()
+FCC = Lattice((1.0, 1.0, 1.0), ((0, 0, 0), (0, 0.5, 0.5), (0.5, 0, 0.5), (0.5, 0.5, 0)), (0.5, 0.5, 0.5), 0.0787451)
 
 
 def sphere(diameter: float, points: int, lattice: Lattice = FCC) -> tuple[np.ndarray, float]:

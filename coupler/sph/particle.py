@@ -38,7 +38,7 @@ class Numerics:
     """What the scheme adds to the physics.
 
     kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
-    and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in the enriched scheme too.
+    and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
     courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch.
     """
 
@@ -158,14 +158,12 @@ class Particle(ABC):
         numerics: Numerics | None = None,
         comm: MPI.Comm | None = None,
         log: Path | None = None,
-        room: float | None = None,
         shares: Sequence[float] = (1.0,),
         strain: float = 0.0,
     ):
         """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
 
-        room: half-width in m of LAMMPS's fixed box about the particle's centre (default ten times the smallest
-        extent, at least the largest). log: LAMMPS's log file. velocity may also be that of each point, (n,3).
+        log: LAMMPS's log file. velocity may also be that of each point, (n,3).
         comm: the communicator of the ranks that share the particle, by slabs along x, each its part `shares` of the points.
         strain: plastic strain that the points begin with.
         """
@@ -182,7 +180,7 @@ class Particle(ABC):
         self.is_shared = False
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         with _silence():
-            self._start(velocity, float(temperature), self.comm, log, room, shares)
+            self._start(velocity, float(temperature), log, shares)
 
     def _own(self, temperature: float) -> None:
         """Arrays of the law for the points of this rank."""
@@ -199,15 +197,14 @@ class Particle(ABC):
         self.internal_work = 0.0
 
     def _start(
-        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, comm: MPI.Comm, log: Path | None,
-        room: float | None, shares: Sequence[float],
+        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None, shares: Sequence[float]
     ) -> None:  # fmt: skip
         r, num = self.law[0], self.numerics
         K, G = float(r["K"]), float(r["G"])
         radius = num.kernel_radius * self.spacing
         centre = self.X.mean(axis=0)
         extent = np.ptp(self.X, axis=0)
-        room = room or max(10.0 * float(extent.min()), float(extent.max()))  # LAMMPS's memory grows with its cube
+        room = max(10.0 * float(extent.min()), float(extent.max()))  # of LAMMPS's box: its memory grows with its cube
         low, high = centre - room, centre + room
         numbers = {
             "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
@@ -217,7 +214,7 @@ class Particle(ABC):
             "cp": float(r["cp_0"]), "H": H, "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
         }  # fmt: skip
         fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
-        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm)
+        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=self.comm)
         self.lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
         self.lmp.create_atoms(self.total, list(range(1, self.total + 1)), [1] * self.total, self.X.ravel())
         if self.lmp.get_natoms() != self.total:
@@ -282,9 +279,7 @@ class Particle(ABC):
             )
         self._end_window()
 
-    def _callback(
-        self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray
-    ) -> None:  # fmt: skip
+    def _callback(self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray) -> None:
         if self._on_step is None:
             return
         try:  # an exception must not leave through ctypes: it would be printed and forgotten
@@ -437,14 +432,10 @@ def _silence() -> Iterator[None]:
         os.dup2(nowhere, 1)
         yield
     finally:
-        _libc_flush()
+        ctypes.CDLL(None).fflush(None)
         os.dup2(kept, 1)
         os.close(kept)
         os.close(nowhere)
-
-
-def _libc_flush() -> None:
-    ctypes.CDLL(None).fflush(None)
 
 
 def _deck(name: str) -> str:
