@@ -20,7 +20,7 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -72,7 +72,7 @@ class Store:
         written, only with `force`. Raises StoreError: such files are there, another run writes there, or the folder is not writable.
         """
         directory = Path(out_dir)
-        try:
+        with _named(directory, is_folder=True):
             check_folder(directory)
             if (directory / SUMMARY).exists() and not force:
                 raise StoreError(
@@ -103,18 +103,14 @@ class Store:
             except BaseException:
                 store.close()
                 raise
-        except OSError as error:
-            raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
         return store
 
     @classmethod
     def reopen(cls, out_dir: str | Path) -> Store:
         """Take the folder of an unfinished run. Raises StoreError: another run writes there, or it is not writable."""
         directory = Path(out_dir)
-        try:
+        with _named(directory, is_folder=True):
             return cls(directory, _lock(directory))
-        except OSError as error:
-            raise StoreError(f"cannot write to the folder {directory}: {_reason(error)}") from error
 
     def state(self) -> StoreState:
         """The history, and how many steps of each domain are written: what `go_on` goes on from."""
@@ -264,17 +260,14 @@ def _lock(directory: Path) -> int | None:
     return descriptor
 
 
-class _named(contextlib.AbstractContextManager[None]):
-    """Turn a failure to write into a StoreError that names the file."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if isinstance(error, (OSError, RuntimeError)):
-            raise StoreError(f"cannot write {self.path}: {_reason(error)}; steps written before are kept") from error
+@contextlib.contextmanager
+def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
+    """Turn a failure to write into a StoreError that names the file or the folder of a run that begins."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        where, kept = ("to the folder ", "") if is_folder else ("", "; steps written before are kept")
+        raise StoreError(f"cannot write {where}{path}: {_reason(error)}{kept}") from error
 
 
 def _reason(error: Exception) -> str:

@@ -136,8 +136,11 @@ def points_for(share: float, kind: Kind) -> int:
 
 @cache
 def _rows() -> list[dict[str, str]]:
-    try:
-        text = files(__package__).joinpath("bands.csv").read_text(encoding="utf-8")
-    except FileNotFoundError:
-        return []
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    return table("bands.csv")
+
+
+def table(name: str) -> list[dict[str, str]]:
+    """The rows of a table of this package, none where it is missing: a study makes it."""
+    file = files(__package__).joinpath(name)
+    lines = file.read_text(encoding="utf-8").splitlines() if file.is_file() else []
+    return list(csv.DictReader(line for line in lines if not line.startswith("#")))

@@ -3,16 +3,14 @@
 What leaving an effect out changes is measured for a set of cases (docs/evidence/effects.md); the nearest are scaled by its number.
 """
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 
 from ..measures import BANDED
 from ..measures import measure as record
-from .bands import SHAPE, Band
+from .bands import SHAPE, Band, table
 from .effects import NUMBERS, Effects, Situation, numbers
 
 ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # asked for by each preset
@@ -205,5 +203,4 @@ def _scenes() -> dict[str, dict[str, float]]:
 
 @cache
 def _measured() -> list[dict[str, str]]:
-    text = files(__package__).joinpath("effects_study.csv").read_text(encoding="utf-8")
-    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    return table("effects_study.csv")
