@@ -24,7 +24,7 @@ COLUMNS = (
 # metal, diameter in um, temperature in K, factor on the strength of the film (its range: docs/theory/bonds.md), velocity in m/s
 CASES = (
     *(("ni", None, 300.0, 1.0, v) for v in (400, 665, 1039)), *(("cu", None, 300.0, 1.0, v) for v in (400, 610, 952)),
-    ("ni", None, 300.0, 1.94, 665), ("cu", None, 300.0, 2.0, 610),
+    ("ni", None, 300.0, 1.94, 665), ("ni", None, 300.0, 1.94, 831), ("cu", None, 300.0, 2.0, 610),
     ("ni", 5.0, 300.0, 1.0, 665), ("ni", 40.0, 300.0, 1.0, 665), ("ni", None, 900.0, 1.0, 665),
 )  # fmt: skip
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
