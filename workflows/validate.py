@@ -1,12 +1,12 @@
 """The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
 
     python workflows/validate.py                   # what is not in the tables yet, then the page
-    python workflows/validate.py --only cases      # of: cases, spread, draft, wave, trends, shapes
+    python workflows/validate.py --only cases      # of: cases, spread, draft, wave, trends, shapes, scatter
     python workflows/validate.py --docs            # runs nothing: the page and its figures from the tables
 
-A row for each impact of each run goes into docs/tables/validation.csv (cases) and validation_trends.csv; rows in the tables are not
-computed again, and a run that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py` writes the page and
-its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
+A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv; rows
+in the tables are not computed again, and a run that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py`
+writes the page and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
 """
 
 import shutil
@@ -22,6 +22,8 @@ from pages import TABLES, options, study_table, write_table
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
+from scipy.stats import norm, qmc
 
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
@@ -35,16 +37,20 @@ from coupler.report.profiles import on_vertical, profiles
 HERE, RUNS = Path(__file__).parent, Path(__file__).parents[1] / "runs" / "validate"
 REMAKE = "remake: make validate (rows in this table are not computed again)"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
+PURE_TI = "-CP_Ti"  # ending of the name of a case with the titanium of the library in place of the paper's
+TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
 # What the measured spread of impact velocities makes of cases A and B (m/s).
 SPREAD = {"A": (413, 483, 553), "B": (398, 459, 520)}
 DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500, 625, 750, 875, 1000, 1125, 1250)
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
+# Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
+SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
 COLUMNS = [
-    "run", "impact", "preset", "material", "diameter_um", "speed_m_s", "temperature_K",
+    "run", "impact", "preset", "engine", "material", "strength", "diameter_um", "speed_m_s", "offset_um", "temperature_K",
     *(f"{name}_{when}" for when in ("greatest", "own", "end")
       for name in ("flattening", "flattening_total", "height_um", "thickness_um", "axial_um", "diameter_um")),
-    "crater_greatest_um", "crater_um", "rebound_m_s", "penetration_um",
+    "widest_um_own", "widest_um_end", "crater_greatest_um", "crater_um", "rebound_m_s", "penetration_um",
     *(f"{name}_{which}" for name in ("eps_p", "T") for which in ("mean", "p99", "max")),
     "target_eps_p_max", "target_T_max", "von_mises_greatest_MPa", "von_mises_MPa", "target_von_mises_MPa",
     "plastic_radius_um", "strained_radius_um", "kinetic_over_internal", "numerical_share", "drift",
@@ -90,14 +96,39 @@ def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
     return text
 
 
+def with_pure_ti(preset: str = "standard") -> dict[str, str]:
+    """Cases A to D by name, and those with titanium again with the library's."""
+    texts = {letter: scene_of(name, preset) for letter, name in CASES.items()}
+    pure = {letter + PURE_TI: text.replace('"Ti"', '"CP_Ti"') for letter, text in texts.items() if '"Ti"' in text}
+    return texts | pure
+
+
 def cases() -> Iterator[Case]:
     """Cases A to D at the preset of the page."""
-    yield from (Case(letter, scene_of(name), keep=True) for letter, name in CASES.items())
+    yield from (Case(name, text, keep=True) for name, text in with_pure_ti().items())
 
 
 def drafts() -> Iterator[Case]:
     """The same, coarser: how far the resolution can move them."""
-    yield from (Case(f"{letter}-draft", scene_of(name, "draft")) for letter, name in CASES.items())
+    yield from (Case(f"{name}-draft", text) for name, text in with_pure_ti("draft").items())
+
+
+def scatter() -> Iterator[Case]:
+    """Case D over velocities and misalignments of an experiment, coarse; the first run has the velocities alone."""
+    mean, spread = FIRST_VELOCITY
+    points = qmc.Sobol(4, rng=1).random(SAMPLES)
+    samples = [(mean, (0.0, 0.0), (0.0, 0.0))]
+    for u in points:
+        first = mean + spread * norm.ppf(norm.cdf(-2) + u[0] * (norm.cdf(2) - norm.cdf(-2)))
+        second, third = OFFSET * np.sqrt(u[1]), OFFSET * np.sqrt(u[2])  # uniform over the disc
+        angle = 2 * np.pi * u[3]  # of the third to the second
+        samples.append((first, (second, 0.0), (third * np.cos(angle), third * np.sin(angle))))
+    for k, (first, *places) in enumerate(samples):
+        text = scene_of("triple_ni", "draft")
+        for nominal, ratio, (x, y) in zip((500, 546, 610), RATIOS, [(0.0, 0.0), *places], strict=True):
+            line = f'velocity = "{first * ratio:.1f} m/s"\noffset = ["{x:.3f} um", "{y:.3f} um"]'
+            text = text.replace(f'velocity = "{nominal} m/s"', line)
+        yield Case(f"D-scatter-{k}", text)
 
 
 def spread() -> Iterator[Case]:
@@ -152,8 +183,14 @@ def axial(points: NDArray, triangles: NDArray) -> float:
     return float(sum(high - low for low, high in zip(z[0::2], z[1::2], strict=False)))
 
 
-def splats_of(result: Result, least: float) -> list[float]:
-    """Thickness on the axis (m) of each splat that has joined the target, lowest first: those with a volume of `least` m3.
+def widest(points: NDArray) -> float:
+    """Largest distance of two points seen from above, m. points (n,3) m."""
+    outline = points[ConvexHull(points[:, :2]).vertices, :2]
+    return float(pdist(outline).max())
+
+
+def splats_of(result: Result, least: float) -> list[tuple[float, float]]:
+    """Thickness on the axis and largest diameter (m) of each splat that has joined the target, lowest first: of `least` m3 or more.
 
     Bodies are told apart by their nodes, which they do not share; the largest is the substrate.
     """
@@ -165,7 +202,8 @@ def splats_of(result: Result, least: float) -> list[float]:
     volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
     splats = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
     middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in splats}
-    return [axial(f.points, boundary_faces(cells[owner == b])[0]) for b in sorted(splats, key=lambda b: middle[b])]
+    faces = {b: boundary_faces(cells[owner == b])[0] for b in sorted(splats, key=lambda b: middle[b])}
+    return [(axial(f.points, own), widest(f.points[np.unique(own)])) for own in faces.values()]
 
 
 def strained_radius(result: Result, least: float = 0.2) -> float:
@@ -184,15 +222,17 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     # splats in several parts, or lost ones, cannot be told from each other by their order: no thickness then
     at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
     times, radius = result.times("surface"), strained_radius(result) * 1e6
-    preset = Scene.from_text(case.text, case.name).preset
+    scene = Scene.from_text(case.text, case.name)
     for k, impact in enumerate(impacts):
         end, greatest, energies = impact["end"], impact["greatest"], impact["energies"]
         when += end["time_s"]
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
-        at_end[len(impacts) - 1] = own = axial(f.points, f.cells)
+        at_end[len(impacts) - 1] = own = axial(f.points, f.cells), widest(f.points)
         kinetic = energies["kinetic_particle"] + energies["kinetic_target"]
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "preset": preset, "temperature_K": case.start, "strained_radius_um": radius,
+            "run": case.name, "impact": k + 1, "preset": scene.preset, "engine": scene.resolution.engine, "temperature_K": case.start,
+            "strength": scene.derived.material(scene.particles[k].material).strength.label, "offset_um": float(np.hypot(*scene.particles[k].offset)) * 1e6,
+            "strained_radius_um": radius,
             "kinetic_over_internal": kinetic / (1.0 - kinetic), "run_wall_s": result.wall_s, "failed": "",
         }  # fmt: skip
         row |= {column: impact[key] * factor for column, (key, factor) in OF_IMPACT.items()} | {
@@ -206,9 +246,9 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
         if greatest is not None:
             row["crater_greatest_um"] = greatest["crater_depth_m"] * 1e6
             row["von_mises_greatest_MPa"] = greatest["von_mises_max_Pa"] * 1e-6
-        row["axial_um_own"] = own * 1e6
+        row |= {"axial_um_own": own[0] * 1e6, "widest_um_own": own[1] * 1e6}
         if k in at_end:
-            row["axial_um_end"] = at_end[k] * 1e6
+            row |= {"axial_um_end": at_end[k][0] * 1e6, "widest_um_end": at_end[k][1] * 1e6}
         rows.append(row)
     return rows
 
@@ -312,13 +352,13 @@ def fill(name: str, cases: Iterable[Case]) -> None:
 
 def main() -> None:
     """Fill the tables, write the page."""
-    a = options(__doc__, "docs", only=["cases", "wave", "draft", "spread", "trends", "shapes"])
-    parts = {"cases": cases, "draft": drafts, "spread": spread, "trends": trends, "shapes": shapes}
+    a = options(__doc__, "docs", only=["cases", "wave", "draft", "spread", "trends", "shapes", "scatter"])
+    parts = {"cases": cases, "draft": drafts, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
     for part in () if a.docs else a.only:
         if part == "wave":
             wave()
         else:
-            fill("validation_trends" if part in ("trends", "shapes") else "validation", parts[part]())
+            fill(TABLE_OF.get(part, "validation"), parts[part]())
     page.write_page()
 
 
