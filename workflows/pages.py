@@ -21,6 +21,7 @@ PAGES = {
     "accuracy": DOCS / "evidence" / "accuracy.md",
     "bonding": DOCS / "evidence" / "bonding.md",
     "effects": DOCS / "evidence" / "effects.md",
+    "experiments": DOCS / "evidence" / "experiments.md",
     "scene": DOCS / "guide" / "scene.md",
     "solvers": DOCS / "evidence" / "solvers.md",
     "splats": DOCS / "evidence" / "splats.md",

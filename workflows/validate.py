@@ -170,10 +170,10 @@ def compute(case: Case, probe: Callable[[Impact], None] | None = None) -> Result
     try:
         old = Result(folder)
         if old.scene_text == scene.to_toml():
-            return resume(folder, probe=probe)
+            return resume(folder, threads=1, probe=probe)
     except ColdsprayError:
         pass  # nothing there that can be gone on with
-    return run(scene, folder, force=True, probe=probe)
+    return run(scene, folder, force=True, threads=1, probe=probe)
 
 
 def axial(points: NDArray, triangles: NDArray) -> float:
@@ -229,10 +229,11 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
         at_end[len(impacts) - 1] = own = axial(f.points, f.cells), widest(f.points)
         kinetic = energies["kinetic_particle"] + energies["kinetic_target"]
+        particle = scene.particles[k]
         row: dict[str, object] = {
-            "run": case.name, "impact": k + 1, "preset": scene.preset, "engine": scene.resolution.engine, "temperature_K": case.start,
-            "strength": scene.derived.material(scene.particles[k].material).strength.label, "offset_um": float(np.hypot(*scene.particles[k].offset)) * 1e6,
-            "strained_radius_um": radius,
+            "run": case.name, "impact": k + 1, "preset": scene.preset, "engine": scene.resolution.engine,
+            "strength": scene.derived.material(particle.material).strength.label, "temperature_K": case.start,
+            "offset_um": float(np.hypot(*particle.offset)) * 1e6, "strained_radius_um": radius,
             "kinetic_over_internal": kinetic / (1.0 - kinetic), "run_wall_s": result.wall_s, "failed": "",
         }  # fmt: skip
         row |= {column: impact[key] * factor for column, (key, factor) in OF_IMPACT.items()} | {

@@ -1,0 +1,317 @@
+"""Single impacts that others have measured, computed with every strength set of the library: python workflows/experiments.py
+
+    python workflows/experiments.py --only restitution     # of: restitution, band, fine, splats
+    python workflows/experiments.py --docs                 # runs nothing: the page and its figure from the tables
+
+The measurements, readings and bands are in workflows/measurements.toml. Each run is a row of docs/tables/restitution_sets.csv or
+splats_4340.csv that is not computed again. Nothing is fitted.
+"""
+
+import math
+import tempfile
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from numpy.typing import NDArray
+from pages import (
+    PAGES,
+    column,
+    figure_path,
+    markdown,
+    number,
+    options,
+    study_table,
+    table_rows,
+    versions,
+    write_parts,
+)
+
+from coupler import Scene, run
+from coupler.errors import ColdsprayError
+from coupler.physics.materials import entry
+from coupler.progress import Progress
+from coupler.report.picture import blank, save
+from coupler.studies.table import Row
+
+MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())
+REBOUND, SPLAT = MEASURED["rebound"], MEASURED["splat"]
+METALS = tuple(name for name, value in REBOUND.items() if isinstance(value, dict))
+PRESETS = ("draft", "standard")
+STIFFNESS = (0.5, 2.0)  # factors on the contact stiffness, for the band
+PROBED = {"Ni": (310, 473), "OFHC_Cu": (315, 489)}  # m/s, where the band is computed
+COLUMNS = (
+    "metal", "set", "velocity_m_s", "preset", "contact_stiffness", "target", "engine", "diameter_um", "restitution", "rebound_m_s",
+    "flattening", "flattening_band", "splat_diameter_um", "thickness_um", "crater_um", "T_max_K", "numerical_share", "drift", "cpu_s",
+    "failed",
+)  # fmt: skip
+KEY = COLUMNS[:5]
+SCENE = """
+preset = "{preset}"
+[particle]
+material = "{metal}"
+diameter = "{diameter:g} um"
+velocity = "{velocity:g} m/s"
+[substrate]
+material = "{target}"
+diameter = "{width:g} um"
+height = "{depth:g} um"
+bottom = "absorbing"
+[adhesion]
+kind = "none"
+[materials.{metal}]
+strength = "{set}"
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run. velocity m/s, diameter um; set: strength set of the metal; stiffness: factor on that of the contact."""
+
+    metal: str
+    set: str
+    velocity: float
+    diameter: float
+    target: str
+    preset: str = "draft"
+    stiffness: float = 1.0
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """As in the tables."""
+        return self.metal, self.set, f"{self.velocity:g}", self.preset, f"{self.stiffness:g}"
+
+    @property
+    def text(self) -> str:
+        """The scene; the target is 6 diameters wide and 3 deep."""
+        size = {"width": 6 * self.diameter, "depth": 3 * self.diameter}
+        return SCENE.format(**vars(self), **size)
+
+
+def in_window(velocity: float) -> bool:
+    """Whether a velocity (m/s) counts in the mean error."""
+    low, high = REBOUND["window_m_s"]
+    return bool(low <= velocity <= high)
+
+
+def rebounds(preset: str) -> Iterator[Case]:
+    """All measured velocities with all sets, those of the window first."""
+    for inside in (True, False):
+        for metal in METALS:
+            for name in entry(metal).sets:
+                for v, _ in REBOUND[metal]["e"]:
+                    if in_window(v) == inside:
+                        yield Case(metal, name, v, REBOUND[metal]["diameter_um"], metal, preset)
+
+
+def restitution() -> Iterator[Case]:
+    """The measured velocities with all sets."""
+    return rebounds("draft")
+
+
+def fine() -> Iterator[Case]:
+    """Those of the window with more points, the first set of each metal first."""
+    cases = [case for case in rebounds("standard") if in_window(case.velocity)]
+    yield from sorted(cases, key=lambda case: case.set != next(iter(entry(case.metal).sets)))
+
+
+def band() -> Iterator[Case]:
+    """A softer and a stiffer contact, with the first set."""
+    for metal, velocities in PROBED.items():
+        for v in velocities:
+            for factor in STIFFNESS:
+                name = next(iter(entry(metal).sets))
+                yield Case(metal, name, v, REBOUND[metal]["diameter_um"], metal, stiffness=factor)
+
+
+def splats() -> Iterator[Case]:
+    """Single particles on 4340 at the mean velocity, with all sets of the metals named."""
+    for metal in SPLAT["computed"]:
+        for name in entry(metal).sets:
+            yield Case(metal, name, SPLAT["velocity_m_s"], float(np.mean(SPLAT["diameter_um"])), SPLAT["target"])
+
+
+def row_of(case: Case) -> dict[str, object]:
+    """The run of a case as a row of the table."""
+    row: dict[str, object] = dict(zip(KEY, case.key, strict=True)) | {
+        "target": case.target,
+        "diameter_um": case.diameter,
+    }
+    scene = Scene.from_text(case.text, "experiment")
+    numerics = {} if case.stiffness == 1.0 else {"contact_stiffness": case.stiffness}
+    started = process_time()
+    try:
+        with tempfile.TemporaryDirectory() as place:
+            result = run(scene, Path(place) / "run", threads=1, numerics=numerics, progress=Progress(quiet=True))
+            s = result.values
+    except ColdsprayError as problem:
+        return row | {"failed": " ".join(str(problem).split())[:200]}
+    band_of = s["bands"].get("flattening_ratio_total", {}).get("half_width")
+    return row | {
+        "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
+        "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
+        "splat_diameter_um": s["splat_diameter_m"] * 1e6, "thickness_um": s["thickness_m"] * 1e6,
+        "crater_um": s["crater_depth_m"] * 1e6, "T_max_K": s["T_max_K"], "numerical_share": s["numerical_dissipation"],
+        "drift": s["energy_drift"], "cpu_s": process_time() - started, "failed": "",
+    }  # fmt: skip
+
+
+def chosen(rows: Sequence[Row], **values: str) -> list[Row]:
+    """Rows with these values, by velocity, without failed ones."""
+    own = [row for row in rows if not row["failed"] and all(row[name] == value for name, value in values.items())]
+    return sorted(own, key=lambda row: number(row, "velocity_m_s"))
+
+
+def curve(rows: Sequence[Row], metal: str, name: str, preset: str) -> tuple[NDArray, NDArray]:
+    """Velocities (m/s) and restitution of a set at a resolution, with the usual contact."""
+    own = chosen(rows, metal=metal, set=name, preset=preset, contact_stiffness="1")
+    return column(own, "velocity_m_s"), column(own, "restitution")
+
+
+def errors(rows: Sequence[Row], metal: str, name: str, preset: str) -> tuple[float, float, int]:
+    """Root mean square and mean of computed less measured restitution over the window, and the number of velocities."""
+    computed = dict(zip(*curve(rows, metal, name, preset), strict=True))
+    off = np.array([computed[v] - e for v, e in REBOUND[metal]["e"] if in_window(v) and v in computed])
+    return (float(np.sqrt((off**2).mean())), float(off.mean()), len(off)) if len(off) else (math.nan, math.nan, 0)
+
+
+def band_of(rows: Sequence[Row], metal: str) -> float:
+    """Half-width of the band of the discretisation of the restitution of a metal; as measurements.toml says."""
+    first = next(iter(entry(metal).sets))
+    coarse, standard = (dict(zip(*curve(rows, metal, first, preset), strict=True)) for preset in PRESETS)
+    points = [abs(standard[v] - coarse[v]) for v in standard if v in coarse and in_window(v)]
+    stiffness = []
+    for v in PROBED[metal]:
+        pair = [
+            chosen(rows, metal=metal, set=first, contact_stiffness=f"{f:g}", velocity_m_s=f"{v:g}") for f in STIFFNESS
+        ]
+        if all(pair):
+            stiffness.append(0.5 * abs(number(pair[1][0], "restitution") - number(pair[0][0], "restitution")))
+    return math.hypot(max(points, default=math.nan), max(stiffness, default=math.nan))
+
+
+def digits(value: float, places: int = 3) -> str:
+    """A number for a table, a dash for none."""
+    return f"{value:.{places}f}" if math.isfinite(value) else "-"
+
+
+def restitution_part(rows: Sequence[Row]) -> list[str]:
+    """Mean errors of each set over the window, and the restitution at each velocity."""
+    lines = []
+    for metal in METALS:
+        for name, table in entry(metal).sets.items():
+            for preset in PRESETS:
+                rms, mean, count = errors(rows, metal, name, preset)
+                if count:
+                    sign = f"{mean:+.3f}" if math.isfinite(mean) else "-"
+                    lines.append([metal, name, table["law"], preset, count, digits(rms), sign])
+    total = {preset: [errors(rows, m, next(iter(entry(m).sets)), preset)[0] for m in METALS] for preset in PRESETS}
+    words = [
+        f"{preset}: {digits(math.sqrt(np.mean(np.square(v))))}" for preset, v in total.items() if np.all(np.isfinite(v))
+    ]
+    bands = ", ".join(f"{metal} ± {digits(band_of(rows, metal))}" for metal in METALS)
+    head = "metal | strength set | law | preset | velocities | rms of e - measured | mean"
+    return [
+        *markdown(head, lines),
+        "",
+        f"Both metals with the first set of each, rms: {'; '.join(words) or '-'}. Band of the discretisation: {bands}.",
+        "",
+        *curves_table(rows),
+        "",
+        versions(rows),
+    ]
+
+
+def curves_table(rows: Sequence[Row]) -> list[str]:
+    """Measured and computed restitution by velocity: the finest run of each set."""
+    lines = []
+    for metal in METALS:
+        names = list(entry(metal).sets)
+        for v, e in REBOUND[metal]["e"]:
+            cells = []
+            for name in names:
+                own = [
+                    chosen(rows, metal=metal, set=name, contact_stiffness="1", velocity_m_s=f"{v:g}", preset=p)
+                    for p in PRESETS
+                ]
+                cells.append(f"{name} " + " / ".join(digits(number(r[0], "restitution")) if r else "-" for r in own))
+            lines.append([metal, v, f"{e:.3f}", "; ".join(cells)])
+    return markdown("metal | m/s | measured | computed, draft / standard", lines)
+
+
+def splat_part(rows: Sequence[Row]) -> list[str]:
+    """Splat ratios and craters on 4340."""
+    lines = []
+    for row in rows:
+        if row["failed"]:
+            lines.append([row["metal"], row["set"], row["failed"], "-", "-", "-"])
+            continue
+        by_splat = 1.0 - number(row, "thickness_um") / number(row, "splat_diameter_um")
+        lines.append([row["metal"], row["set"], f"{number(row, 'flattening'):.2f} ± {digits(number(row, 'flattening_band'), 2)}",
+                      f"{by_splat:.2f}", f"{number(row, 'crater_um'):.2f}", f"{number(row, 'restitution'):.3f}"])  # fmt: skip
+    head = "metal | strength set | 1 - h / D0 | 1 - h / d | crater µm | restitution"
+    measured = [[name, f"{mean:.2f} ± {error:.2f}"] for name, (mean, error) in SPLAT["measured"].items()]
+    return [*markdown(head, lines), "", *markdown("measured | (d - h) / d", measured), "", versions(rows)]
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Restitution over velocity, measured and of every set, with the bands of both sides."""
+    figure = blank(11.0, 4.6, 110)
+    colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9")
+    for left, metal in zip((0.07, 0.56), METALS, strict=True):
+        axis = figure.add_axes((left, 0.13, 0.42, 0.8))
+        v, e = np.array(REBOUND[metal]["e"]).T
+        axis.errorbar(v, e, REBOUND["e_error"], REBOUND["velocity_error_m_s"], fmt="ks", ms=4, lw=1, label="measured")
+        half = band_of(rows, metal)
+        for name, colour in zip(entry(metal).sets, colours, strict=False):
+            for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
+                x, y = curve(rows, metal, name, preset)
+                if len(x):
+                    axis.plot(
+                        x,
+                        y,
+                        style,
+                        color=colour,
+                        ms=4,
+                        lw=1.2,
+                        label=f"{name}, {preset}",
+                        mfc="none" if preset == "draft" else colour,
+                    )
+            if len(x) and math.isfinite(half):
+                axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
+        axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")
+        axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
+        axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
+        axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
+        axis.legend(fontsize=7)
+    save(figure, path)
+
+
+TABLES_OF = {
+    "restitution": "restitution_sets",
+    "fine": "restitution_sets",
+    "band": "restitution_sets",
+    "splats": "splats_4340",
+}
+PARTS = {"restitution": restitution, "band": band, "splats": splats, "fine": fine}
+
+
+def main() -> None:
+    """Run what is missing, write the page."""
+    a = options(__doc__, "docs", only=list(PARTS))
+    for part in () if a.docs else a.only:
+        table = study_table(TABLES_OF[part], COLUMNS, KEY, "python workflows/experiments.py")
+        for case in PARTS[part]():
+            if case.key not in table:
+                row = table.add(row_of(case))
+                print({name: row[name] for name in (*KEY, "restitution", "flattening", "cpu_s", "failed")}, flush=True)
+    rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
+    draw(rebound, figure_path("experiments", "restitution_sets.png"))
+    write_parts(PAGES["experiments"], {"restitution": restitution_part(rebound), "splats": splat_part(splat)})
+
+
+if __name__ == "__main__":
+    main()
