@@ -11,30 +11,49 @@ from coupler.geometry.tetrahedra import boundary_faces
 from coupler.plan.reading import Scene
 
 
-def rows(flattening: dict[str, list[float]]) -> list[dict[str, str]]:
-    """Rows of the table with nothing but a flattening, the same in all readings."""
+def rows(method: str) -> list[dict[str, str]]:
+    """Rows of the table with the paper's flattening (all readings) and ratio of diameter to thickness, by one of its methods."""
     return [
-        {"run": letter, "impact": str(k + 1), "failed": "", "diameter_um": "1", "axial_um_end": str(1 - value)}
-        | {
-            f"{name}_{when}": str(value)
-            for name in ("flattening", "flattening_total")
-            for when in ("end", "own", "greatest")
+        {
+            "run": letter, "impact": str(k + 1), "failed": "", "version": "0", "material": "Ni", "diameter_um": "1",
+            "axial_um_end": str(1 - case["flattening"][method][k]), "thickness_um_end": "1",
+            "widest_um_end": str(case["diameter_over_thickness"][method][k]),
         }
-        for letter, values in flattening.items()
-        for k, value in enumerate(values)
-    ]
+        | {f"{name}_{when}": str(case["flattening"][method][k])
+           for name in ("flattening", "flattening_total") for when in ("end", "own")}
+        for letter, case in validation_page.PAPER["case"].items()
+        for k in range(len(case["impacts"]))
+    ]  # fmt: skip
 
 
 def test_the_papers_own_errors_come_out() -> None:
-    case = validation_page.PAPER["case"]
-    as_experiment = rows({letter: entry["flattening"]["experiment"] for letter, entry in case.items()})
-    lines = validation_page.errors(as_experiment)
+    lines = validation_page.errors(rows("experiment"))
     assert "7 particles" in lines[0]
     assert "| 0.101 |" in lines[2]
     assert "| 0.086 |" in lines[3]
-    assert all("0.000" in line for line in lines[4:10])
-    as_hybrid = rows({letter: entry["flattening"]["hybrid"] for letter, entry in case.items()})
-    assert all("0.101" in line for line in validation_page.errors(as_hybrid)[4:10])
+    assert all("0.000" in line for line in lines[4:9])
+    assert all("0.101" in line for line in validation_page.errors(rows("hybrid"))[4:9])
+
+
+def test_the_papers_ratios_are_off_by_a_factor_of_e_to_027() -> None:
+    """Mean |ln(ratio / experiment)| of the hybrid, from the ratios of its text: 0.266."""
+    lines = validation_page.score(rows("hybrid"))
+    assert "| 7 | 0.27 |" in lines[2]
+    assert "| 7 | 0.27 |" in lines[4]
+    assert "| 7 | 0.00 |" in validation_page.score(rows("experiment"))[4]
+
+
+def test_the_bound_is_the_flattening_of_a_full_cylinder() -> None:
+    """A sphere of 25 um pressed to a full cylinder of any thickness h has the flattening 1 - h / 25 um."""
+    h = np.array([4.0, 12.0, 20.0])
+    d = np.sqrt(2 / 3 * 25.0**3 / h)
+    assert validation_page.bound(d / h) == pytest.approx(1 - h / 25.0)
+
+
+def test_the_largest_diameter_is_that_of_the_outline() -> None:
+    turned = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0.1, 6.3, 200)]) * [4e-6, 2e-6, 1.0]
+    assert validate.widest(turned) == pytest.approx(8e-6, rel=1e-3)
+    assert validate.widest(np.vstack([turned, turned * 0.5 + [0, 0, 1e-6]])) == pytest.approx(8e-6, rel=1e-3)
 
 
 def test_ringing_is_heard_with_its_amplitude() -> None:
@@ -57,7 +76,7 @@ def test_thickness_on_the_axis_of_a_block_of_tetrahedra() -> None:
 
 
 def test_every_run_has_a_name_of_its_own_and_a_scene_that_holds() -> None:
-    parts = (validate.cases, validate.drafts, validate.spread, validate.trends, validate.shapes)
+    parts = (validate.cases, validate.drafts, validate.spread, validate.trends, validate.shapes, validate.scatter)
     wanted = [case for part in parts for case in part()]
     assert len({case.name for case in wanted}) == len(wanted)
     for case in wanted:

@@ -212,7 +212,11 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
     words = [
         f"{preset}: {digits(math.sqrt(np.mean(np.square(v))))}" for preset, v in total.items() if np.all(np.isfinite(v))
     ]
-    bands = ", ".join(f"{metal} ± {digits(band_of(rows, metal))}" for metal in METALS)
+    halves = {metal: band_of(rows, metal) for metal in METALS}
+    bands = ", ".join(
+        f"{metal} ± {digits(half)}" if math.isfinite(half) else f"{metal} not computed"
+        for metal, half in halves.items()
+    )
     head = "metal | strength set | law | preset | velocities | rms of e - measured | mean"
     return [
         *markdown(head, lines),
@@ -226,20 +230,24 @@ def restitution_part(rows: Sequence[Row]) -> list[str]:
 
 
 def curves_table(rows: Sequence[Row]) -> list[str]:
-    """Measured and computed restitution by velocity: the finest run of each set."""
+    """Measured and computed restitution by velocity, where any set is computed: draft, and standard after a stroke."""
     lines = []
     for metal in METALS:
-        names = list(entry(metal).sets)
         for v, e in REBOUND[metal]["e"]:
             cells = []
-            for name in names:
+            for name in entry(metal).sets:
                 own = [
-                    chosen(rows, metal=metal, set=name, contact_stiffness="1", velocity_m_s=f"{v:g}", preset=p)
+                    row
                     for p in PRESETS
+                    for row in chosen(
+                        rows, metal=metal, set=name, contact_stiffness="1", velocity_m_s=f"{v:g}", preset=p
+                    )
                 ]
-                cells.append(f"{name} " + " / ".join(digits(number(r[0], "restitution")) if r else "-" for r in own))
-            lines.append([metal, v, f"{e:.3f}", "; ".join(cells)])
-    return markdown("metal | m/s | measured | computed, draft / standard", lines)
+                if own:
+                    cells.append(f"{name} {' / '.join(digits(number(row, 'restitution')) for row in own)}")
+            if cells:
+                lines.append([metal, v, f"{e:.3f}", "; ".join(cells)])
+    return markdown("metal | m/s | measured | computed: draft / standard", lines)
 
 
 def splat_part(rows: Sequence[Row]) -> list[str]:

@@ -1,6 +1,6 @@
 """The figures of the validation page, and their data."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -87,7 +87,13 @@ def trend_lines(runs: dict[str, list[Row]]) -> list[list[str]]:
                 *(number(row, c) for c in ("diameter_um", "speed_m_s", "temperature_K"))
             )
             name += ", target in proportion" if series == "similar" else ""
-            lines.append([name, *(f"{number(row, c):.{places.get(c, 2)}f}" for c, _ in TREND_COLUMNS)])
+            lines.append(
+                [
+                    name,
+                    *(f"{number(row, c):.{places.get(c, 2)}f}" for c, _ in TREND_COLUMNS),
+                    f"{row['version']}, {row['engine']}",
+                ]
+            )
     return lines
 
 
@@ -146,25 +152,45 @@ def draw_trends(rows: Sequence[Row], path: Path) -> None:
     save(figure, path)
 
 
-def draw_flattening(particles: Sequence[tuple[str, Row, dict[str, float]]], path: Path) -> None:
-    """Flattening of the seven particles: ours in two readings, the paper's two, the experiment's."""
+def draw_ratios(names: Sequence[str], ratios: Mapping[str, NDArray], scatter: Sequence[Row], path: Path) -> None:
+    """Largest diameter over largest thickness of the seven particles: ours, the paper's two methods, the experiment's.
+
+    ratios: values (k,) of "ours", "pure" (with the library's titanium), "hybrid", "ale" and "experiment". scatter: rows of case D.
+    """
     figure, axes = canvas(1, 1, 9, 3.8)
-    axis, x, rows = axes[0, 0], np.arange(len(particles)), [row for _, row, _ in particles]
-    values = {who: [paper[who] for _, _, paper in particles] for who in ("hybrid", "ale", "experiment")}
-    on_axis = 1 - column(rows, "axial_um_end") / column(rows, "diameter_um")
-    for y, mark, colour, size, full, label in (
-        (values["hybrid"], "s", GREY, 6, True, "paper, hybrid"),
-        (values["ale"], "D", GREY, 6, False, "paper, ALE"),
-        (values["experiment"], "_", ORANGE, 26, True, "experiment"),
-        (column(rows, "flattening_end"), "o", BLUE, 8, True, "ours, height above surface, at the end"),
-        (column(rows, "flattening_own"), "o", BLUE, 8, False, "after its own impact"),
-        (column(rows, "flattening_total_end"), "^", INK, 7, True, "ours, whole thickness, at the end"),
-        (on_axis, "v", INK, 7, False, "ours, on the axis, at the end"),
+    axis, x = axes[0, 0], np.arange(len(names))
+    for who, mark, colour, size, full, label in (
+        ("hybrid", "s", GREY, 6, True, "paper, hybrid"),
+        ("ale", "D", GREY, 6, False, "paper, ALE"),
+        ("experiment", "_", ORANGE, 26, True, "experiment"),
+        ("ours", "o", BLUE, 8, True, "ours"),
+        ("pure", "^", BLUE, 8, False, "ours, CP_Ti"),
     ):
+        values = ratios[who]
         width = 3 if mark == "_" else 1
-        axis.plot(x, y, mark, color=colour, mfc=colour if full else "none", ms=size, mew=width, label=label)
-    axis.set_xticks(x, [name.replace(": ", "\n") for name, _, _ in particles])
-    axis.set_ylabel("flattening")
+        axis.plot(
+            x[: len(values)],
+            values,
+            mark,
+            color=colour,
+            mfc=colour if full else "none",
+            ms=size,
+            mew=width,
+            label=label,
+        )
+    for place, name in enumerate(names):
+        own = [row for row in scatter if name.startswith("D") and row["impact"] == name[1] and not row["failed"]]
+        if own:
+            values = column(own, "widest_um_end") / column(own, "thickness_um_end")
+            at = np.full(len(values), place + 0.22)
+            axis.plot(
+                at, values, ".", color=INK, ms=4, alpha=0.6, label="ours, over the scatter" if name[1] == "1" else ""
+            )
+    axis.set_yscale("log")
+    axis.set_yticks((1, 1.5, 2, 3, 5, 8), ("1", "1.5", "2", "3", "5", "8"))
+    axis.minorticks_off()
+    axis.set_xticks(x, [name.replace(": ", "\n") for name in names])
+    axis.set_ylabel("largest diameter / thickness")
     axis.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
     save(figure, path)
 
@@ -218,9 +244,9 @@ def draw_wave(rows: Sequence[Row], path: Path) -> None:
     save(figure, path)
 
 
-def draw_all(splats: Sequence[tuple[str, Row, dict[str, float]]]) -> None:
-    """All figures whose tables exist, beside the page."""
-    draw_flattening(splats, figure_path("validation", "validation_flattening.png"))
+def draw_all(names: Sequence[str], ratios: Mapping[str, NDArray], scatter: Sequence[Row]) -> None:
+    """All figures whose tables exist, beside the page. Arguments as of `draw_ratios`."""
+    draw_ratios(names, ratios, scatter, figure_path("validation", "validation_ratios.png"))
     for name, draw in (("trends", draw_trends), ("profiles", draw_depth), ("wave", draw_wave)):
         if rows := table_rows(f"validation_{name}"):
             draw(rows, figure_path("validation", f"validation_{name}.png"))
