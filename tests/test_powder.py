@@ -25,25 +25,6 @@ from coupler.sph import packing, shapes
 D, SPHERE = 25e-6, np.pi / 6.0
 
 
-@pytest.mark.parametrize("name", powder.SHAPES)
-def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> None:
-    solid = load(powder.write(tmp_path, name, unit=3.7))
-    assert enclosed_volume(solid.points, solid.triangles) == pytest.approx(SPHERE)
-    assert len(solid.triangles) <= MOST_TRIANGLES
-    form = form_of(solid)
-    assert form.height() == pytest.approx(np.ptp(solid.points[:, 2]))
-    body = shapes.of_surface(solid.points, solid.triangles, D, 800)
-    assert len(body.points) == pytest.approx(800, rel=0.1)
-    assert len(body.points) * body.volume == pytest.approx(SPHERE * D**3)
-    assert RaySurface(body.vertices, body.triangles).distance_outside(body.points).max() < 0.05 * body.spacing
-    assert open_or_double(body.triangles) == ""
-    assert enclosed_volume(body.vertices, body.triangles) == pytest.approx(SPHERE * D**3, rel=1e-6)
-    edges = np.linalg.norm(body.vertices[body.triangles] - body.vertices[np.roll(body.triangles, 1, axis=1)], axis=2)
-    assert edges.mean() == pytest.approx(0.8 * body.spacing, rel=0.2)
-    apart = RaySurface(solid.points * D, solid.triangles).closest(body.vertices) - body.vertices
-    assert np.linalg.norm(apart, axis=1).max() < 0.05 * body.spacing
-
-
 def inertia(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Second moments (3,3) of the volume in a closed surface about its centre, over the volume: sums over tetrahedra from the origin
     (Tonon 2004, J. Math. Stat. 1, 8)."""
@@ -55,15 +36,29 @@ def inertia(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", powder.SHAPES)
-def test_packed_points_have_the_mass_the_centre_and_the_inertia_of_the_solid(name: str, tmp_path: Path) -> None:
-    """Each point with its cell of the lattice. A tip thinner than a spacing holds no point: the splinter has two of them."""
-    solid = load(powder.write(tmp_path, name))
+def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> None:
+    """Mass, centre and inertia of the points, each with its cell of the lattice, are those of the solid. The splinter's tips, thinner
+    than a spacing, hold no point."""
+    solid = load(powder.write(tmp_path, name, unit=3.7))
+    assert enclosed_volume(solid.points, solid.triangles) == pytest.approx(SPHERE)
+    assert len(solid.triangles) <= MOST_TRIANGLES
+    form = form_of(solid)
+    assert form.height() == pytest.approx(np.ptp(solid.points[:, 2]))
     body = shapes.of_surface(solid.points, solid.triangles, D, 1000)
+    assert len(body.points) == pytest.approx(1000, rel=0.1)
+    assert len(body.points) * body.volume == pytest.approx(SPHERE * D**3)
+    np.testing.assert_allclose(body.points.mean(axis=0), 0.0, atol=1e-6 * D)
     exact = inertia(solid.points * D, solid.triangles)
     moments = np.cov(body.points.T, bias=True) + packing.FCC.cell_moment(body.spacing) * np.eye(3)
-    np.testing.assert_allclose(body.points.mean(axis=0), 0.0, atol=1e-6 * D)
     difference = np.abs(moments - exact).max() / np.linalg.eigvalsh(exact).max()
     assert difference < (0.07 if name == "splinter" else 0.025)
+    assert RaySurface(body.vertices, body.triangles).distance_outside(body.points).max() < 0.05 * body.spacing
+    assert open_or_double(body.triangles) == ""
+    assert enclosed_volume(body.vertices, body.triangles) == pytest.approx(SPHERE * D**3, rel=1e-6)
+    edges = np.linalg.norm(body.vertices[body.triangles] - body.vertices[np.roll(body.triangles, 1, axis=1)], axis=2)
+    assert edges.mean() == pytest.approx(0.8 * body.spacing, rel=0.2)
+    apart = RaySurface(solid.points * D, solid.triangles).closest(body.vertices) - body.vertices
+    assert np.linalg.norm(apart, axis=1).max() < 0.05 * body.spacing
 
 
 def test_moments_of_a_box() -> None:
