@@ -27,6 +27,7 @@ BATTERY = (
     "Cu at 45 degrees on the rim of a Ni splat, 700 m/s", "Al on 42CrMo4, 1250 m/s", "Ni at 1639 K on SS304 at 300 K, 500 m/s",
 )  # fmt: skip
 SOFT_TARGETS, ON_A_SPLAT, RETRIED = BATTERY[:3], BATTERY[4:5], BATTERY[5:]
+PATIENCE = {FAST: 60.0, TRIPLE: 120.0, COATING: 500.0, **dict.fromkeys(BATTERY, 120.0)}  # s of processor time
 WHERE = {
     NOTHING: (FAST, TRIPLE, *BATTERY, COATING),
     "shape stress": (FAST, TRIPLE, *SOFT_TARGETS),
@@ -105,6 +106,8 @@ def compute(case: str, without: str) -> None:
     import time
 
     SWITCHES.get(without, lambda: None)()
+    import stability
+
     from coupler import Scene, run
     from coupler.errors import ColdsprayError
     from coupler.progress import Progress
@@ -114,7 +117,15 @@ def compute(case: str, without: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         try:
             scene = Scene.from_dict(scene_of(case, without), "ablation")
-            result = run(scene, Path(folder) / "run", progress=Progress(quiet=True), threads=1)
+            result = run(
+                scene,
+                Path(folder) / "run",
+                progress=Progress(quiet=True),
+                threads=1,
+                probe=stability.deadline(PATIENCE[case]),
+            )
+        except stability.Slow as error:
+            row |= {"end": "no end", "why": str(error)}
         except ColdsprayError as error:
             row |= {"end": "gives up", "why": " ".join(str(error).split())[:160]}
         else:

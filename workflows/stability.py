@@ -65,14 +65,14 @@ class Slow(Exception):
     """A scene has used up its time."""
 
 
-def deadline() -> Callable[[Impact], None]:
-    """A probe of an `Impact` that raises Slow when PATIENCE is over."""
+def deadline(patience: float = PATIENCE) -> Callable[[Impact], None]:
+    """A probe of an `Impact` that raises Slow after so many seconds of processor time."""
     started = clock.process_time()
 
     def probe(impact: Impact) -> None:
-        if clock.process_time() - started > PATIENCE:
+        if clock.process_time() - started > patience:
             at = f"{impact.time * 1e9:.1f} ns, dt {impact.particle.dt * 1e12:.2f} ps"
-            raise Slow(f"not done after {PATIENCE:.0f} s: at {at}")
+            raise Slow(f"not done after {patience:.0f} s: at {at}")
 
     return probe
 
