@@ -5,6 +5,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .. import __version__
 from . import gas
 from .arguments import Commands, add_command, add_force, path
 
@@ -82,7 +83,12 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
         spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.velocity / spray.critical
     )  # fmt: skip
     rows = [dict(zip(COLUMNS, map(float, row), strict=True)) for row in zip(*values, strict=True)]
-    write_rows(arguments.csv, COLUMNS, rows, f"{MARK} window; remake: coldspray window {options}")
+    write_rows(
+        arguments.csv,
+        (*COLUMNS, "version"),
+        [{**row, "version": __version__} for row in rows],
+        f"{MARK} window; remake: coldspray window {options}",
+    )
 
 
 def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float) -> None:
