@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 # shared libraries that a wheel expects from the system
 _SYSTEM = ["GLU", "Xft", "Xcursor", "Xinerama", "Xrender", "Xext", "Xfixes", "fontconfig", "gomp", "X11", "GL", "EGL"]
+_EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # optional package -> extra that brings it
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
@@ -70,7 +71,9 @@ def main(argv: list[str] | None = None) -> int:
 def missing_library(error: Exception) -> str | None:
     """The remedy for an import without its shared library or package; None for another error."""
     if isinstance(error, ModuleNotFoundError) and error.name and error.name.split(".")[0] != "coupler":
-        return f"the Python package {error.name} is missing: set the environment up again with `make setup`"
+        extra = _EXTRAS.get(error.name.split(".")[0])
+        remedy = f"pip install coldspray[{extra}]" if extra else "set the environment up again with `make setup`"
+        return f"the Python package {error.name} is missing: {remedy}"
     match = re.match(r"((?:lib)?(\S+)\.so[.]?([.\d]*)): cannot open shared object file", str(error))
     if match is None:
         return None

@@ -38,7 +38,7 @@ class Scene(SceneData):
         try:
             text = read_text(path, SCENE_LIMIT)
         except InputError as error:
-            raise SceneError([error.reason], str(path)) from None
+            raise SceneError([f"the file {error.reason}"], str(path)) from None
         return cls.from_text(text, str(path), settings)
 
     @classmethod

@@ -53,7 +53,7 @@ class Sweep:
         try:
             data = read_toml(path)
         except ColdsprayError as error:
-            raise SceneError([getattr(error, "reason", str(error))], str(path)) from None
+            raise SceneError([f"the file {getattr(error, 'reason', error)}"], str(path)) from None
         return cls.from_dict(data, str(path))
 
     @classmethod
