@@ -16,9 +16,8 @@ Criterion = Literal["all", "plastic_strain", "pressure", "velocity", "exposure"]
 
 ROOM = 293.0  # K, at which the tensile strength of Schmidt's formula is taken
 EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that brings metal through a crack, over its flow stress
-CONSTRAINT = (2.0 + math.pi) / math.sqrt(
-    3.0
-)  # net stress of a ligament between deep cracks, over its flow stress (Prandtl)
+# net stress of a ligament between deep cracks, over its flow stress (Prandtl)
+CONSTRAINT = (2.0 + math.pi) / math.sqrt(3.0)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
 # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
 HELD_STIFFNESS = 1.0

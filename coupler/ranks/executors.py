@@ -20,15 +20,8 @@ KINDS = ("processes", "mpi", "slurm")
 # option of a Slurm job -> its value unless given; any other is passed on to sbatch
 SLURM = {"cores": "1", "time": "01:00:00"}
 RETRIES = 3  # of a computation whose Slurm job ended before it
-_OF_MPI = (
-    "PMI",
-    "PMIX",
-    "OMPI_",
-    "MPI_",
-    "MPICH_",
-    "HYDI_",
-    "HYDRA_",
-)  # variables by which a process joins the ranks of its parent
+# variables by which a process joins the ranks of its parent
+_OF_MPI = ("PMI", "PMIX", "OMPI_", "MPI_", "MPICH_", "HYDI_", "HYDRA_")
 
 
 def executor(

@@ -17,9 +17,8 @@ from .points import how_ended
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map
-KEYS = dict(
-    zip(("particle.velocity", "particle.diameter", "particle.temperature"), AXES, strict=True)
-)  # key of a scene -> axis
+# key of a scene -> axis
+KEYS = dict(zip(("particle.velocity", "particle.diameter", "particle.temperature"), AXES, strict=True))
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
