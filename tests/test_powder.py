@@ -44,14 +44,14 @@ def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> 
     assert len(solid.triangles) <= MOST_TRIANGLES
     form = form_of(solid)
     assert form.height() == pytest.approx(np.ptp(solid.points[:, 2]))
-    body = shapes.of_surface(solid.points, solid.triangles, D, 1000)
-    assert len(body.points) == pytest.approx(1000, rel=0.1)
+    body = shapes.of_surface(solid.points, solid.triangles, D, 800)
+    assert len(body.points) == pytest.approx(800, rel=0.1)
     assert len(body.points) * body.volume == pytest.approx(SPHERE * D**3)
     np.testing.assert_allclose(body.points.mean(axis=0), 0.0, atol=1e-6 * D)
     exact = inertia(solid.points * D, solid.triangles)
     moments = np.cov(body.points.T, bias=True) + packing.FCC.cell_moment(body.spacing) * np.eye(3)
     difference = np.abs(moments - exact).max() / np.linalg.eigvalsh(exact).max()
-    assert difference < (0.07 if name == "splinter" else 0.025)
+    assert difference < (0.09 if name == "splinter" else 0.025)
     assert RaySurface(body.vertices, body.triangles).distance_outside(body.points).max() < 0.05 * body.spacing
     assert open_or_double(body.triangles) == ""
     assert enclosed_volume(body.vertices, body.triangles) == pytest.approx(SPHERE * D**3, rel=1e-6)
