@@ -1,11 +1,13 @@
 """The critical velocity by runs: the search itself, and the command on a scene of 200 points."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from scenes import TINY, scene
 
+from coupler import Scene, run
 from coupler.commands.main import main
 from coupler.measures import REBOUNDS, STICKS, UNDECIDED
 from coupler.studies.critical import Bracket, bracket, next_velocity
@@ -89,6 +91,26 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     assert read_rows(out / "critical.csv") == rows
     assert main(call) == 0
     assert " ..." not in capsys.readouterr().err.splitlines()[-1:]
+
+
+def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
+    """Bonds of one energy hold slow particles: bracketed to 1 % of velocity, and 1 % beyond on each side, with one change."""
+
+    def verdict(velocity: float) -> str:
+        text = scene(("Ni", 25, velocity), **TINY, more=HELD.format(30))
+        return run(Scene.from_text(text, "margin"), tmp_path / f"{velocity:g}", quiet=True).verdict
+
+    low, high = 480.0, 520.0
+    verdicts = {low: verdict(low), high: verdict(high)}
+    while high - low > 0.01 * low:
+        middle = 0.5 * (low + high)
+        verdicts[middle] = verdict(middle)
+        low, high = (middle, high) if verdicts[middle] == STICKS else (low, middle)
+    verdicts |= {v: verdict(v) for v in (0.99 * low, 1.01 * high)}
+    in_order = [verdicts[v] for v in sorted(verdicts)]
+    assert in_order[0] == STICKS
+    assert in_order[-1] == REBOUNDS
+    assert sum(a != b for a, b in pairwise(in_order)) == 1
 
 
 @pytest.mark.parametrize(

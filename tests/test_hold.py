@@ -9,6 +9,7 @@ from scipy.sparse import identity
 
 from coupler.contact.hold import CONTACT_RANGE, Hold
 from coupler.contact.penalty import PointContact
+from coupler.geometry.triangles import rings
 from coupler.impact.heat import HeatPaths
 from coupler.physics.constitutive import heat_capacities
 
@@ -76,7 +77,7 @@ class Sheet:
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
         self.hold = Hold(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law).on(
-            np.concatenate([lower, upper])
+            *rings(np.concatenate([lower, upper]), np.arange(n * n))
         )
         self.contact = PointContact(n * n, FACETS, SIDE / n, float(area[0]), STIFFNESS * SIDE / n, friction)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)

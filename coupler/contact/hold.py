@@ -6,7 +6,6 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..geometry.triangles import rings
 from ..state.records import Shape, check_indices
 from .bond import Bond, BondState
 from .bond_kernels import in_contact
@@ -98,9 +97,11 @@ class Hold:
         self.rows = self.rows[~gone]
         return self
 
-    def on(self, triangles: np.ndarray) -> "Hold":
-        """The hold itself, its points' neighbours taken from the triangles (m,3) of their surface."""
-        self._ring = rings(triangles, self.rows)
+    def on(self, start: np.ndarray, ring: np.ndarray) -> "Hold":
+        """The hold itself, its points' neighbours taken from those of all v points (`rings`): start (v+1,), ring."""
+        count = start[self.rows + 1] - start[self.rows]
+        first = np.concatenate([[0], np.cumsum(count)])
+        self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[self.rows] - first[:-1], count)]
         return self
 
     def forces(

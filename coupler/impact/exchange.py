@@ -7,6 +7,7 @@ leaves with its forces.
 
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
 from ..errors import SolverError
 from ..geometry.points import depths
-from ..geometry.triangles import vertex_areas
+from ..geometry.triangles import rings, vertex_areas
 from ..physics.adhesion import HELD_STIFFNESS, ligament_bonds, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
@@ -85,6 +86,11 @@ class Impact:
         """Stop the second thread."""
         if self._second is not None:
             self._second.close()
+
+    @cached_property
+    def _rings(self) -> tuple[np.ndarray, np.ndarray]:
+        """Neighbours of all vertices of the particle's surface."""
+        return rings(self.surface.triangles, np.arange(self.surface.weights.shape[0]))
 
     @property
     def sinking(self) -> float:
@@ -204,7 +210,7 @@ class Impact:
         if self.hold is not None and self.exposure is not None:
             again = self.exposure.extruding[self.hold.rows]
             if again.any() and (hold := self.hold.without(again)) is not None:
-                self.hold = hold.on(s.triangles)
+                self.hold = hold.on(*self._rings)
         if self.hold is not None:
             new &= ~np.isin(rows, self.hold.rows)
         rows, facets = rows[new], facets[new]
@@ -230,7 +236,7 @@ class Impact:
                 law = adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
             corners = t.mesh.facets[facets]
             later = Hold(rows, corners, s.contacts(p.x), t.x, area, stiffness, **law)
-            self.hold = (later if self.hold is None else self.hold.joined(later)).on(s.triangles)
+            self.hold = (later if self.hold is None else self.hold.joined(later)).on(*self._rings)
 
     def _metals(self, plan: Plan) -> list[Material]:
         """The metal of each law of the target."""
@@ -280,4 +286,4 @@ class Impact:
             self.exposure.restore(state.exposure)
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
-            self.hold = Hold.from_state(state.hold).on(self.surface.triangles)
+            self.hold = Hold.from_state(state.hold).on(*self._rings)
