@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, as_completed
 from pathlib import Path
@@ -51,7 +52,8 @@ def run_points(
             statuses[point] = str(ended["status"])
             log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}")
     except BaseException:
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(Exception), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that Parsl cannot cancel a run by itself: its jobs are cancelled
             pool.shutdown(wait=False, cancel_futures=True)
         for run in list(_running):
             run.terminate()  # it writes a checkpoint
