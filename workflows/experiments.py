@@ -179,7 +179,7 @@ def errors(rows: Sequence[Row], metal: str, name: str, preset: str) -> tuple[flo
 
 
 def band_of(rows: Sequence[Row], metal: str) -> float:
-    """Half-width of the band of the discretisation of the restitution of a metal; as measurements.toml says."""
+    """Half-width of the band of the discretisation of the restitution of a metal; as measurements.toml says, of the parts computed."""
     first = next(iter(entry(metal).sets))
     coarse, standard = (dict(zip(*curve(rows, metal, first, preset), strict=True)) for preset in PRESETS)
     points = [abs(standard[v] - coarse[v]) for v in standard if v in coarse and in_window(v)]
@@ -190,7 +190,7 @@ def band_of(rows: Sequence[Row], metal: str) -> float:
         ]
         if all(pair):
             stiffness.append(0.5 * abs(number(pair[1][0], "restitution") - number(pair[0][0], "restitution")))
-    return math.hypot(max(points, default=math.nan), max(stiffness, default=math.nan))
+    return math.hypot(max(points, default=0.0), max(stiffness, default=0.0)) or math.nan
 
 
 def digits(value: float, places: int = 3) -> str:
