@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pages import PAGES, ROOT, markdown, marked, number, options, study_table, table_rows, write_parts
+from pages import PAGES, ROOT, markdown, marked, number, options, study_table, table_rows, versions, write_parts
 
 from coupler.studies.table import Row
 
@@ -170,7 +170,8 @@ def part() -> list[str]:
          row["flattening"] or "-", row["why"]]
         for (case, _), row in rows.items()
     ]  # fmt: skip
-    return markdown("without | case | end | steps | steps, ratio | CPU time, ratio | flattening | remark", lines)
+    table = markdown("without | case | end | steps | steps, ratio | CPU time, ratio | flattening | remark", lines)
+    return [*table, "", versions(rows.values())]
 
 
 if __name__ == "__main__":

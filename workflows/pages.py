@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from coupler import __version__
 from coupler.studies.table import Row, StudyTable, other_version, read_rows, write_rows
 
+MARK = re.compile(r" \(version [^)]*\)")
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
 PAGES = {
@@ -95,9 +96,16 @@ def column(rows: Iterable[Mapping[str, str]], name: str) -> NDArray[np.float64]:
 
 
 def markdown(head: str | Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
-    """Lines of a Markdown table. head: the headings, or one text with "|" between them."""
+    """Lines of a Markdown table. head: the headings, or one text with "|" between them.
+
+    A mark of a version that all rows have is left out: `versions` says it once.
+    """
     headings = [text.strip() for text in head.split("|")] if isinstance(head, str) else head
-    return [f"| {' | '.join(map(str, line))} |" for line in (headings, ["---"] * len(headings), *rows)]
+    texts = [f"| {' | '.join(map(str, line))} |" for line in rows]
+    marks = {tuple(MARK.findall(text)[:1]) for text in texts}
+    if len(marks) == 1:
+        texts = [MARK.sub("", text) for text in texts]
+    return [f"| {' | '.join(headings)} |", f"| {' | '.join(['---'] * len(headings))} |", *texts]
 
 
 def marked(text: object, row: Mapping[str, str]) -> str:
