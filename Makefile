@@ -10,6 +10,7 @@
 # make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs in its tables are not computed again)
 # make maps   the nickel map of docs/guide/maps.md, into runs/map_ni and docs (half an hour; points in runs/map_ni are not computed again)
 # make docs   docs/ as a site, into docs/_build
+# make gallery  the pages of docs/gallery with what they print and draw, computed again (10 minutes of processor time)
 # make fuzz-files  damaged files of every kind: each command ends with a result or one message; N=2000 SEED=1 say how many and which
 # make setup  system libraries and .venv for runs; test-setup: for tests too; the targets do it themselves when it is needed
 SHELL := /bin/bash
@@ -25,7 +26,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # Tests and documents also need a browser that opens the report:
 TEST_LIBRARIES := chromium
 
-.PHONY: setup test-setup test-libraries run check test test-all bench studies effects accuracy stability fuzz fuzz-files validate maps docs clean
+.PHONY: setup test-setup test-libraries run check test test-all bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
@@ -133,6 +134,9 @@ maps: test-setup
 	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
 	cp runs/map_ni/map.csv docs/tables/map_ni.csv
 	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/evidence/map_ni_$$name.png; done
+
+gallery: setup
+	$(VENV)/bin/python workflows/gallery.py
 
 docs: test-setup
 	$(VENV)/bin/python workflows/scene_page.py

@@ -67,13 +67,22 @@ class Browser:
             assert time.monotonic() < end, f"{expression} did not come true; {self.complaints}"
             time.sleep(0.1)
 
+    def screen(self, width: int, dark: bool = False) -> None:
+        """Another width of the window, px, and light or dark as the reader prefers it."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self._call("Emulation.setEmulatedMedia", features=[scheme])
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=1, mobile=width < 600
+        )
+
     def screenshot(self, path: Path, whole: bool = False) -> Path:
         picture = self._call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(picture["data"]))
         return path
 
     def pdf(self, path: Path) -> Path:
-        path.write_bytes(base64.b64decode(self._call("Page.printToPDF", printBackground=True)["data"]))
+        paper = self._call("Page.printToPDF", printBackground=True, preferCSSPageSize=True)
+        path.write_bytes(base64.b64decode(paper["data"]))
         return path
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:

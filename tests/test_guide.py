@@ -1,4 +1,4 @@
-"""Every command and snippet of the guide and of README.md runs, in order, page by page, on scenes of 200 points and 10 ns.
+"""Every command and snippet of the guide, the gallery and README.md runs, in order, page by page, on scenes of 200 points and 10 ns.
 
 A block that cannot run here stands under a comment `<!-- not run: REASON -->`: its options are still parsed, and its imports done.
 """
@@ -15,6 +15,7 @@ from typing import Any
 
 import matplotlib as mpl
 import pytest
+import tomlkit
 
 from coupler.commands.main import _parser, main
 from coupler.plan.planning import plan
@@ -23,7 +24,11 @@ from coupler.plan.record import plan_text
 from coupler.studies.sweep import Sweep
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "guide").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted(page for folder in ("guide", "gallery") for page in (ROOT / "docs" / folder).glob("*.md")),
+]
 BLOCK = re.compile(r"(?:<!-- ([^\n]*?) -->\n)?^```(console|python|toml)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 BASE = {"particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"}, "substrate": {"material": "SS304"}}
 MAKEFILE = (ROOT / "Makefile").read_text()
@@ -111,6 +116,11 @@ def run_toml(block: Block) -> None:
     name = re.match(r"# (\S+\.toml)\n", block.text)
     if name and name[1] == "wrong.toml":
         Path(name[1]).write_text(block.text)
+    elif name and "points" in data:
+        Sweep.from_dict(data, name[1])
+        points = {key: values[: 2 if key == "velocity" else 1] for key, values in data["points"].items()}
+        scene = data["scene"] | {"resolution": {"spacing": "2 um"}, "end": {"time": "10 ns"}}
+        Path(name[1]).write_text(tomlkit.dumps({"points": points, "scene": scene}))
     elif name:
         Scene.from_dict(data, name[1])
         Path(name[1]).write_text(small(data, name[1]).to_toml())
@@ -118,7 +128,13 @@ def run_toml(block: Block) -> None:
         Scene.from_dict({**BASE, **data}, "part of a scene")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page)], ids=lambda page: page.stem)
+def marked(page: Path) -> Any:
+    """A page as a parameter; those of the gallery take some seconds each."""
+    gallery = page.parent.name == "gallery"
+    return pytest.param(page, marks=[pytest.mark.slow] if gallery else [], id="gallery-" * gallery + page.stem)
+
+
+@pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page)])
 def test_the_page_runs_as_written(
     page: Path, workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

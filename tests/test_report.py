@@ -1,5 +1,6 @@
 """The picture and the table, from a made-up splat in a made-up crater."""
 
+import dataclasses
 import io
 import shutil
 
@@ -12,12 +13,15 @@ from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
 from coupler.geometry.sections import crossing, cut_tets, section_loops
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.report import screen, section_picture
 from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.page import report
-from coupler.report.picture import cut, stage, window
+from coupler.report.picture import axes_at, blank, cut, label_log, stage, window
 from coupler.report.profiles import on_vertical, profiles
-from coupler.report.words import alerts, notes, summary_table
+from coupler.report.words import alerts, notes, span, summary_table, title
 
 
 @pytest.fixture(scope="module")
@@ -82,19 +86,58 @@ def test_picture_shows_both_fields(folder, tmp_path):
     assert before.shape != picture.shape or (before[..., :3] != picture).any()
 
 
-def test_oblique_picture_of_a_named_scene(folder, tmp_path):
-    from coupler.report.words import title
-
+def test_title_of_an_oblique_impact_and_of_a_strange_plan(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "oblique")
-    text = (copy / "scene.toml").read_text().replace('"500 m/s"', '"500 m/s"\nangle = "30 deg"')
-    (copy / "scene.toml").write_text(text)
+    text = plan_of((copy / "scene.toml").read_text().replace('"500 m/s"', '"500 m/s"\nangle = "30 deg"'))
+    (copy / "plan.json").write_text(text)
     assert title(Result(copy)) == "25 µm Ni on SS304 at 500 m/s and 30°"
-    # Text of a stranger's scene is shown as it stands: no formulas, no end of it.
-    (copy / "scene.toml").write_text(text.replace('"Ni"', f'"$\\\\frac{{{"x" * 100}$"'))
+    # Text of a stranger's plan is shown as it stands: no formulas, no end of it.
+    (copy / "plan.json").write_text(text.replace('"Ni"', f'"$\\\\frac{{{"x" * 100}$"'))
+    assert "$\\frac{x" in title(Result(copy))
     assert len(title(Result(copy))) < 120
     section_picture(Result(copy))
-    (copy / "scene.toml").write_text("particle = 3")
+    (copy / "plan.json").write_text('{"plan": {"impacts": [3]}}')
     assert title(Result(copy)) == "oblique"
+
+
+def test_title_of_many_particles():
+    assert span([500.0, 500.0]) == "500"
+    assert span([0.0, 20.0]) == "0, 20"
+    assert span([18.44, 22.0, 25.0, 26.91, 18.44]) == "18.4 to 26.9"
+    assert span([1250.0]) == "1250"
+
+
+def test_the_section_shows_jets_whole(folder):
+    """A jet of the target beyond the particle, and a particle deeper than its diameter, are inside the window."""
+    result = Result(folder)
+    at, fields = stage(result), result.fields
+    _, right, bottom, _ = window(result, [-1], at)
+    jet = np.array([[right * 1e-6 + 20e-6, at.plane, 30e-6]])
+
+    class WithJet:
+        def fields(self, step, domain):
+            seen = fields(step, domain)
+            points = np.vstack([seen.points, jet]) if domain == "target" else seen.points - [0, 0, 40e-6]
+            return dataclasses.replace(seen, points=points)
+
+    wide = window(WithJet(), [-1], at)
+    assert wide[1] > right + 20
+    assert wide[2] < bottom - 15
+    assert wide[3] > 30
+
+
+@pytest.mark.parametrize("limits", [(550.0, 900.0), (300.0, 1300.0), (5e-6, 60e-6), (0.02, 30.0)])
+def test_a_logarithmic_axis_has_labels(limits):
+    axes = axes_at(blank(3, 2, 100), 0.5, 0.5, 2, 1)
+    axes.set(xscale="log", xlim=limits)
+    label_log(axes.xaxis, 1e6 if limits[1] < 1e-3 else 1.0)
+    axes.figure.canvas.draw()
+    texts = [tick.get_text() for tick in axes.get_xticklabels() if limits[0] <= tick.get_position()[0] <= limits[1]]
+    assert 2 <= len([text for text in texts if text]) <= 12
+
+
+def plan_of(scene: str) -> str:
+    return plan_text(plan(Scene.from_text(scene)))
 
 
 def test_picture_of_an_unfinished_run_says_what_is_missing(folder, tmp_path):
@@ -161,7 +204,8 @@ def test_summary_table_of_several_impacts(tmp_path):
         f'[[particle]]\nmaterial = "{what}"\ndiameter = "{size} um"\nvelocity = "{speed} m/s"\n'
         for what, size, speed in (("Ni", 30, 500), ("Ti", 25, 450))
     )
-    with Store.create(tmp_path, scene + '[substrate]\nmaterial = "SS304"\n') as store:
+    scene += '[substrate]\nmaterial = "SS304"\n'
+    with Store.create(tmp_path, scene, plan_json=plan_of(scene)) as store:
         store.finish(summary_of(*impacts, wall_s=55.5, memory_peak_bytes=412_345_678, placement="split", ranks=2))
     result = Result(tmp_path)
     assert summary_table(result).title.plain == "30 µm Ni, 25 µm Ti on SS304 at 500, 450 m/s"
@@ -221,7 +265,7 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     ]
     assert alerts(result.summary) == [doubt]
     page = report(result)
-    head = page[: page.index("<section")]
+    head = page[page.index('<section id="front">') : page.index("</section>")]
     assert head.index("undecided</b>: not at rest") < head.index(f"doubtful</b>: {doubt}") < head.index("<li>rates")
     assert "85 is above 20" in page
 

@@ -16,6 +16,9 @@ from coupler.commands import main as cli
 from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+from coupler.plan.record import plan_text
 from coupler.report import charts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import Range, stage
@@ -67,14 +70,15 @@ def test_the_page_says_what_was_computed(page):
     assert read["thermal softening"][0] == "on"
     assert "without it" in read["thermal softening"][2]
     assert read["johnson cook A"][0] == "1.63e+08"
-    assert read["whole run"] == ["25.0 s"]
-    assert read["a step"] == ["20.00 ms"]
-    assert read["a step, over the points"] == [f"{20 / 1000 / 4012 * 1e6:.2f} µs"]
-    assert read["who set the time step"] == ["particle 90%, target 10%"]
+    assert "1 000 steps of 20 ms; 1 ns took 0.5 s. The time step is set by: particle 90%, target 10%." in page
     assert "25 µm Ni on SS304 at 500 m/s" in page
     assert "not finished" not in page
-    assert page.count("<b>t = ") == 4
+    assert page.count("<b>t = ") == 5  # on the first sheet and at four times
     assert "greatest deformation</figcaption>" in page
+    front = page[page.index('<section id="front">') : page.index("</section>")]
+    for text in ("0.556 ± 0.012", "25 µm Ni sphere, 500 m/s at 0°", "SS304 cylinder, 200 µm across", "friction 0.5",
+                 "tied, criterion velocity", "strain rates beyond the fit", "without "):  # fmt: skip
+        assert text in front
 
 
 def test_the_page_keeps_to_itself_and_takes_text_for_text(page):
@@ -111,7 +115,7 @@ def test_an_unfinished_run_says_so(finished, tmp_path):
     assert rows(page)["crater depth"] == ["5", "µm"]
     assert "thermal softening" in rows(page)
     assert "beyond the fitted range: strain rates near v/D" in page  # what `check` warns of
-    assert page.count("<b>t = ") == 4
+    assert page.count("<b>t = ") == 5
     # the earliest moment: a scene and nothing else
     for path in copy.iterdir():
         if path.name not in ("scene.toml", "plan.json"):
@@ -252,6 +256,7 @@ def test_where_the_page_goes(finished, tmp_path, capsys):
         write_report(Result(copy))
 
 
+OFFSET = 'offset = ["3 um", "-4 um"]\n'
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 
 
@@ -273,8 +278,8 @@ def test_a_browser_shows_the_page(finished, page, tmp_path):
         assert browser.ask("document.querySelectorAll('#measures td').length") > 30
         assert browser.ask("document.querySelectorAll('.chart .main-svg').length") >= 9
         assert (
-            browser.ask("[...document.querySelectorAll('#cuts img')].map((image) => image.naturalWidth > 600)")
-            == [True] * 5
+            browser.ask("[...document.querySelectorAll('#cuts img')].map((image) => image.naturalWidth > 500)")
+            == [True] * 12  # three fields at four times
         )
         # 3D: WebGL has drawn, and draws another instant when asked
         assert browser.ask("document.querySelector('#solid canvas').width") > 300
@@ -285,6 +290,59 @@ def test_a_browser_shows_the_page(finished, page, tmp_path):
         assert drawn(browser) != last
         assert browser.requests == [path.as_uri()]
         assert browser.complaints == []
+        fits(browser, tmp_path)
+
+
+def fits(browser: Browser, folder: Path) -> None:
+    """On a telephone nothing is wider than the screen; the first sheet of paper holds all of the front; dark is dark."""
+    browser.screen(420, dark=True)
+    browser.until("document.documentElement.scrollWidth === 420")  # curves follow the width after a moment
+    wider = "[...document.querySelectorAll('.wide, pre')].filter((box) => box.scrollWidth > box.clientWidth).length"
+    assert browser.ask(wider) == 0
+    assert browser.ask("getComputedStyle(document.body).backgroundColor") == "rgb(22, 25, 29)"
+    browser.screen(1280)
+    assert browser.ask("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    browser.ask("document.querySelectorAll('section:not(#front), footer').forEach((part) => part.remove())")
+    browser.ask(
+        "document.getElementById('front').style.breakAfter = 'auto'"
+    )  # else a sheet for what is left of the page
+    paper = browser.pdf(folder / "front.pdf").read_bytes()
+    assert len(re.findall(rb"/Type\s*/Page\b", paper)) == 1
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_the_front_of_eight_impacts_fits(finished, tmp_path):
+    copy = shutil.copytree(finished, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    scene = made_up_run.SCENE.replace("[particle]", "[[particle]]")
+    head, particle = scene[: scene.index("[[")], scene[scene.index("[[") : scene.index("[substrate]")]
+    several = f"{head}{8 * (particle + OFFSET)}{scene[scene.index('[substrate]') :]}"
+    (copy / "plan.json").write_text(plan_text(plan(Scene.from_text(several))))
+    band = {"half_width": 0.0118}
+    end = {"time_s": 1e-9, "flattening_ratio": 0.5512, "crater_depth_m": 5.3e-6, "eps_p_mean": 0.7, "T_mean_K": 423.1}
+    impact = {
+        "verdict": "rebounds",
+        "material": "Ni",
+        "diameter_m": 25e-6,
+        "end": end,
+        "bands": dict.fromkeys(end, band),
+    }
+    record = {
+        "date": "2026-01-01",
+        "host": "h" * 30,
+        "versions": {f"package{k}": "1.2.3" for k in range(9)},
+        "command": "x " * 99,
+    }
+    summary = made_up_run.summary_of(*[impact] * 8, warnings=[f"{k} is beyond the fitted range " * 5 for k in range(8)])
+    Store(copy).finish(summary | {"provenance": record})
+    path = write_report(Result(copy))
+    front = path.read_text(encoding="utf-8")
+    assert "8 Ni of 25 µm on SS304 at 500 m/s" in front
+    assert "offset (3, -4) µm" in front
+    assert "0.551 ± 0.012" in front
+    with shown(path, tmp_path / "profile") as browser:
+        fits(browser, tmp_path)
 
 
 def show_second_instant(browser: Browser) -> None:
@@ -320,7 +378,7 @@ def test_controls_of_the_page(finished, page, tmp_path):
         browser.until("document.getElementById('solid-picture').naturalWidth > 300")  # what stands for WebGL on paper
         paper = browser.pdf(tmp_path / "page.pdf").read_bytes()
         assert paper.startswith(b"%PDF")
-        assert 3 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 9
+        assert 3 <= len(re.findall(rb"/Type\s*/Page\b", paper)) <= 11
         assert browser.requests == [path.as_uri()]
         assert browser.complaints == []
 

@@ -1,6 +1,6 @@
 """Writes docs/guide/scene.md, a scene key by key, from the models that read scenes: python workflows/scene_page.py [FILE]
 
-Types, units, limits and defaults are those of the models; the descriptions are here. `make docs` runs it first.
+Types, units, limits and defaults are those of the models; the descriptions are in coupler/scene/words.toml. `make docs` runs it first.
 """
 
 import dataclasses
@@ -20,112 +20,16 @@ from coupler.physics.strength import LAWS
 from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
 from coupler.scene.effects import NAMES
+from coupler.scene.json_schema import words
 from coupler.scene.tables import Quantity, Section
 from coupler.spray import nozzles
 
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
-WORDS = {
-    "name": "of the run, and of its folder in `runs/`; the file's name by default",
-    "preset": "how fine: points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
-    "effects": '`"auto"`: those that the scene calls for; or a list of names, `"-name"` leaves one out of those before it'
-    " ([effects](../theory/effects.md))",
-    "strength": "strength set or law of all metals that name none under `[materials.NAME]`; the first set of each by default"
-    " ([materials](materials.md))",
-    "particle.material": "a name of the library or of `[materials.NAME]`",
-    "particle.shape": "all shapes have the volume of a sphere of `diameter`",
-    "particle.file": 'with `shape = "file"`: a closed surface (STL, PLY, OBJ), relative to the scene, scaled to `diameter`',
-    "particle.diameter": "of the sphere of equal volume",
-    "particle.velocity": "of impact; not needed with `[gas]`",
-    "particle.angle": "of flight, from the surface normal, in the plane of x and z",
-    "particle.tilt": "of the shape about y",
-    "particle.temperature": "at impact, uniform",
-    "particle.offset": "of the centre from the axis, x and y, at the start",
-    "particle.gap": "of the lowest point above what lies under it at the start; half a spacing by default",
-    "particle.dwell": "time until the next impact, in which heat flows; `auto`, as `[spray]` has it, by default",
-    "particle.hardness": "of the powder, if it is harder than its metal as the strength set has it ([materials](materials.md))",
-    "particle.yield_strength": "of the powder, instead of its hardness",
-    "gas.kind": "of gas",
-    "gas.pressure": "total, before the nozzle",
-    "gas.temperature": "total, before the nozzle",
-    "gas.nozzle": "a name of the library (`coldspray gas --list`) or of `[nozzles.NAME]`",
-    "gas.standoff": "from the nozzle's exit to the target",
-    "gas.ambient": "pressure around the jet",
-    "gas.powder_temperature": "of the powder when it is fed",
-    "gas.bow_shock": "whether a normal shock stops the jet before the target",
-    "gas.drag": "the law of drag",
-    "substrate.material": "a name of the library or of `[materials.NAME]`",
-    "substrate.diameter": "of the cylinder",
-    "substrate.height": "of the cylinder",
-    "substrate.temperature": "at the start, uniform",
-    "substrate.sides": "`absorbing` lets waves out, `free` and `fixed` send them back, `half_space` lets them out and has the"
-    " static stiffness of the rest of a half-space ([target](../theory/target.md)); `half_space` by default with `[coating]`",
-    "substrate.bottom": "as `sides`",
-    "substrate.window": "radius round each impact within which the target is computed, the rest keeps still"
-    f" ([sequences](sequences.md)); {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and"
-    " everything with fewer, by default",
-    "contact.friction": "Coulomb's coefficient",
-    "adhesion.kind": '`"tied"` by `"velocity"` where neither kind nor criterion is given; `"none"` where a metal has no `sigma_TS`',
-    "adhesion.criterion": "which of the nodes in contact are bonded",
-    "adhesion.threshold": "of plastic strain (a number), pressure (with unit) or velocity over the critical one (default 1)",
-    "adhesion.strength": "in tension, of a cohesive bond",
-    "adhesion.energy": "of fracture in tension, of a cohesive bond; 0 is brittle",
-    "adhesion.shear_strength": "in shear; that in tension by default",
-    "adhesion.shear_energy": "in shear; that in tension by default",
-    "adhesion.pair": "tables `[[adhesion.pair]]`: `metals`, two names, and the strengths and energies between them where they differ",
-    "splat.mass_scaling": "share of the next particle's mass that the elements with the shortest steps may be made heavier by; 0 for"
-    " none ([sequences](sequences.md))",
-    "splat.method": "where the surface of a finished splat comes from ([splats](../theory/splats.md))",
-    "splat.element_size": "edges of a splat's elements; the target's smallest by default",
-    "resolution.spacing": "of the particle's points; by the preset by default",
-    "resolution.element_size": f"smallest edges of the target's elements; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
-    "resolution.growth": "of the edges, for each unit of distance from the impact",
-    "resolution.engine": "of the particle's internal forces: the enriched scheme, or MACHDYN's in compiled passes or by LAMMPS"
-    " ([particle](../theory/particle.md))",
-    "want.measures": "keys of `summary.json` with a band, and `verdict`; all by default. What none of them needs is left out"
-    " ([budget](accuracy.md))",
-    "want.accuracy": "share of the value, for discretisation and omitted effects together: 0.05, 0.02 and 0.01 by default, by preset",
-    "end.at": '`"rest"` for one particle (unless `[want]` needs no rest) and `"cold"` for several, unless `at` or `time` is there;'
-    ' `"greatest"` is the greatest deformation; `"cold"`: at rest, and after the last impact all cools to `ambient`',
-    "end.ambient": "temperature of the closing stage",
-    "spray.feed_rate": "of powder",
-    "spray.spot": "diameter of the circle that the powder falls on, evenly",
-    "spray.traverse_speed": "of the gun over the target",
-    "spray.efficiency": "share of the powder that the scene's particles stand for",
-    "spray.heat_transfer": "of the jet on the surface between impacts; none by default",
-    "spray.gas_temperature": "of the jet at the surface; the total temperature of `[gas]` by default",
-    "end.time": "after the start of each impact; with `at`, whichever comes first",
-    "output.every": "simulated time between two written steps; diameter / velocity / 25 by default",
-    "coating.material": "of all particles",
-    "coating.number": "of particles in all",
-    "coating.layers": "that they come in, with equal numbers",
-    "coating.radius": "of the disc about the axis that their centres fall on",
-    "coating.positions": "`even`: each as far as may be from those of its layer",
-    "coating.diameter": "median of a log-normal distribution, by number",
-    "coating.spread": "geometric standard deviation of the diameters; 1 is all equal",
-    "coating.smallest": "where the distribution is cut",
-    "coating.largest": "where the distribution is cut",
-    "coating.velocity": "one value, or pairs of a diameter and a value; from `[gas]` by default",
-    "coating.velocity_spread": "standard deviation about the velocity, cut at two",
-    "coating.temperature": "one value, or pairs of a diameter and a value",
-    "coating.shapes": "shares of each shape, by number",
-    "coating.files": 'files with shapes in place of `shapes`, relative to the scene, such as `"powder/*.stl"`',
-    "coating.dwell": "time between impacts, in which heat flows; `auto`, as `[spray]` has it, by default",
-    "coating.hardness": "as of a particle",
-    "coating.yield_strength": "as of a particle",
-    "coating.seed": "the same seed gives the same particles",
-}
-ABOUT = {
-    "particle": "One table `[particle]`, or `[[particle]]` several times: impacts one after another ([sequences](sequences.md)).",
-    "gas": "Optional: gives the velocity and temperature that the particle leaves out ([gas](gas.md)).",
-    "coating": "Optional, in place of `[[particle]]`: many particles drawn from a seed.",
-    "spray": "Optional: the stream of powder, which sets the time between impacts ([sequences](sequences.md)).",
-    "substrate": "The target, a cylinder whose top is the surface.",
-    "contact": "Between particle and target, and between bodies.",
-    "adhesion": "What holds splats to what they lie on ([bonds](../theory/bonds.md)).",
-    "splat": "How a finished particle becomes finite elements.",
-    "resolution": "Overrides of the preset.",
-    "end": "When an impact ends.",
-    "output": "What is written.",
+DEFAULTS = {  # numbers of the plan, in words
+    "preset": ": points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
+    "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and everything with fewer,"
+    " by default",
+    "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
 MATERIAL = {
     "rho": "density", "G": "shear modulus", "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
@@ -143,6 +47,29 @@ LAW = {
     "law": f"{', '.join(f'`{name}`' for name in LAWS)}; `johnson_cook` by default",
     "fitted": '`{ rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K", "1000 K"], strain = 0.5 }`: range of the fit',
 }
+EXAMPLE = """```toml
+[particle]
+material = "MyAlloy"
+diameter = "25 um"
+velocity = "600 m/s"
+
+[materials.MyAlloy]
+rho = "8190 kg/m3"
+G = "77 GPa"
+c0 = "4500 m/s"
+s = 1.5                            # a number without a unit stands without quotes
+Gamma0 = 1.8
+T_m = "1600 K"
+cp = "435 J/(kg K)"                # constant; or [["300 K", "435 J/(kg K)"], ["1073 K", "580 J/(kg K)"]]
+k = "11 W/(m K)"
+A = "980 MPa"                      # Johnson-Cook
+B = "1370 MPa"
+n = 0.16
+C = 0.02
+m = 1.03
+eps_dot_0 = "1 1/s"
+source = "an example, not a measurement"
+```"""
 NOZZLE = {
     "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
     "diverging": "length of the second cone", "barrel": "length of a straight part behind",
@@ -163,7 +90,7 @@ def page() -> str:
     lines = [
         f"""# A scene, key by key
 
-<!-- written by workflows/scene_page.py from coupler/scene/tables.py: change those -->
+<!-- written by workflows/scene_page.py from coupler/scene/tables.py and words.toml: change those -->
 
 A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is
 wrong is reported at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds
@@ -181,13 +108,15 @@ Units: {known}.
             top.append((key, info))
     lines += ["## Before the first table", "", *_table("", top)]
     for key, model in tables:
-        lines += [f"## `[{key}]`", "", ABOUT.get(key, _first(model)), ""]
+        lines += [f"## `[{key}]`", "", words(f"{key}.about"), ""]
         lines += _table(f"{key}.", [(info.alias or name, info) for name, info in model.model_fields.items()])
     own = f"A material of your own, or numbers changed of one of the library ({', '.join(materials.names())})."
     lines += [
         "## `[materials.NAME]`",
         "",
         own,
+        "",
+        *EXAMPLE.splitlines(),
         "",
         *_plain(materials.Material, materials._DEFAULTS, MATERIAL, _material_unit),
         *_laws(),
@@ -200,15 +129,15 @@ Units: {known}.
 
 
 def missing_words() -> list[str]:
-    """Keys of a scene that this file has no words for."""
+    """Keys of a scene that have no words."""
     keys = []
     for name, info in Scene.model_fields.items():
         model = _section(info.annotation)
         above = info.alias or name
         keys += [f"{above}.{key}" for key in model.model_fields] if model else [above]
-    keys = [key for key in keys if key not in WORDS and key not in ("materials", "nozzles")]
-    for kind, words in ((materials.Material, MATERIAL), (nozzles.Nozzle, NOZZLE)):
-        keys += [f"{kind.__name__}.{f.name}" for f in dataclasses.fields(kind) if f.name not in (*words, "name")]
+    keys = [key for key in keys if not words(key) and key not in ("materials", "nozzles")]
+    for kind, known in ((materials.Material, MATERIAL), (nozzles.Nozzle, NOZZLE)):
+        keys += [f"{kind.__name__}.{f.name}" for f in dataclasses.fields(kind) if f.name not in (*known, "name")]
     return keys
 
 
@@ -216,7 +145,7 @@ def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
     lines = ["| key | takes | default | |", "|---|---|---|---|"]
     for key, info in fields:
         default = "" if key == "name" else _default(info)
-        lines.append(f"| `{key}` | {_takes(info)} | {default} | {WORDS.get(above + key, '')} |")
+        lines.append(f"| `{key}` | {_takes(info)} | {default} | {words(above + key)}{DEFAULTS.get(above + key, '')} |")
     return [*lines, ""]
 
 
@@ -333,10 +262,6 @@ def _written(value: Any, quantity: Quantity | None) -> str:
     if quantity is not None:
         return units.rounded(value, quantity.unit, 8)
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _first(model: type) -> str:
-    return (model.__doc__ or "").split("\n\n")[0].replace("\n", " ").strip()
 
 
 if __name__ == "__main__":

@@ -269,6 +269,7 @@ def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None
     """The points by their verdicts, crosses where failed."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
+    from ..report.picture import label_log
     from ..studies.maps import LOGARITHMIC
 
     done = [r for r in rows if r["status"] == "done"]
@@ -284,11 +285,12 @@ def _points(at: "Axes", rows: "Sequence[Row]", x_axis: str, y_axis: str) -> None
             at.scatter([r[x_axis] for r in points], [r[y_axis] for r in points], s=22, edgecolors="k", linewidths=0.8,
                        label=label, zorder=3, clip_on=False, marker=marker, c=colour)  # fmt: skip
     for name, axis, side in (("x", at.xaxis, x_axis), ("y", at.yaxis, y_axis)):
+        factor = measure(side).factor
+        axis.set_major_formatter(FuncFormatter(lambda v, _, f=factor: f"{v * f:.4g}"))
         if side in LOGARITHMIC:
             getattr(at, f"set_{name}scale")("log")
+            label_log(axis, factor)
         ticks = sorted({row[side] for row in rows if row[side] is not None})
         if len(ticks) <= 8:
             axis.set_ticks(ticks)
             axis.set_minor_locator(NullLocator())
-        factor = measure(side).factor
-        axis.set_major_formatter(FuncFormatter(lambda v, _, f=factor: f"{v * f:.4g}"))

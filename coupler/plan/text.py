@@ -31,7 +31,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  target     {target.material.name} cylinder {show(target.diameter, 'um', 4)}"
         f" x {show(target.height, 'um', 4)}, {show(target.temperature, 'K', 4)},"
         f" sides {target.sides}, bottom {target.bottom}",
-        *_strength(plan),
+        *_strength(plan, brief),
         f"  friction   {plan.friction:g}",
         *_splats(plan),
         *_window(plan),
@@ -64,17 +64,20 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
     return "\n".join([*lines, "", *_shares(plan), *(["", *notes] if notes else [])])
 
 
-def _strength(plan: Plan) -> list[str]:
-    """The strength set of each metal, and the powder's own hardness."""
-    metals = {m.name: m.strength.label for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
+def _strength(plan: Plan, brief: bool) -> list[str]:
+    """The strength set of each metal, and the powder's own hardness; unless in brief the sources of each metal."""
+    metals = {m.name: m for m in (*(impact.material for impact in plan.impacts), plan.target.material)}
     hardened = [impact.initial_strain for impact in plan.impacts if impact.initial_strain > 0.0]
     powder = (
         f"powder begins at a plastic strain of {max(hardened):.3g}"
         if hardened
         else "powder as its set, no hardness given"
     )
-    text = f"{', '.join(f'{name} {label}' for name, label in metals.items())}; {powder}"
-    return [fill(text, 119, initial_indent="  strength   ", subsequent_indent=" " * 13)]
+    texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; {powder}"}
+    if not brief:
+        sources = [f"{m.name}: {m.source or 'none'}; strength: {m.strength.source or 'none'}" for m in metals.values()]
+        texts |= {"source" + " " * k: text for k, text in enumerate(sources)}
+    return [fill(text, 119, initial_indent=f"  {k:11}", subsequent_indent=" " * 13) for k, text in texts.items()]
 
 
 def _note(warning: str, brief: bool) -> list[str]:

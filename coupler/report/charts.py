@@ -70,8 +70,11 @@ def energy(history: History, kinetic_0: float | None = None) -> Figure | None:
         for share, words, colour in shares
     ]
     layout = {
-        "xaxis": {"title": "time (ns)"},
-        "yaxis": {"title": "% of the initial kinetic energy", "rangemode": "tozero"},
+        "xaxis": axis("time (ns)", traces, "x"),
+        "yaxis": {
+            "title": "% of the initial kinetic energy",
+            "range": [-3, 103 + 100 * max(history["drift"].max(), 0)],
+        },
         "legend": {"traceorder": "reversed"},
     }
     return {"traces": traces, "layout": layout, "height": 420}
@@ -101,7 +104,7 @@ def compared(histories: Mapping[str, History], column: str, label: str, factor: 
 
 def _of_time(traces: Sequence[Trace], label: str, height: int) -> Figure:
     layout = {
-        "xaxis": {"title": "time (ns)"}, "yaxis": {"title": label}, "showlegend": len(traces) > 1,
+        "xaxis": axis("time (ns)", traces, "x"), "yaxis": axis(label, traces, "y"), "showlegend": len(traces) > 1,
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0, "xanchor": "left"},
     }  # fmt: skip
     return {"traces": traces, "layout": layout, "height": height}
@@ -147,14 +150,22 @@ def _down(lines: Sequence[tuple[Profile, NDArray]], words: str, colour: str, das
 def _deep(traces: Sequence[Trace], label: str, span: tuple[float, float], legend: bool) -> Figure:
     line = {"color": "#888", "width": 1, "dash": "dash"}
     layout = {
-        "xaxis": {"title": label, "side": "bottom"},
-        "yaxis": {"title": "depth below the surface (µm)", "range": [1.02 * span[1], span[0] - 0.02 * span[1]]},
+        "xaxis": axis(label, traces, "x"),
+        "yaxis": {"title": "depth below the surface (µm)", "range": [1.04 * span[1], span[0] - 0.04 * span[1]]},
         "hovermode": "y unified",
         "legend": {"x": 0.03, "y": 0.03, "xanchor": "left", "yanchor": "bottom"},
         "showlegend": legend,
         "shapes": [{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0, "y1": 0, "line": line}],
     }
     return {"traces": traces, "layout": layout, "height": 440}
+
+
+def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
+    """An axis for the values `key` of all traces, with room between them and the frame."""
+    values = [v for t in traces for v in t[key] if v is not None]  # type: ignore[attr-defined]
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    room = 0.04 * (high - low) or abs(0.04 * high) or 1.0
+    return {"title": title, "range": [low - room, high + room]}
 
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:

@@ -5,6 +5,7 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const family = getComputedStyle(document.body).fontFamily;
 const config = { responsive: true, displayModeBar: false };
 const charts = [];
+const NARROW = innerWidth < 640;
 
 function axis(layout, style) {
   const { title, ...rest } = layout;
@@ -20,7 +21,8 @@ function draw(id, figure) {
   return Plotly.newPlot(box, figure.traces, {
     font: { family, size: 12, color: "#1b1f24" }, margin: { l: 56, r: 12, t: 8, b: 46 }, hovermode: "x unified",
     paper_bgcolor: "white", plot_bgcolor: "white", hoverlabel: { font: { size: 12 } },
-    xaxis: axis(xaxis), yaxis: axis(yaxis), legend: { font: { size: 12 }, ...legend }, ...layout,
+    xaxis: axis(xaxis), yaxis: axis(yaxis), ...layout,
+    legend: { font: { size: 12 }, ...legend, ...(NARROW && legend?.traceorder ? { orientation: "h", x: 0, y: -0.2 } : {}) },
   }, config);
 }
 
@@ -114,7 +116,8 @@ class Solid {
   }
 
   camera(whole) {
-    return { eye: { x: -0.66, y: whole ? -2.3 : -2.15, z: 0.95 }, center: { x: 0, y: 0, z: whole ? -0.28 : -0.22 }, up: { x: 0, y: 0, z: 1 } };
+    const far = NARROW ? 1.5 : 1;
+    return { eye: { x: -0.66 * far, y: (whole ? -2.3 : -2.15) * far, z: 0.95 * far }, center: { x: 0, y: 0, z: whole ? -0.28 : -0.22 }, up: { x: 0, y: 0, z: 1 } };
   }
 
   async start() {
@@ -216,6 +219,7 @@ for (const button of document.querySelectorAll("button.copy"))
 // A sheet of A4 within its margins, and how many charts stand beside each other on it, as in page.css.
 const PAPER = 680, BESIDE = { two: 2, three: 3, four: 2 };
 addEventListener("beforeprint", () => {
+  for (const folded of document.querySelectorAll("details")) folded.open = true;
   for (const box of charts) {
     const beside = BESIDE[box.parentNode.parentNode.className] ?? 1;
     Plotly.relayout(box, { autosize: false, width: Math.floor((PAPER - 18 * (beside - 1)) / beside) });

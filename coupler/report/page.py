@@ -7,6 +7,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -29,6 +30,7 @@ from .solid import frames, solid
 from .words import alerts, title, verdict
 
 PICTURES = 5  # of the cut
+FRONT_WARNINGS = 3
 PICTURE_PIXELS = 260  # along the particle: a picture is a third of the page wide
 
 
@@ -89,14 +91,22 @@ def write_report(
 
 def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> str:
     """The page about a run as HTML. stage(text): told what comes next."""
-    page, summary, values, scene = Page(), result.summary, result.values, parts.scene_of(result)
+    page, summary, values = Page(), result.summary, result.values
     history = result.history() if (result.directory / "history.csv").is_file() else {}
-    computed = parts.computed(scene, values) + "<h3>Effects</h3>" + parts.effects(result) + parts.material_data(result)
-    page.section("computed", "What was computed", computed)
-    page.section("measures", "Measures", parts.measures(summary) or _so_far(history))
+    conditions = parts.conditions(result)
+    front = parts.front(summary) if summary else _so_far(history)
+    front = (
+        f'<div class="two"><div>{front}</div>{conditions}</div>'
+        if len(summary.get("impacts", [])) < 2
+        else front + conditions
+    )
+    warned = (values if result.finished else result.plan).get("warnings") or []
+    warned = [str(text) for text in warned if text not in alerts(summary)]
+    more = f"{len(warned) - FRONT_WARNINGS} more below" if len(warned) > FRONT_WARNINGS else ""
+    page.section("warnings", "Warnings", parts.warnings(warned) if more else "")
+    page.section("measures", "Measures", parts.measures(summary))
     page.section("impacts", "Impacts", parts.each_impact(summary))
-    names = picture.drawable(result)
-    if names:
+    if names := picture.drawable(result):
         at, picked = picture.stage(result), picks(result)
         seen = picture.window(result, picked, at)
         stage("cutting the bodies")
@@ -106,18 +116,23 @@ def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> 
         page.solid = solid(result, frames(picture.stored_steps(result)), ranges, at)
         page.section("in3d", "In 3D", SOLID)
         stage("drawing the cuts")
+        main = {name: ranges[name] for name in names if name in ("T", "eps_p")}
+        lower = replace(cuts[-1], window=(*seen[:3], picture.window(result, picked[-1:], at)[3]))
+        front = _cuts([lower], main, {}) + front
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
         stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:
-        page.section("in3d", "In 3D", '<p class="note">No step of particle, surface and target is stored yet.</p>')
+        front = '<p class="note">No step of particle, surface and target is stored yet.</p>' + front
     page.section("energy", "Energy", _energy(page, history, values))
-    motion = [page.chart(name, charts.over_time(history, name)) for name in ("lengths", "velocity", "force")]
-    page.section("motion", "Motion", f'<div class="three">{"".join(motion)}</div>' if any(motion) else "")
-    spent, step = parts.timing(values), page.chart("step", charts.over_time(history, "step"))
-    page.section("time", "Time spent", f'<div class="two"><div>{spent}</div>{step}</div>' if spent else step)
+    motion = [page.chart(name, charts.over_time(history, name)) for name in ("lengths", "velocity", "force", "step")]
+    over_time = f'<div class="two">{"".join(motion)}</div>{parts.pace(values)}' if any(motion) else ""
+    page.section("motion", "Motion and time step", over_time)
+    page.section("effects", "Effects and materials", parts.effects(result) + parts.material_data(result))
     page.section("scene", "Scene", _scene(result))
-    return page.html(title(result), _under(result, scene), _top(result, history), _footer(values))
+    front += parts.warnings([*warned[:FRONT_WARNINGS], *([more] if more else [])])
+    top = _state(result, history) + front + parts.provenance(summary)
+    return page.html(title(result), _under(result), top, FOOTER)
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
@@ -144,6 +159,7 @@ def embedded(figure: Figure) -> str:
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
+FOOTER = "Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
 SOLID = """<div class="controls" id="solid-controls">
 <label>Colours <select id="field"></select></label>
 <label><input type="checkbox" id="whole"> whole, not cut open</label>
@@ -166,16 +182,16 @@ def _named_times(summary: Summary) -> dict[str, float]:
     return times
 
 
-def _under(result: Result, scene: Mapping[str, object]) -> str:
-    texts = [str(scene.get("name", result.directory.resolve().name))]
-    texts += [f"preset {scene['preset']}"] if "preset" in scene else []
+def _under(result: Result) -> str:
+    texts = [str(result.plan.get("name", result.directory.resolve().name))]
     for key, text in (("sim_time_s", "{:.1f} ns simulated"), ("wall_s", "computed in {:.0f} s")):
         if isinstance(value := result.values.get(key), float):
             texts.append(text.format(value * measure(key).factor))
     return escape(" · ".join(texts))
 
 
-def _top(result: Result, history: Mapping[str, NDArray]) -> str:
+def _state(result: Result, history: Mapping[str, NDArray]) -> str:
+    """The verdict, and what limits the trust in the result."""
     notes: list[tuple[str, str, str]] = []  # id, head and text as HTML
     if not result.finished:
         reached = f" It has reached {history['time'][-1] * 1e9:.1f} ns." if len(history.get("time", ())) else ""
@@ -184,63 +200,49 @@ def _top(result: Result, history: Mapping[str, NDArray]) -> str:
     if result.undecided is not None:
         hint = ". <code>coldspray resume</code> goes on with it." if result.at_limit else ""
         notes.append(("undecided", "This run is undecided", f": {escape(result.undecided)}{hint}"))
-    doubts = alerts(result.summary)
-    notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in doubts]
+    notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in alerts(result.summary)]
     state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
-    warned = (result.values if result.finished else result.plan).get("warnings") or []
     decided = verdict(result.summary)
-    state = (f'<p id="verdict"><b>Verdict</b>: {escape(decided)}</p>' if decided else "") + state
-    return state + parts.tiles(result.summary) + parts.warnings([text for text in warned if text not in doubts])
-
-
-def _footer(values: Mapping[str, object]) -> str:
-    version = f" {values['version']}" if "version" in values else ""
-    return escape(
-        f"Computed by coldspray{version}. Times, lengths and stresses in the units shown; z = 0 is the undeformed surface."
-    )
+    return (f'<p id="verdict"><b>Verdict</b>: {escape(decided)}</p>' if decided else "") + state
 
 
 def _so_far(history: Mapping[str, NDArray]) -> str:
     """The last line of the history, for a run without a summary."""
-    shown = {
-        "time": ("time", 1e9, "ns"), "height": ("height above surface", 1e6, "µm"), "thickness": ("whole thickness", 1e6, "µm"),
-        "crater_depth": ("crater depth", 1e6, "µm"), "velocity_z": ("velocity upwards", 1.0, "m/s"),
-        "T_max": ("highest temperature, particle", 1.0, "K"), "eps_p_mean": ("mean plastic strain, particle", 1.0, ""),
-        "drift": ("energy drift", 100.0, "%"), "step": ("steps", 1.0, ""),
+    keys = {
+        "time": "time_s", "height": "height_m", "thickness": "thickness_m", "crater_depth": "crater_depth_m",
+        "velocity_z": "velocity_z_m_s", "T_max": "T_max_K", "eps_p_mean": "eps_p_mean", "drift": "energy_drift", "step": "steps",
     }  # fmt: skip
-    rows = [
-        (words, f"{history[name][-1] * factor:.4g}", unit)
-        for name, (words, factor, unit) in shown.items()
-        if len(history.get(name, ()))
-    ]
+    known = {name: measure(key) for name, key in keys.items() if len(history.get(name, ()))}
+    rows = [(m.label, f"{history[name][-1] * m.factor:.4g}", m.unit) for name, m in known.items()]
     return parts.table(("last line of the history", "", ""), rows, numbers=(1,)) if rows else ""
 
 
 def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], named: Mapping[str, float]) -> str:
-    """Pictures of the cut at several times, a row for each, and the colours above."""
-    left, right, bottom, top = cuts[0].window
-    wide, gap = 4.0, 0.06  # inches
-    tall, whole = wide * (top - bottom) / (right - left), len(ranges) * (wide + gap) - gap
-    bars = picture.blank(whole, 0.62, 150)
-    for k, (name, ends) in enumerate(ranges.items()):
-        picture.colour_bar(
-            picture.axes_at(bars, k * (wide + gap) + 0.25, 0.72 * 0.62, wide - 0.5, 0.24 * 0.62),
-            name,
-            ends,
-            across=True,
-        )
-    labels = ", ".join(FIELDS[name].label for name in ranges)
-    pictures = [f'<figure><img src="{embedded(bars)}" alt="colours: {labels}"></figure>']
+    """Pictures of the cut at several times, a row for each, every field with its colours."""
+    pictures = []
     for section in cuts:
-        figure, time = picture.blank(whole, tall, 150), f"{section.time * 1e9:.1f} ns"
-        for k, (name, ends) in enumerate(ranges.items()):
-            axis = picture.axes_at(figure, k * (wide + gap), 0, wide, tall)
-            picture.draw(axis, section, name, ends)
-            picture.scale_bar(axis, section.window, 10)
+        time = f"t = {section.time * 1e9:.1f} ns"
         words = "".join(f", {escape(word)}" for word, t in named.items() if math.isclose(t, section.time, rel_tol=1e-6))
-        caption = f"<figcaption><b>t = {time}</b>{words}</figcaption>"
-        pictures.append(f'<figure>{caption}<img src="{embedded(figure)}" alt="cut at {time}"></figure>')
+        images = "".join(
+            f'<img src="{embedded(_panel(section, name, ends))}" alt="cut at {time}: {FIELDS[name].label}">'
+            for name, ends in ranges.items()
+        )
+        caption = f"<figcaption><b>{time}</b>{words}</figcaption>"
+        pictures.append(f'<figure>{caption}<div class="three">{images}</div></figure>')
     return "".join(pictures)
+
+
+def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
+    """A cut by one field, its colours below."""
+    left, right, bottom, top = section.window
+    wide, bar = 4.0, 0.66  # inches
+    tall = wide * (top - bottom) / (right - left)
+    figure = picture.blank(wide, tall + bar, 150)
+    axis = picture.axes_at(figure, 0, bar, wide, tall)
+    picture.draw(axis, section, name, ends)
+    picture.scale_bar(axis, section.window, 10)
+    picture.colour_bar(picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar), name, ends, across=True)
+    return figure
 
 
 def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) -> str:

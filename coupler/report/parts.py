@@ -1,7 +1,8 @@
-"""Parts of the page in HTML: tables, tiles, lists. Everything that comes from a run is escaped here."""
+"""Parts of the page in HTML: tables, lists. Everything that comes from a run is escaped here."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from html import escape
 
@@ -10,9 +11,10 @@ from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
-from .words import Block, bands, columns, impacts, remarks, shown, table_lines
+from .words import Block, bands, brief, columns, impacts, of_run, remarks, shown, span, table_lines, title
 
-TILES = ("flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_p99", "T_p99_K", "rebound_velocity_m_s")
+FRONT_ROWS = 8  # of particles, that the first sheet has room for
+SIDE_BY_SIDE = 6  # impacts
 # Of a material: name, what it is, factor to the unit it is shown in, unit.
 CONSTANTS = (
     ("rho", "density", 1.0, "kg/m³"),
@@ -26,33 +28,45 @@ CONSTANTS = (
 )
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> str:
-    """A table of texts. numbers: columns that are set to the right; a head of empty texts is left out."""
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    numbers: Sequence[int] = (),
+    off: Sequence[int] = (),
+    stack: bool = False,
+) -> str:
+    """A table of texts. numbers: columns that are set to the right; off: rows in grey; a head of empty texts is left out.
+
+    stack: on a narrow screen the cells of a row stand below each other, each after its head.
+    """
     kinds = ["n" if k in numbers else "" for k in range(len(head))]
     above = f"<thead>{_row(head, kinds, 'th')}</thead>" if any(head) else ""
-    return f'<div class="wide"><table>{above}<tbody>{"".join(_row(row, kinds) for row in rows)}</tbody></table></div>'
+    heads = head if stack else ()
+    body = "".join(_row(row, kinds, kind="off" * (k in off), heads=heads) for k, row in enumerate(rows))
+    return f'<div class="wide{" stack" * stack}"><table>{above}<tbody>{body}</tbody></table></div>'
 
 
-def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "") -> str:
-    """A row of a table. kinds: the class of each cell, "" for none; kind: that of the row."""
+def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str = "", heads: Sequence[str] = ()) -> str:
+    """A row of a table. kinds: the class of each cell, "" for none; kind: that of the row; heads: of the columns, to repeat."""
 
-    def of(name: str) -> str:
-        return f' class="{name}"' if name else ""
+    def of(name: str, attribute: str = "class") -> str:
+        return f' {attribute}="{escape(name)}"' if name else ""
 
-    inner = "".join(f"<{tag}{of(k)}>{escape(cell)}</{tag}>" for cell, k in zip(cells, kinds, strict=True))
+    inner = "".join(
+        f"<{tag}{of(kinds[k])}{of(heads[k] if heads else '', 'data-head')}>{escape(cell)}</{tag}>"
+        for k, cell in enumerate(cells)
+    )
     return f"<tr{of(kind)}>{inner}</tr>"
 
 
-def tiles(summary: Summary) -> str:
-    """The measures most asked for, large."""
-    width, values = bands(summary), ([*columns(summary).values()] or [{}])[-1]
-    parts = []
-    for key in TILES:
-        if values.get(key) is not None:
-            record, number = measure(key), escape(shown(key, values[key], width.get(key, (None,))[0]))
-            label = escape(record.label)
-            parts.append(f'<div class="tile"><b>{number} <small>{record.unit}</small></b><span>{label}</span></div>')
-    return f'<div class="tiles">{"".join(parts)}</div>' if parts else ""
+def front(summary: Summary) -> str:
+    """The main measures with their bands; of several impacts a row for each of the first FRONT_ROWS."""
+    (head, *rows), count = brief(summary, FRONT_ROWS, with_bands=True), len(summary["impacts"])
+    more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
+    note = escape("; ".join(text for text in (more, of_run(summary)) if text))
+    return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
+        f'<p class="caption">{note}</p>' if note else ""
+    )
 
 
 def measures(summary: Summary) -> str:
@@ -74,18 +88,17 @@ def measures(summary: Summary) -> str:
 def several(entries: Sequence[Block], headings: Sequence[str]) -> str:
     """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
     numeric = {key for entry in entries for key, value in entry.items() if isinstance(value, int | float)}
-    kinds, rows = ["", *["n"] * len(entries), "u"], []
-    for group, lines in table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries]).items():
-        rows.append(f'<tr class="group"><th colspan="{len(entries) + 2}">{escape(group.capitalize())}</th></tr>')
-        rows += [_row([line.label, *line.cells, line.unit], kinds) for line in lines]
-    head = _row(["", *headings, ""], [*kinds[:-1], ""], "th")
-    body = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
-    return f'<div class="wide">{body}</div>' if rows else ""
+    groups = table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries])
+    rows = [[line.label, *line.cells, line.unit] for lines in groups.values() for line in lines]
+    return table(["", *headings, ""], rows, range(1, len(entries) + 1)) if rows else ""
 
 
 def each_impact(summary: Summary) -> str:
-    """The impacts of a run of several, side by side; nothing for a run of one."""
+    """The impacts of a run of several: few side by side with all measures, many below each other with the main ones."""
     entries = impacts(summary)
+    if len(entries) > SIDE_BY_SIDE:
+        head, *rows = brief(summary)
+        return table(head, rows, range(1, len(head)), stack=True)
     return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
 
 
@@ -97,52 +110,91 @@ def scene_of(result: Result) -> Values:
         return {}
 
 
-def computed(scene: Values, values: Values) -> str:
-    """What was computed, in the scene's own words, and how finely. values: of `Result.values`."""
-    particles = scene.get("particle", [])
-    particles = particles if isinstance(particles, list) else [particles]
-    lines = {f"particle {k + 1}" if len(particles) > 1 else "particle": _particle(p) for k, p in enumerate(particles)}
-    if target := scene.get("substrate"):
-        conditions = "".join(f", {key} {target[key]}" for key in ("sides", "bottom") if key in target)
-        lines["target"] = (
-            f"{target.get('material', '?')} cylinder, {target.get('diameter', '?')} across and {target.get('height', '?')} high,"
-            f" {target.get('temperature', '300 K')}{conditions}"
-        )
-    for name, word in (("contact", "contact"), ("adhesion", "adhesion"), ("end", "ends")):
-        entry = scene.get(name, "")
-        lines[word] = entry if isinstance(entry, str) else ", ".join(f"{key} {value}" for key, value in entry.items())
-    fineness = [f"preset {scene['preset']}"] if "preset" in scene else []
-    for count, size, text in (
-        ("points", "spacing_m", "points {} µm apart"),
-        ("elements", "element_size_m", "tetrahedra of {} µm and more"),
-    ):
-        if values.get(count) and values.get(size):
-            fineness.append(f"{shown(count, values[count])} {text.format(shown(size, values[size]))}")
-    lines["resolution"] = ", ".join(fineness)
-    items = (f"<dt>{escape(word)}</dt><dd>{escape(_micro(text))}</dd>" for word, text in lines.items() if text)
-    return f"<dl>{''.join(items)}</dl>"
-
-
-def _particle(particle: Values) -> str:
-    shape, tilt = str(particle.get("shape", "sphere")).replace("_", " "), str(particle.get("tilt", "0 deg"))
-    return (
-        f"{particle.get('material', '?')} {shape}, {particle.get('diameter', '?')}, {particle.get('velocity', '?')}"
-        f" at {particle.get('angle', '0 deg')} from the surface normal, {particle.get('temperature', '300 K')}"
-        + (f", tilt {tilt}" if tilt != "0 deg" else "")
+def conditions(result: Result) -> str:
+    """Particles, target, contact, adhesion, end and resolution, from the plan of the run; "" without one."""
+    plan, values = result.plan, result.values
+    if not plan:
+        return ""
+    bodies, target, gas = plan["impacts"], plan["target"], plan["gas"]
+    lines = [(f"particle {k}" if len(bodies) > 1 else "particle", _particle(body)) for k, body in enumerate(bodies, 1)]
+    if len(bodies) > FRONT_ROWS:
+        reach = max(math.hypot(*body["offset"]) for body in bodies)
+        heat = span([body["temperature"] for body in bodies])
+        lines = [("particles", f"{title(result)}; {heat} K, centres within {reach * 1e6:.3g} µm of the axis")]
+    faces = f"sides {target['sides']}, bottom {target['bottom']}"
+    size = f"{target['diameter'] * 1e6:g} µm across, {target['height'] * 1e6:g} µm high, {target['temperature']:g} K"
+    lines += [("target", f"{target['material']['name']} cylinder, {size}, {faces}")]
+    lines += [("gas", "; ".join(map(str, gas)))] if gas and len(gas) <= 2 else []
+    lines += [("spray", str(plan.get("spray", "")))]
+    bond = {key: value for key, value in plan["adhesion"].items() if value not in (None, [], "none")}
+    adhesion = ", ".join(
+        f"{key.replace('_', ' ')} {shown(key, value)}".removeprefix("kind ") for key, value in bond.items()
     )
+    lines += [("adhesion", adhesion or "none"), ("contact", f"friction {plan['friction']:g}")]
+    end = {"rest": "at rest, at most ", "greatest": "at the greatest deformation, at most "}.get(
+        bodies[0]["end_at"], ""
+    )
+    lines += [("ends", f"{end}{span([1e9 * body['end_time'] for body in bodies])} ns after the start of an impact")]
+    counts = [
+        f"{shown(count, values[count])} {text} of {shown(size, values[size])} µm"
+        for count, size, text in (("points", "spacing_m", "points"), ("elements", "element_size_m", "tetrahedra"))
+        if values.get(count) and values.get(size)
+    ]
+    lines += [("resolution", ", ".join([f"preset {plan['preset']}", *counts, f"engine {plan['engine']}"]))]
+    off = [name.replace("_", " ") for name, on in plan["effects"].items() if on is False]
+    lines += [("effects", f"without {', '.join(off)}" if off else "all on")]
+    return definitions(lines)
+
+
+def definitions(lines: Iterable[tuple[str, str]]) -> str:
+    """A list of words with what they stand for."""
+    return f"<dl>{''.join(f'<dt>{escape(word)}</dt><dd>{escape(text)}</dd>' for word, text in lines if text)}</dl>"
+
+
+def _particle(body: Values) -> str:
+    speed, (x, y) = math.hypot(*body["velocity"]), (1e6 * each for each in body["offset"])
+    angle = math.degrees(math.acos(-body["velocity"][2] / speed))
+    texts = [
+        f"{1e6 * body['diameter']:.3g} µm {body['material']['name']} {body['shape'].replace('_', ' ')}",
+        f"{speed:.4g} m/s at {angle:.3g}° from the surface normal",
+        f"{body['temperature']:.4g} K",
+        f"offset ({x:.3g}, {y:.3g}) µm" if x or y else "",
+        f"tilt {math.degrees(body['tilt']):.3g}°" if body["tilt"] else "",
+        f"initial plastic strain {body['initial_strain']:.3g}" if body["initial_strain"] else "",
+    ]
+    return ", ".join(text for text in texts if text)
+
+
+def provenance(summary: Summary) -> str:
+    """Date, program, machine, scene and command of a result, in a few lines."""
+    record = summary.get("provenance") or {}
+    if not record:
+        return ""
+    versions = {str(k): str(v) for k, v in (record.get("versions") or {}).items()}
+    commit, seed = (str(record.get(key) or "") for key in ("commit", "seed"))
+    lines = [
+        (
+            "computed",
+            f"{record.get('date')} by coldspray {versions.pop('coldspray', '')}, commit {commit[:12]}{commit[40:]}",
+        ),
+        ("on", f"{record.get('host')}, {record.get('processor')}, {record.get('cores')} cores, {record.get('system')}"),
+        ("with", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("scene", f"sha256 {str(record.get('scene_sha256'))[:16]}" + (f", seed {seed}" if seed else "")),
+        ("command", str(record.get("command"))[:200]),
+    ]
+    return definitions(lines)
 
 
 def effects(result: Result) -> str:
     """The effects that took part, and the reasons, from the plan of the run."""
     if not result.plan:
         return '<p class="note">Not known: this run has no readable plan.json.</p>'
-    lines = []
+    rows = []
     for row in result.plan["budget"]["rows"]:
         number = f"{row['number']} = {row['value']:.3g}"
-        cells = (row["name"].replace("_", " "), "on" if row["on"] else "off", number, row["why"])
-        lines.append(_row(cells, [""] * 4, kind="" if row["on"] else "off"))
-    head = _row(("effect", "", "decided by", "because"), [""] * 4, "th")
-    return f'<div class="wide"><table><thead>{head}</thead><tbody>{"".join(lines)}</tbody></table></div>'
+        rows.append((row["name"].replace("_", " "), "on" if row["on"] else "off", number, row["why"]))
+    off = [k for k, row in enumerate(rows) if row[1] == "off"]
+    return table(("effect", "", "decided by", "because"), rows, off=off, stack=True)
 
 
 def material_data(result: Result) -> str:
@@ -171,36 +223,17 @@ def material_data(result: Result) -> str:
 def warnings(texts: Sequence[object] | None) -> str:
     """The warnings of a run, or of its plan; nothing if there are none."""
     items = "".join(f"<li>{escape(str(text))}</li>" for text in texts or ())
-    return f'<div class="warn"><b>Warnings</b><ul>{items}</ul></div>' if items else ""
+    return f'<div class="warn"><ul>{items}</ul></div>' if items else ""
 
 
-def timing(values: Values) -> str:
-    """Where the seconds went, as far as `Result.values` says."""
-    wall, loop, steps = (values.get(key) for key in ("wall_s", "wall_loop_s", "steps"))
-    if not (wall and loop and steps):
+def pace(values: Values) -> str:
+    """Time of a step, and which part of the model limited it, as far as `Result.values` says."""
+    loop, steps, simulated = (values.get(key) for key in ("wall_loop_s", "steps", "sim_time_s"))
+    if not (loop and steps and simulated):
         return ""
-    rows = [
-        ("whole run", f"{wall:.1f} s"),
-        ("meshing, packing, compiling", f"{wall - loop:.1f} s"),
-        ("the steps, with writing", f"{loop:.1f} s"),
-        ("steps", shown("steps", int(steps))),
-        ("a step", f"{loop / steps * 1e3:.2f} ms"),
-    ]
-    for key, word in (("points", "point"), ("elements", "element")):
-        if count := values.get(key):
-            rows.append((f"a step, over the {word}s", f"{loop / steps / count * 1e6:.2f} µs"))
-    if simulated := values.get("sim_time_s"):
-        rows.append(("1 ns simulated", f"{loop / (simulated * 1e9):.2f} s"))
-    limits = values.get("dt_limited_by") or {}
-    if (total := sum(limits.values())) > 0:
-        rows.append(("who set the time step", ", ".join(f"{name} {n / total:.0%}" for name, n in limits.items() if n)))
-    share = 100 * loop / wall
-    bar = "".join(
-        f'<span style="width:{part:.1f}%;background:{colour}">{word if part > 20 else ""}</span>'  # no room in a short one
-        for part, colour, word in ((share, "#8ecbee", "steps"), (100 - share, "#f0c15c", "before them"))
+    limits = {name: n for name, n in (values.get("dt_limited_by") or {}).items() if n}
+    limited = ", ".join(f"{name} {n / sum(limits.values()):.0%}" for name, n in limits.items())
+    text = (
+        f"{shown('steps', int(steps))} steps of {loop / steps * 1e3:.3g} ms; 1 ns took {loop / (simulated * 1e9):.3g} s"
     )
-    return f'<div class="bar">{bar}</div>{table(("", ""), rows, numbers=(1,))}'
-
-
-def _micro(text: str) -> str:
-    return text.replace(" um", " µm")
+    return f'<p class="caption">{escape(text)}. The time step is set by: {escape(limited)}.</p>'

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
@@ -17,6 +18,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
@@ -31,6 +33,7 @@ from .words import title
 
 MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
+RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
 PIXELS = 500  # along the longer side of the particle
 
 Window = tuple[float, float, float, float]  # left, right, bottom, top, um
@@ -100,16 +103,17 @@ def stage(result: Result) -> Stage:
 
 
 def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
-    """What a picture shows so that the particle is in it at all the given steps, um."""
-    spans = []
+    """What a picture shows, um: the particle, the splats and the jets of the target at all the given steps, and room around."""
+    ends, D = [], at.diameter
     for step in steps:
-        skin = result.fields(step, "surface").points * MICRO
-        spans.append((skin[:, 0].min(), skin[:, 0].max(), skin[:, 2].max()))
-    lefts, rights, tops = np.array(spans).T
-    middle, D = (lefts.min() + rights.max()) / 2, at.diameter
-    half = max(1.5 * D, (rights.max() - lefts.min()) / 2 + 0.5 * D)
-    top = max(tops.max(), at.level) + 0.15 * D
-    return float(middle - half), float(middle + half), at.level - 0.9 * D, float(top)
+        skin, target = (result.fields(step, domain).points * MICRO for domain in ("surface", "target"))
+        raised = target[target[:, 2] > at.level + RAISED * D]
+        places = np.concatenate([skin, raised])
+        ends.append((places.min(0), places.max(0), skin[:, 2].min()))
+    low, high = np.min([least for least, _, _ in ends], axis=0), np.max([most for _, most, _ in ends], axis=0)
+    middle, half = (low[0] + high[0]) / 2, max(1.5 * D, (high[0] - low[0]) / 2 + 0.4 * D)
+    bottom = min(at.level - 0.9 * D, min(deepest for _, _, deepest in ends) - 0.3 * D)
+    return float(middle - half), float(middle + half), float(bottom), float(max(high[2], at.level) + 0.15 * D)
 
 
 def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window, pixels: int = PIXELS) -> Cut:
@@ -257,6 +261,17 @@ def axes_at(figure: Figure, left: float, bottom: float, width: float, height: fl
     """Axes at a place in a figure, all in inches."""
     across, down = figure.get_size_inches()
     return figure.add_axes((left / across, bottom / down, width / across, height / down))
+
+
+def label_log(axis: Axis, factor: float = 1.0) -> None:
+    """Label a logarithmic axis, whose limits are set, at 1, 2, 5 times powers of ten, or in even steps where these are too few.
+
+    factor: from the values to the unit of the labels.
+    """
+    low, high = sorted(axis.get_view_interval())
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > 6.0 * low else MaxNLocator(5))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.4g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 LONGEST_HEADING = 56  # characters that fit beside the time at the full size of the font

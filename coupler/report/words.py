@@ -9,13 +9,15 @@ from dataclasses import dataclass
 from rich.table import Table
 from rich.text import Text
 
-from ..errors import StoreError
-from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
-from ..measures import DISSIPATION_LIMIT, GROUPS, REBOUNDS, STICKS, UNDECIDED, measure
+from ..measures import BANDED, DISSIPATION_LIMIT, GROUPS, REBOUNDS, STICKS, UNDECIDED, axis_label, measure
 
-NAMED = 3  # particles that a title names
+NAMED = 3  # numbers that a title names
+KEYS = (*BANDED, "numerical_dissipation", "energy_drift", "deposition_efficiency", "wall_s")
+OF_EACH = (
+    "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
+)  # fmt: skip
 NOTES = ("effects", "warnings")  # lists of words, below the table
 _ABOVE = (*NOTES, "undecided", "verdict_criterion", "verdict_rests_on")  # not in the tables
 _BLOCKS = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
@@ -86,9 +88,9 @@ def with_band(value: float, band: float) -> str:
     return f"{value:.{digits}f} ± {band:.{digits}f}"
 
 
-def bands(summary: Summary) -> dict[str, tuple[float, str]]:
-    """Key -> half-width of its band in the last impact, in the key's own unit, and its cause."""
-    entries = (summary["impacts"][-1].get("bands") if summary else None) or {}
+def bands(summary: Summary, i: int = -1) -> dict[str, tuple[float, str]]:
+    """Key -> half-width of its band in impact i, in the key's own unit, and its cause."""
+    entries = (summary["impacts"][i].get("bands") if summary else None) or {}
     return {key: (float(entry["half_width"]), str(entry.get("why", ""))) for key, entry in entries.items()}
 
 
@@ -156,34 +158,60 @@ def _label(path: str) -> str:
 
 
 def title(result: Result) -> str:
-    """Material, size and speed in the scene's own words; what the scene does not say is left out."""
+    """Sizes, metals, velocities and angles of all particles, and the target; the folder's name without a plan."""
     try:
-        scene = parse_toml(result.scene_text)
-        particles, substrate = scene["particle"], scene["substrate"]
-        bodies = particles if isinstance(particles, list) else [particles]
-        names = [f"{_short(body['diameter'])} {_short(body['material'])}" for body in bodies]
-        more = f" and {len(bodies) - NAMED} more" if len(bodies) > NAMED else ""
-        velocities, angles = (_joined([body.get(key, default) for body in bodies])
-                              for key, default in (("velocity", None), ("angle", "0 deg")))  # fmt: skip
-        oblique = any(float(str(body.get("angle", "0")).split()[0]) != 0.0 for body in bodies)
-        text = f"{', '.join(names[:NAMED])}{more} on {_short(substrate['material'])} at {velocities}"
-        text += f" and {angles.replace(' deg', '°')}" if oblique else ""
-    except (StoreError, LookupError, TypeError, ValueError, AttributeError):
+        plan, velocities, angles = result.plan, [], []
+        groups: dict[str, list[float]] = {}
+        for body in plan["impacts"]:
+            words = f"{str(body['material']['name'])[:40]} {_SHAPES.get(body['shape'], body['shape'])[:20]}".strip()
+            groups.setdefault(words, []).append(1e6 * body["diameter"])
+            velocities.append(math.hypot(*body["velocity"]))
+            angles.append(math.degrees(math.acos(-body["velocity"][2] / velocities[-1])))
+        bodies = ", ".join(
+            f"{span(sizes)} µm {words}" if len(sizes) == 1 else f"{len(sizes)} {words} of {span(sizes)} µm"
+            for words, sizes in groups.items()
+        )
+        text = f"{bodies} on {plan['target']['material']['name'][:40]} at {span(velocities)} m/s"
+        return text + (f" and {span(angles)}°" if span(angles) != "0" else "")
+    except (LookupError, TypeError, ValueError, AttributeError, ZeroDivisionError):
         return result.directory.resolve().name
-    return text.replace(" um ", " µm ")
 
 
-def _short(text: object) -> str:
-    return str(text)[:40]
+_SHAPES = {"sphere": "", "hollow_sphere": "hollow sphere", "file": ""}
 
 
-def _joined(quantities: Sequence[object]) -> str:
-    """Quantities of the same unit in a row, equal ones once: "500 m/s" or "500, 546, 610 m/s"."""
-    texts = list(dict.fromkeys(map(_short, quantities)))
-    number, unit = zip(*(text.split(maxsplit=1) for text in texts), strict=True)
-    if len(set(unit)) > 1 or len(texts) > NAMED:
-        return f"{texts[0]} to {texts[-1]}"
-    return f"{', '.join(number)} {unit[0]}"
+def span(values: Sequence[float]) -> str:
+    """Positive numbers in a few characters, equal ones once: "500", "500, 546, 610" or "18.4 to 26.9"."""
+
+    def text(value: float) -> str:
+        return f"{value:.0f}" if value >= 100 or value < 1e-3 else f"{value:.3g}"
+
+    texts = list(dict.fromkeys(map(text, values)))
+    return ", ".join(texts) if len(texts) <= NAMED else f"{text(min(values))} to {text(max(values))}"
+
+
+def brief(summary: Summary, most: int | None = None, with_bands: bool = False) -> list[list[str]]:
+    """The main measures, the head first: of one impact a row for each measure, of several a row for each of the first `most`."""
+    if len(summary["impacts"]) == 1:
+        groups = table_lines(list(columns(summary).values()), bands(summary))
+        lines = [line for lines in groups.values() for line in lines if line.key in KEYS]
+        return [["", *columns(summary), ""], *([line.label, *line.cells, line.unit] for line in lines)]
+    blocks = impacts(summary)
+    keys = [key for key in OF_EACH if any(key in block for block in blocks)]
+    rows = [["", *(axis_label(key).replace(" above surface", "").replace("T rise", "T") for key in keys)]]
+    for k, block in enumerate(blocks[:most]):
+        widths = bands(summary, k) if with_bands else {}
+        cells = (shown(key, block.get(key), widths.get(key, (None,))[0]) for key in keys)
+        rows.append([f"{k + 1}  {_particle_of(block)}".replace("\u00a0", " ").strip(), *cells])
+    return rows
+
+
+def of_run(summary: Summary) -> str:
+    """The main measures of a whole run of several impacts, in a line; "" of one impact."""
+    whole = plain(summary["run"]) if len(summary["impacts"]) > 1 else {}
+    return ", ".join(
+        f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip() for key in KEYS if key in whole
+    )
 
 
 def fill_table(table: Table, groups: Mapping[str, Iterable[Line]]) -> None:

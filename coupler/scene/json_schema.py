@@ -1,5 +1,9 @@
 """The tables of a scene as a JSON schema (Draft 4), from which editors complete and check keys, as taplo does for TOML."""
 
+import re
+import tomllib
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from .. import units
@@ -21,10 +25,34 @@ def scene_schema() -> dict[str, Any]:
         "anyOf": [{"enum": [*WHOLE]}, {"type": "array", "items": {"enum": ["auto", "all", "none", *names]}}]
     }
     tables["AdhesionTable"]["properties"]["threshold"] = {"type": ["number", "string"]}
+    for name, entry in properties.items():
+        table = tables.get(
+            str(entry.get("$ref", "#/definitions/Particle" if name == "particle" else "")).rpartition("/")[2]
+        )
+        _described(f"{name}.about" if table else name, entry)
+        for key, of_key in (table["properties"] if table else {}).items():
+            _described(f"{name}.{key}", of_key)
     # [coating] takes the place of the particles, [gas] gives their velocities
     schema["required"] = ["substrate"]
     tables["Particle"]["required"].remove("velocity")
     return schema
+
+
+def words(key: str) -> str:
+    """What a key means, in Markdown; of a table with ".about": words("particle.gap"), words("gas.about"). "" where there are none."""
+    table, _, name = key.rpartition(".")
+    return str((_words().get(table, {}) if table else _words()).get(name, ""))
+
+
+@cache
+def _words() -> dict[str, Any]:
+    return tomllib.loads((files(__package__) / "words.toml").read_text(encoding="utf-8"))
+
+
+def _described(key: str, entry: dict[str, Any]) -> None:
+    """Put the words of a key before the limits that its description has, without the links of the page."""
+    plain = re.sub(r" \(\[.*?\]\(.*?\)\)", "", words(key))
+    entry["description"] = "; ".join(text for text in (plain, entry.get("description", "")) if text)
 
 
 def _draft_4(node: Any) -> Any:

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..files.outputs import write_text
 from ..measures import BANDED
@@ -15,7 +14,7 @@ from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
 from ..report.page import Page
-from ..report.picture import axes_at, blank, save
+from ..report.picture import axes_at, blank, label_log, save
 from . import accuracy_fit as fit
 from .ladder import KNOBS
 from .order import FEWEST
@@ -112,9 +111,9 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
         return
     panel.set(xscale="log", yscale="log")
     for axis_ in (panel.xaxis, panel.yaxis):
-        axis_.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis_.set_major_formatter(StrMethodFormatter("{x:g}"))
-        axis_.set_minor_formatter(NullFormatter())
+        label_log(axis_)
+    panel.set_xlabel("processor time (s)", fontsize=8)
+    panel.set_ylabel("difference (%)", fontsize=8)
     panel.grid(True, which="major", color="#e8ebef", lw=0.8)
     panel.tick_params(labelsize=8)
 

@@ -1,0 +1,75 @@
+"""Runs the pages of docs/gallery as they are written, and keeps what they print and draw: python workflows/gallery.py [PAGE ...]
+
+The blocks of a page run in order in a folder of their own: a TOML block is a file, its name in the first line; a Python block and a
+console block print into a block of text behind them. Pictures that the page shows are kept beside it, in 256 colours, and its last
+line says how long all of it took. A page takes from 10 s to some minutes of processor time.
+"""
+
+import contextlib
+import io
+import os
+import re
+import resource
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from coupler import __version__
+
+GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
+BLOCK = re.compile(r"^```(console|python|toml)\n(.*?)^```\n(?:\n```text\n.*?^```\n)?", re.DOTALL | re.MULTILINE)
+
+
+def seconds() -> float:
+    """Processor time of this process and of those it has started and seen to their end."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(each.ru_utime + each.ru_stime for each in used)
+
+
+def printed(kind: str, text: str, names: dict[str, Any]) -> str:
+    """Run a block in the working directory; what it prints. names: those that Python blocks before have defined."""
+    if kind == "toml":
+        Path(text.split()[1]).write_text(text)
+        return ""
+    if kind == "python":
+        with contextlib.redirect_stdout(io.StringIO()) as stream:
+            exec(compile(text, "page", "exec"), names)
+        return stream.getvalue()
+    lines = [shlex.split(line) for line in text.splitlines()]
+    commands = [[sys.executable, "-m", "coupler", *words[1:]] for words in lines]
+    return "".join(
+        subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout for command in commands
+    )
+
+
+def run_page(page: Path) -> None:
+    """Run a page and write it with its output, pictures and time."""
+    start, names, home = seconds(), dict[str, Any](), Path.cwd()
+
+    def with_output(match: re.Match[str]) -> str:
+        output = printed(match[1], match[2], names).rstrip()
+        return f"```{match[1]}\n{match[2]}```\n" + (f"\n```text\n{output}\n```\n" if output else "")
+
+    with tempfile.TemporaryDirectory() as place:
+        os.chdir(place)
+        try:
+            text = BLOCK.sub(with_output, page.read_text(encoding="utf-8"))
+            for name in re.findall(r"!\[.*\]\((.*?\.png)\)", text):
+                (page.parent / name).parent.mkdir(exist_ok=True)
+                Image.open(name).convert("RGB").quantize(256).save(page.parent / name, optimize=True)
+        finally:
+            os.chdir(home)
+    text = re.sub(r"\n\*Computed in .*\n", "", text)
+    took = f"Computed in {seconds() - start:.0f} s of processor time by version {__version__}"
+    page.write_text(f"{text}\n*{took}; remade by* `python workflows/gallery.py {page.stem}`\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    for stem in sys.argv[1:] or sorted(path.stem for path in GALLERY.glob("*.md") if path.stem != "index"):
+        print(stem, flush=True)
+        run_page(GALLERY / f"{stem}.md")
