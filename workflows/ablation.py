@@ -3,7 +3,8 @@
     python workflows/ablation.py             # docs/tables/ablation.csv and its part of the stability page (half an hour)
     python workflows/ablation.py --docs      # runs nothing: from the table that exists
 
-A remedy is switched off where it can act. Each run is a process of its own, in one thread; rows in the table are not computed again.
+A remedy is switched off where it can act. Rows are compared by steps: their processor times (in the table) are of a busy machine. Each
+run is a process of its own, in one thread; rows in the table are not computed again.
 """
 
 import os
@@ -166,11 +167,11 @@ def part() -> list[str]:
         return f"{number(row, name) / number(whole, name):.2f}" if whole and row[name] and whole[name] else "-"
 
     lines = [
-        [row["without"], marked(case, row), row["end"], row["steps"] or "-", ratio(row, "steps"), ratio(row, "cpu_s"),
+        [row["without"], marked(case, row), row["end"], row["steps"] or "-", ratio(row, "steps"),
          row["flattening"] or "-", row["why"]]
         for (case, _), row in rows.items()
     ]  # fmt: skip
-    table = markdown("without | case | end | steps | steps, ratio | CPU time, ratio | flattening | remark", lines)
+    table = markdown("without | case | end | steps | steps, ratio | flattening | remark", lines)
     return [*table, "", versions(rows.values())]
 
 
