@@ -41,3 +41,11 @@ def test_a_mesh_is_the_same_as_in_this_process() -> None:
     sizes = 2.0, 1.0, 0.3, 0.3, 0.5
     for here, there in zip(mesher.cylinder(*sizes), apart(partial(mesher.cylinder, *sizes), 60.0), strict=True):
         assert (here == there).all()
+
+
+def test_gmsh_leaves_broken_pipes_to_python() -> None:
+    """gmsh sets SIGPIPE back to its default, which ends a process whose reader has gone, as ffmpeg may."""
+    mesher.build(lambda gmsh: gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1) and gmsh.model.occ.synchronize())
+    assert signal.getsignal(signal.SIGPIPE) is signal.SIG_IGN
+    ignored = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("SigIgn"))
+    assert int(ignored.split()[1], 16) & 1 << (signal.SIGPIPE - 1)

@@ -10,7 +10,9 @@ from coupler.plan.reading import Scene
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
 SCENES = sorted(
-    path for path in WORKFLOWS.glob("*.toml") if path.stem not in ("map_ni", "paper_values", "in718_nozzle")
+    path
+    for path in WORKFLOWS.glob("*.toml")
+    if path.stem not in ("map_ni", "paper_values", "in718_nozzle", "measurements")
 )
 SINGLE, TRIPLE = (str(WORKFLOWS / f"{name}_ni.toml") for name in ("single", "triple"))
 

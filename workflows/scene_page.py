@@ -60,6 +60,7 @@ c0 = "4500 m/s"
 s = 1.5                            # a number without a unit stands without quotes
 Gamma0 = 1.8
 T_m = "1600 K"
+T_ref = "293 K"                    # at which the yield stress is A
 cp = "435 J/(kg K)"                # constant; or [["300 K", "435 J/(kg K)"], ["1073 K", "580 J/(kg K)"]]
 k = "11 W/(m K)"
 A = "980 MPa"                      # Johnson-Cook

@@ -214,7 +214,7 @@ class Deposition:
                     bodies, running = self._without_impact(error), None
                 if self.undecided:
                     break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
-                if len(self.joins) < len(self.plan.impacts):
+                if len(self.records) < len(self.plan.impacts):
                     self._save(None, bodies.state())
             if plan.ambient is not None and not self.undecided:
                 self._close(bodies)

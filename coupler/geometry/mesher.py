@@ -4,6 +4,8 @@ gmsh can hang, or end its process: the program calls these functions in one of t
 """
 
 import math
+import signal
+import threading
 from collections.abc import Callable
 from types import ModuleType
 
@@ -39,6 +41,8 @@ def build(
         _, nodes = gmsh.model.mesh.getElementsByType(4)
     finally:
         gmsh.finalize()
+        if threading.current_thread() is threading.main_thread():  # others may not
+            signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # as Python has it; gmsh makes a broken pipe end the process
     if len(nodes) == 0:
         raise SolverError("gmsh made no tetrahedra: check the substrate's dimensions against its element size")
     lookup = np.zeros(int(tags.max()) + 1, np.int64)
