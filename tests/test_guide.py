@@ -54,7 +54,7 @@ def small(data: dict[str, Any], source: str) -> Scene:
     if "coating" in data:
         data["coating"] |= {"number": 2, "layers": 1}
     smallest = min(particle.diameter for particle in Scene.from_dict(data, source).particles)
-    spacing = f"{0.135 * smallest * 1e6:.4g} um"  # 210 points in a sphere
+    spacing = f"{0.13 * smallest * 1e6:.4g} um"  # 240 points in a sphere, two across a hollow one
     return Scene.from_dict(
         data | {"resolution": {"spacing": spacing}, "end": {"time": "10 ns"}, "output": {"every": "10 ns"}}, source
     )
