@@ -175,7 +175,7 @@ def provenance(summary: Summary) -> str:
     lines = [
         (
             "computed",
-            f"{record.get('date')} by coldspray {versions.pop('coldspray', '')}, commit {commit[:12]}{commit[40:]}",
+            f"{record.get('date')} by coldspray {versions.pop('coldspray', '')}, commit {commit[:12] or 'unknown'}{commit[40:]}",
         ),
         ("on", f"{record.get('host')}, {record.get('processor')}, {record.get('cores')} cores, {record.get('system')}"),
         ("with", ", ".join(f"{name} {version}" for name, version in versions.items())),
