@@ -11,6 +11,7 @@ from functools import cache
 from ..measures import BANDED
 from ..measures import measure as record
 from .bands import SHAPE, Band, table
+from .cost import flow_stress
 from .effects import NUMBERS, Effects, Situation, numbers
 
 ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # asked for by each preset
@@ -135,7 +136,7 @@ def reason(
 ) -> str:
     """Why an effect takes part or not, in words."""
     if name in requested:
-        return "as the scene says"
+        return "as the scene says, or what is asked for needs it" if name == REST else "as the scene says"
     if not can_act(name, value):
         return "it cannot act here"
     if name in NOT_LEFT_OUT:
@@ -154,8 +155,7 @@ def can_act(name: str, value: float) -> bool:
 def rest_number(situation: Situation) -> float:
     """Flow stress over the dynamic pressure, of the particle: the elastic return after the greatest deformation grows with it."""
     metal, T = situation.materials[0], situation.temperatures[0]
-    rate = situation.velocity / situation.diameter
-    return metal.flow_stress(0.3, rate, min(T, 0.95 * metal.T_m)) / (metal.rho * situation.velocity**2)
+    return flow_stress(metal, T, situation.velocity / situation.diameter) / (metal.rho * situation.velocity**2)
 
 
 def expected(name: str, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
