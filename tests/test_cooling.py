@@ -77,7 +77,11 @@ def test_two_bodies_level_out_through_their_contact() -> None:
     links = _links(m, foot, m.facets[m.sets["a.top"]].astype(np.int64))
     assert links.area.sum() == pytest.approx(1.0)
     tau = 0.05 / ALPHA
-    cool(t, tau, NONE, 0.0, [links])
+    # a node without area, such as one whose facets have no height: it carries nothing
+    empty = Links(
+        m.facets[m.sets["b.top"]][:1, 0].astype(np.int64), links.triangles[:1], links.weights[:1], np.zeros(1)
+    )
+    cool(t, tau, NONE, 0.0, [links, empty])
     means = [float(np.average(t.T[body == i], weights=m.V0[body == i])) for i in (0, 1)]
     assert sum(means) == pytest.approx(900.0, rel=1e-9)
     crossed = 150.0 * 2 * K * sqrt(tau / (pi * ALPHA))

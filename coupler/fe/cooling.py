@@ -123,14 +123,15 @@ def _conduction(t: Target) -> tuple[np.ndarray, Callable[[np.ndarray], csr_matri
 
 
 def _across(links: Links, n: int, k: np.ndarray) -> csr_matrix:
-    """What links add to the matrix: H d d^T each, d the difference of a node and its place on a triangle."""
-    count, h = len(links.nodes), float(k.min()) / (LINK_RESISTANCE * np.sqrt(links.area))
+    """What links add to the matrix: H d^T d each (W/K), d the difference of a node and its place on a triangle."""
+    count = len(links.nodes)
+    conductance = float(k.min()) * np.sqrt(links.area) / LINK_RESISTANCE  # zero where there is no area
     rows = np.repeat(np.arange(count), 4)
     columns = np.concatenate([links.nodes[:, None], links.triangles], axis=1).ravel()
     d = csr_matrix(
         (np.concatenate([np.ones((count, 1)), -links.weights], axis=1).ravel(), (rows, columns)), shape=(count, n)
     )
-    return (d.T @ diags(h * links.area) @ d).tocsr()
+    return (d.T @ diags(conductance) @ d).tocsr()
 
 
 def _extremes(t: Target) -> tuple[float, float]:
