@@ -21,6 +21,7 @@ DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
 PAGES = {
     "accuracy": DOCS / "evidence" / "accuracy.md",
     "bonding": DOCS / "evidence" / "bonding.md",
+    "coating": DOCS / "evidence" / "coating.md",
     "effects": DOCS / "evidence" / "effects.md",
     "experiments": DOCS / "evidence" / "experiments.md",
     "scene": DOCS / "guide" / "scene.md",

@@ -62,6 +62,8 @@ def describe(measures: "CoatingMeasures") -> list[str]:
         f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
         f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open, too high by up to"
         f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} um are not resolved",
+        f"stress in the surface  {1e-6 * measures.stress_in_plane_Pa:+.0f} MPa (mean),"
+        f" of it {1e-6 * measures.thermal_in_plane_Pa:+.0f} MPa by cooling",
         "",
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]

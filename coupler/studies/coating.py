@@ -201,8 +201,9 @@ def roughness(z: NDArray) -> tuple[float, float]:
 class CoatingMeasures:
     """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; bare_share: share of the window
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
-    that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; layers, depth:
-    rows of `per_layer`, `over_depth`."""
+    that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
+    the coating's volume in the window of (xx + yy) / 2, thermal_in_plane_Pa: the part of it that changes of temperature have made;
+    layers, depth: rows of `per_layer`, `over_depth`."""
 
     impacts: int
     of: int
@@ -221,6 +222,8 @@ class CoatingMeasures:
     porosity_closed: float
     overlap_share: float
     void_limit_m: float
+    stress_in_plane_Pa: float
+    thermal_in_plane_Pa: float
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
     warnings: list[str]
@@ -245,10 +248,23 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         porosity_open=float(opened.sum()) / volume if volume else 0.0,
         porosity_closed=float(closed.sum()) / volume if volume else 0.0,
         overlap_share=float(columns.double.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
+        stress_in_plane_Pa=in_plane(splats, radius, "stress"), thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress"),
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
         + ([] if splats.is_cold else ["the bodies have not cooled: their stresses are not residual stresses"]),
     )  # fmt: skip
+
+
+def in_plane(splats: Splats, radius: float, name: str) -> float:
+    """Mean over the coating's volume in the window of (xx + yy) / 2 of a stress, Pa; 0 where the mesh has none. radius m."""
+    mesh = splats.mesh
+    x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
+    own = (np.hypot(x, y) <= radius) & (splats.body > 0)
+    if name not in mesh.data or not own.any():
+        return 0.0
+    return float(
+        np.average(0.5 * mesh.data[name][own, :2].sum(axis=1), weights=np.abs(volumes(mesh.points, mesh.cells[own])))
+    )
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
