@@ -63,6 +63,7 @@ def test_ligaments_are_torn_by_the_work_of_their_limit_load() -> None:
         assert law["energy"] == pytest.approx(0.75 * (2.0 + np.pi) * force * f * Y / (1.0 - Y), rel=1e-12)
         assert law["shear_energy"] == pytest.approx(law["energy"] / (2.0 + np.pi), rel=1e-12)
         assert law["strength"] == pytest.approx((2.0 + np.pi) / np.sqrt(3.0) * sigma * f, rel=1e-12)
+        assert np.all(law["rewelds"] == Y)
     soft = ligament_bonds(f, Y, force, np.full(2, 3e8), stiffness=1e15)  # the spring opens by w before its strength
     assert np.all(soft["energy"] >= soft["strength"] ** 2 / 2e15)
 

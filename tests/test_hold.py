@@ -148,6 +148,33 @@ def test_sliding_under_pressure_shears_bonds_without_opening_them() -> None:
     assert force[2] < 0.0
 
 
+@pytest.mark.parametrize("share", [0.7, 1.0])
+def test_what_slides_under_pressure_welds_again(share: float) -> None:
+    """Slid by four ligament widths 2 G_II / S: flow at the strength that is left, whose work is heat; then torn from there. Without
+    pressure all is lost on the first width."""
+    law = {"strength": STRENGTH, "energy": ENERGY, "shear_energy": SHEAR, "rewelds": share}
+    pressed, free = Sheet(4, **law), Sheet(4, **law)
+    deep = np.array([0.0, 0.0, -30e-9])
+    way = 4.0 * 2.0 * SHEAR / STRENGTH
+    pressed.move(pressed.xp + deep)
+    pressed.work = 0.0  # not that of pressing
+    for slip in np.linspace(0.0, way, 4000):
+        force = pressed.move(pressed.xp + deep + np.array([slip, 0.0, 0.0]))
+        free.move(free.xp + np.array([slip, 0.0, 0.0]))
+    assert force[0] == pytest.approx(-share * STRENGTH * SIDE**2, rel=1e-6)
+    assert pressed.hold.bond.damage == pytest.approx(1.0 - share, abs=1e-12)
+    assert pressed.hold.energy == pytest.approx(pressed.work, rel=2e-3)
+    assert pressed.hold.bond.spent.sum() == pytest.approx(pressed.hold.bond.dissipated, rel=1e-12)
+    assert not free.hold.whole.any()
+    slid = pressed.hold.bond.dissipated + pressed.hold.bond.stored
+    still = pressed.xp + np.array([way - STRENGTH / STIFFNESS * share, 0.0, 0.0])  # no shear is left
+    for lift in np.linspace(-30e-9, 3.0 * ENERGY / STRENGTH, 4000):
+        pressed.move(still + np.array([0.0, 0.0, lift]))
+    assert not pressed.hold.whole.any()
+    unloaded = 0.5 * (share * STRENGTH) ** 2 / STIFFNESS * SIDE**2
+    assert pressed.hold.energy - slid + unloaded == pytest.approx(share**2 * ENERGY * SIDE**2, rel=0.01)
+
+
 def test_a_point_beside_one_that_presses_is_not_opened() -> None:
     """Two unlike triangulations touch at some points only: the others follow the surface within the range of contact."""
     sheet = Sheet(4)

@@ -25,7 +25,8 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 @dataclass(frozen=True)
 class BondRows:
     """Of n bonds: nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2) Pa and energy (n,2) J/m2,
-    normal and shear; loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m,
+    normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0: none); loose: compression is
+    left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m,
     elastic; traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the
     bodies."""
 
@@ -37,6 +38,7 @@ class BondRows:
     stiffness: Annotated[np.ndarray, Rows()]
     strength: Annotated[np.ndarray, Rows(2)]
     energy: Annotated[np.ndarray, Rows(2)]
+    rewelds: Annotated[np.ndarray, Rows()]
     loose: Annotated[np.ndarray, Rows(dtype=bool)]
     damage: Annotated[np.ndarray, Rows()]
     opening: Annotated[np.ndarray, Rows(3)]
@@ -76,6 +78,7 @@ class Bond:
     stiffness: np.ndarray
     strength: np.ndarray
     energy: np.ndarray
+    rewelds: np.ndarray
     loose: np.ndarray
     damage: np.ndarray
     opening: np.ndarray
@@ -95,12 +98,13 @@ class Bond:
         shear_strength: float | np.ndarray | None = None,
         shear_energy: float | np.ndarray | None = None,
         exponent: float = 1.0,
+        rewelds: float | np.ndarray = 0.0,
     ):
         """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`).
 
         strength Pa and energy J/m2: of the normal direction, one or one for each row of the interface; the shear ones are
-        equal to them by default. exponent: of the power law of mixed modes. Rows without area are left out. Raises
-        SolverError for a strength or energy that makes no sense with this stiffness.
+        equal to them by default. exponent: of the power law of mixed modes; rewelds: as in `BondRows`. Rows without area are left
+        out. Raises SolverError for a strength or energy that makes no sense with this stiffness.
         """
         kept = where.area > 0.0
         rows = len(where.nodes)
@@ -118,7 +122,7 @@ class Bond:
         shear_energy = energy if shear_energy is None else shear_energy
         self.strength = np.stack([column(strength), column(shear_strength)], axis=1)
         self.energy = np.stack([column(energy), column(shear_energy)], axis=1)
-        self.exponent = float(exponent)
+        self.exponent, self.rewelds = float(exponent), column(rewelds).copy()
         self.loose, self.damage = np.zeros(n, bool), np.zeros(n)
         self.opening, self.traction = np.zeros((n, 3)), np.zeros((n, 2))
         self.slid, self.spent, self.heated = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -146,7 +150,7 @@ class Bond:
             return
         k.bond_forces(
             x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
-            self.exponent, self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
+            self.rewelds, self.exponent, self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
             self._free if depth is None else depth, f, self._sums,
         )  # fmt: skip
         self.stored = float(self._sums[0])

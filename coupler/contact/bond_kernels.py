@@ -47,7 +47,7 @@ def facing(
 @njit(cache=True, nogil=True)
 def yielding(
     open2: float, slip2: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
-    D: float,
+    D: float, most: float,
 ) -> tuple[float, float]:  # fmt: skip
     """Share of the elastic opening that becomes permanent, and the damage then, of a bond of damage D.
 
@@ -57,7 +57,8 @@ def yielding(
 
         R = 1 / sqrt((c_n/N)^2 + (c_s/S)^2),   dD = R dp / 2 ((c_n^2/G_I)^alpha + (c_s^2/G_II)^alpha)^(1/alpha)
 
-    Then in one direction the softening is linear and ends where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1.
+    Then in one direction the softening is linear and ends where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1. From the damage `most` on
+    the bond flows at the strength that is left.
     """
     size2 = open2 + slip2
     if size2 == 0.0:
@@ -74,16 +75,18 @@ def yielding(
     if cs > 0.0:
         e += (cs * ease_s) ** alpha
     slope = e ** (1.0 / alpha) / (2.0 * k * q)  # of softening, over the stiffness
-    if slope >= 1.0 or D + slope * over / (1.0 - slope) >= 1.0:
-        return 1.0, 1.0
-    return over / ((1.0 - slope) * trial), D + slope * over / (1.0 - slope)
+    softened = D + slope * over / (1.0 - slope) if slope < 1.0 else 1.0
+    if softened >= most:
+        D = max(D, most)
+        return 1.0 - (1.0 - D) / trial, D
+    return over / ((1.0 - slope) * trial), softened
 
 
 @njit(cache=True, nogil=True)
 def bond_forces(
     x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
-    ease: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, slid: Floats, spent: Floats,
-    depth: Floats, f: Floats, sums: Floats,
+    ease: Floats, rewelds: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, slid: Floats,
+    spent: Floats, depth: Floats, f: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
 
@@ -98,7 +101,8 @@ def bond_forces(
     of forces which act across a gap. Where a bond yields, what becomes permanent of delta is added to `gap`, and of s to the place
     of the foot: unloading is elastic, to a residual opening. depth (n,) m: penetration of a contact that presses node i; 0 where
     the contact presses beside it (`in_contact`); negative where the node is free. In contact the net normal traction is
-    compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go.
+    compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go; slip then
+    takes no more than the share 1 - rewelds (n,) of the strength.
     damage D (n,), opening <delta> n + s (n,3) m, elastic, traction (n,2) Pa, normal and shear, slid (n,) m, the permanent slip,
     and spent (n,) J, the energy that each bond has dissipated, move on in place. sums: [energy stored, dissipated by this
     call], J.
@@ -116,9 +120,10 @@ def bond_forces(
         d0, d1, d2 = from_foot(p, A, B, C, wa, wb, wc)
         h = d0 * n0 + d1 * n1 + d2 * n2
         k = stiffness[i]
-        loss = 0.0
+        loss, most = 0.0, 1.0
         if depth[i] > 0.0 or (depth[i] == 0.0 and traction[i, 0] <= 0.0):
             gap[i] = h + depth[i]
+            most -= rewelds[i]
             if traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
                 loss = 0.5 * area[i] * traction[i, 0] ** 2 / k
                 along = opening[i, 0] * n0 + opening[i, 1] * n1 + opening[i, 2] * n2
@@ -133,7 +138,7 @@ def bond_forces(
         wide = max(delta, 0.0)
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
         share, D = yielding(
-            wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i]
+            wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i], most
         )
         if share > 0.0:
             # work of the mean traction of the step

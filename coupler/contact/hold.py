@@ -57,6 +57,7 @@ class Hold:
         self, rows: np.ndarray, facets: np.ndarray, xp: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
         strength: float | np.ndarray = np.inf, energy: float | np.ndarray = np.inf,
         shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
+        rewelds: float | np.ndarray = 0.0,
     ):  # fmt: skip
         """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; the others
         as for `Bond`. Raises SolverError as it does."""
@@ -66,9 +67,8 @@ class Hold:
         every = np.arange(n)
         surfaces = Surfaces(np.ascontiguousarray(local, np.int64), np.zeros(n, np.int64), every)
         where = Interface(every, every, np.full((n, 3), 1.0 / 3.0), np.zeros(n), area, np.zeros((0, 2), np.int64))
-        self.bond = Bond(
-            where, surfaces, self._gather(xp, x), stiffness, strength, energy, shear_strength, shear_energy
-        )
+        law = strength, energy, shear_strength, shear_energy
+        self.bond = Bond(where, surfaces, self._gather(xp, x), stiffness, *law, rewelds=rewelds)
         self.bond.loose[:] = True
         self._ring = np.zeros(n + 1, np.int64), np.zeros(0, np.int64)
 

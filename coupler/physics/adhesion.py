@@ -88,7 +88,8 @@ def ligament_bonds(
     & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). w: width of the ligaments. N: limit
     load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has opened or
     slid by its width (McClintock (1971), in Fracture III), so that strength falls linearly. With the half width a = w / 2 this is
-    G = 2.97 f sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
+    G = 2.97 f sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6. What slides under pressure welds
+    again where clean metal meets clean metal: strips of the share Y on both sides overlap by Y w in the mean (rewelds).
 
     sound f (n,); exposed Y (n,); film_force h sigma_f (n,) N/m; strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, which hold no
     more than at an opening w. Returns the arguments of `contact.bond.Bond`.
@@ -99,6 +100,7 @@ def ligament_bonds(
     normal, shear = np.minimum(CONSTRAINT * strength * sound, most), np.minimum(shear * sound, most)
     return {
         "strength": normal, "energy": 0.5 * normal * width, "shear_strength": shear, "shear_energy": 0.5 * shear * width,
+        "rewelds": exposed,
     }  # fmt: skip
 
 
