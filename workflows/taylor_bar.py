@@ -5,20 +5,21 @@
     python workflows/taylor_bar.py points 1000 2000     # points: so many; prints, and writes nothing
 
 Elements: bars of copper and of 42CrMo4 steel, a quarter of each between two planes of symmetry; edges have the given size within
-five radii of the struck face and grow by a tenth per unit of distance behind. Points: a bar of 42CrMo4. The numbers of others,
-with their sources, are in tests/data/references.toml and sph_references.toml.
+five radii of the struck face and grow by a tenth per unit of distance behind. Points: a bar of 42CrMo4 by each of two engines;
+plastic, numerical, drift: over the initial kinetic energy; rows in that table are not computed again. The numbers of others, with
+their sources, are in tests/data/references.toml and sph_references.toml.
 """
 
 import sys
 import time as clock
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import ROOT, TABLES, write_table
+from pages import ROOT, TABLES, study_table, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
@@ -48,10 +49,7 @@ DIAMETER, LENGTH, VELOCITY, TEMPERATURE, END = 6.4e-3, 32.4e-3, 287.0, 293.15, 8
 # With stretch = 1.2 single points at the foot go unstable (eps_p_max 5.9 in place of 1.9, 1.4 % more plastic work) and the
 # ledger still closes; from 0.6 to 1.0 nothing changes beyond the third digit.
 NUMERICS = Numerics(courant=0.3, stretch=0.8)
-HEAD_SPH = """\
-remake: python workflows/taylor_bar.py
-42CrMo4 Taylor bar, 287 m/s, 80 us, SPH with a rigid frictionless wall
-plastic, numerical, drift: over the initial kinetic energy. References: tests/data/sph_references.toml"""
+SHOWN = ("enriched", "compiled")  # engines; compiled is MACHDYN's scheme
 
 
 def reference(case: str) -> dict[str, Any]:
@@ -112,11 +110,12 @@ def _linear_hardening(law: dict[str, float]) -> Any:
 
 @dataclass
 class Bar:
-    """The result of one bar of points: lengths mm, temperature C, energies over the initial kinetic energy.
+    """The result of one bar of points by one engine: lengths mm, temperature C, energies over the initial kinetic energy.
 
     diameter: of the circle with the area of the foot seen along the axis; diameter_largest: twice the largest radius.
     """
 
+    engine: str
     points: int
     spacing_mm: float
     length_mm: float
@@ -132,7 +131,7 @@ class Bar:
     wall_s: float
 
 
-def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "compiled") -> Bar:
+def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enriched") -> Bar:
     """One bar of about `points` points, from first touch to 80 us."""
     started = clock.perf_counter()
     steel = material("42CrMo4")
@@ -164,7 +163,7 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "compil
     numerical = float(bar.internal_work - bar.elastic() - plastic)
     total = bar.kinetic() + bar.elastic() + plastic + numerical + stored
     result = Bar(
-        points=bar.n, spacing_mm=bar.spacing * 1e3, length_mm=float(np.ptp(surface[:, 2])) * 1e3,
+        engine=engine, points=bar.n, spacing_mm=bar.spacing * 1e3, length_mm=float(np.ptp(surface[:, 2])) * 1e3,
         diameter_mm=2e3 * float(np.sqrt(ConvexHull(surface[:, :2]).volume / np.pi)),
         diameter_largest_mm=2e3 * float(np.hypot(surface[:, 0], surface[:, 1]).max()),
         T_max_C=float(bar.T.max()) - 273.15, eps_p_max=float(bar.eps_p.max()),
@@ -176,13 +175,15 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "compil
 
 
 def of_points(counts: list[int]) -> None:
-    """Compute bars of points; write the table of the default ladder."""
-    rows = []
-    for count in counts or POINTS:
-        rows.append({name: f"{value:.6g}" for name, value in asdict(taylor_bar(count)).items()})
-        print(*(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
-    if not counts:
-        write_table(TABLES / "taylor_bar_sph.csv", rows, HEAD_SPH)
+    """Compute bars of points: the rows of the default ladder that the table lacks, or, with no table, so many points."""
+    columns = ("asked", *(field.name for field in fields(Bar)))
+    table = study_table("taylor_bar_sph", columns, ("engine", "asked"), "python workflows/taylor_bar.py")
+    for engine in SHOWN:
+        for count in counts or POINTS:
+            if counts:
+                print(taylor_bar(count, engine=engine), flush=True)
+            elif (engine, str(count)) not in table:
+                print(table.add({"asked": count, **asdict(taylor_bar(count, engine=engine))}), flush=True)
 
 
 def shown(values: Mapping[str, float]) -> str:
