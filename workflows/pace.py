@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import stability
-from pages import column, options, study_table, table_rows
+from pages import ROOT, column, options, study_table, table_rows
 from scipy.optimize import least_squares
 
 from coupler import run
@@ -25,6 +25,7 @@ from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
 
 TIMED = 4
+LADDERS = {"single_ni": "ni500", "single_ti": "ti500", "fast_ni": "ni1000"}  # scene of workflows/: its accuracy table
 COLUMNS = (
     "round", "scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "pace_steps", "pace_points",
 )  # fmt: skip
@@ -113,19 +114,25 @@ def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         cfl = end / int(row["steps"]) * first.wave_speed / checked.derived.spacing
         data.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
     singles = [
-        (r["material"], float(r["diameter_um"]), float(r["speed_m_s"]), float(r["temperature_K"]), r["points"], r["steps"], r["dt_ps"])
+        (r["material"], r["diameter_um"], r["speed_m_s"], r["temperature_K"], r["points"], r["steps"], r["dt_ps"])
         for name in ("validation", "validation_trends") for r in table_rows(name)
-        if r["impact"] == "1" and r["steps"] and "shape" not in r["run"]
+        if r["impact"] == "1" and r["steps"] and r["engine"] == "enriched" and "shape" not in r["run"]
     ]  # fmt: skip
-    knobs = {"kernel_radius": 0.75, "Q1": 0.06, "hourglass": 1.0, "courant": 0.4, "contact_stiffness": 1.0}
-    for r in table_rows("convergence_ni500"):
-        if not r["failed"] and r["lattice"] == "fcc" and all(float(r[k]) == v for k, v in knobs.items()):
-            singles.append(("Ni", 25.0, 500.0, 300.0, r["points"], r["steps"], r["dt_mean_ps"]))
-    for name, D, v, T, points, steps, dt in singles:
-        first, time = material(name), int(steps) * float(dt) * 1e-12
+    for name in LADDERS:
+        p = Scene.load(ROOT / "workflows" / f"{name}.toml").particle
+        at = (p.material, p.diameter * 1e6, p.velocity, p.temperature)
+        rows = [
+            r
+            for r in table_rows(f"accuracy_{LADDERS[name]}")
+            if r["axis"] in ("points", "reference") and not r["failed"]
+        ]
+        singles += [(*at, r["points_used"], r["steps"], 1e12 * float(r["dt_mean_s"])) for r in rows]
+    for name, *numbers in singles:
+        D, v, T, points, steps, dt = map(float, numbers)
+        first, time = material(name), steps * dt * 1e-12
         spacing = cost.spacing(sphere_volume(D * 1e-6), int(points))
-        row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, float(points), 0.0)
-        cfl = float(dt) * 1e-12 * first.wave_speed / spacing
+        row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, points, 0.0)
+        cfl = dt * 1e-12 * first.wave_speed / spacing
         data.append((row_terms, math.log(time * v / (D * 1e-6)), math.log(cfl)))
     F, rest, courant = zip(*data, strict=True)
     return np.array(F), np.array(rest), np.array(courant)
@@ -146,8 +153,7 @@ def fit() -> None:
     off = np.abs(cfl - model(best))
     print(f"CFL_FIT = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
           f"{np.percentile(off, 90):.1%}")  # fmt: skip
-    tables = [table_rows(f"accuracy_{name}") for name in ("ni1000", "ni500", "ti500")]
-    rows = [row for table in tables for row in table if not row["failed"]]
+    rows = [row for name in LADDERS.values() for row in table_rows(f"accuracy_{name}") if not row["failed"]]
     N, E, n, loop, whole = (column(rows, c) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s"))
     A = np.stack([N, E, np.ones_like(N)], axis=1)
     weight = n / loop  # relative errors

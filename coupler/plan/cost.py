@@ -25,7 +25,7 @@ SLIDES = 1.5  # ... heights over the velocity towards the target: beyond 60 degr
 STOPS = 2.0  # ... and times to stop: in the first the particle stops, in the second it rebounds
 HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
-# Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, convergence_ni500): the
+# Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, accuracy): the
 # logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than 1 / CFL_AT_REST, are these coefficients times
 # [1, ln d_p, ln d_t, ln(N / 1000), sin^2 angle]; d: `damage_numbers`, N: points in a sphere of the particle's diameter.
 REST_FIT = (-0.228, 0.121, 0.252, -0.042, 0.795)
@@ -36,6 +36,7 @@ STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
 SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
 # wall time of one step, one core, by engine
 SECONDS_PER_POINT = {"compiled": 0.7e-6, "enriched": 1.0e-6, "machdyn": 2.6e-6}
+TIMED_ENGINE = "enriched"  # of the impacts that time a machine
 SECONDS_PER_ELEMENT = 0.12e-6
 SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4

@@ -38,7 +38,7 @@ class Pace:
 
     def seconds(self, plan: Plan) -> float:
         """Processor time of a plan in one thread here, s."""
-        own = cost.step_time(1.0, USUAL[1]), cost.point_time(1.0, USUAL[0], "compiled")
+        own = cost.step_time(1.0, USUAL[1]), cost.point_time(1.0, USUAL[0], cost.TIMED_ENGINE)
         of_all_else = (self.steps * own[0] + self.points * own[1]) / sum(own)
         return plan.cost.steps * self.steps + plan.cost.points * self.points + plan.cost.rest * of_all_else
 

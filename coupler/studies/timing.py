@@ -28,6 +28,7 @@ height = "40 um"
 [resolution]
 spacing = "{spacing} um"
 element_size = "2 um"
+engine = "{engine}"
 [end]
 time = "{time} ns"
 """
@@ -48,12 +49,15 @@ class _Impact(Protocol):
 def measure() -> tuple[float, float]:
     """The two factors of this machine, timed now in one thread. Raises SolverError if there was too little to time."""
     sizes = [
-        min((_timed(SMALL.format(spacing=spacing, time=time)) for _ in range(REPEATS)), key=lambda timed: timed[2])
+        min(
+            (_timed(SMALL.format(spacing=spacing, time=time, engine=cost.TIMED_ENGINE)) for _ in range(REPEATS)),
+            key=lambda timed: timed[2],
+        )
         for spacing, time in SIZES
     ]  # other work on the machine only ever adds to a time
     # f_s (step + element E) + f_p point N = seconds of a step, for the two impacts
     (a, b, s), (c, d, t) = (
-        (cost.SECONDS_PER_STEP + cost.SECONDS_PER_ELEMENT * E, cost.SECONDS_PER_POINT["compiled"] * N, seconds)
+        (cost.SECONDS_PER_STEP + cost.SECONDS_PER_ELEMENT * E, cost.SECONDS_PER_POINT[cost.TIMED_ENGINE] * N, seconds)
         for N, E, seconds in sizes
     )
     determinant = a * d - b * c
