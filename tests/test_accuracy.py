@@ -271,7 +271,7 @@ def test_the_factors_carry_the_constants_to_another_machine(monkeypatch):
     def timed(text):
         N, E = (300, 4000) if timing.SIZES[0][0] in text else (3000, 8000)
         own = estimates.SECONDS_PER_STEP + estimates.SECONDS_PER_ELEMENT * E
-        return N, E, (2.5 * own + 1.4 * estimates.SECONDS_PER_POINT["compiled"] * N) * next(disturbed)
+        return N, E, (2.5 * own + 1.4 * estimates.SECONDS_PER_POINT["enriched"] * N) * next(disturbed)
 
     monkeypatch.setattr(timing, "_timed", timed)
     steps, points = timing.measure()

@@ -34,7 +34,6 @@ WHERE = {
     "shape stress": (FAST, TRIPLE, *SOFT_TARGETS),
     "mesh frequency": (FAST, TRIPLE, *BATTERY[:4], COATING),
     "inactive elements": (FAST, TRIPLE, COATING),
-    "remeshing": (TRIPLE, *ON_A_SPLAT, COATING),
     "mass scaling": (TRIPLE, *ON_A_SPLAT, COATING),
     "window": (COATING,),
     "retry": RETRIED,
@@ -83,12 +82,6 @@ def no_inactive_elements() -> None:
     Target.__init__ = lambda self, *a, **k: original(self, *a, **{**k, "track_wave": False})  # type: ignore[method-assign]
 
 
-def no_remeshing() -> None:
-    from coupler.deposition import joining
-
-    joining.remeshed = lambda bodies, gate, origin: (bodies, {"remeshed": False})
-
-
 def no_retry() -> None:
     from coupler.impact import retry
 
@@ -97,7 +90,7 @@ def no_retry() -> None:
 
 SWITCHES = {
     "shape stress": no_shape_stress, "mesh frequency": no_mesh_frequency, "inactive elements": no_inactive_elements,
-    "remeshing": no_remeshing, "retry": no_retry,
+    "retry": no_retry,
 }  # fmt: skip
 
 

@@ -22,7 +22,6 @@ from ..splat.convert import convert
 from .equilibrium import RELAXED, settle
 from .mass_scaling import prepare
 from .pause import pause, release_time
-from .remeshing import Gate, remeshed
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
@@ -44,14 +43,6 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
     report["velocity_ratio"] = ratio = p.velocity_ratio
     left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True
     origin = point_of_impact(bodies, following.offset, None if left else domains)
-    progress.stage("looking at the target's elements")
-    bodies, report["remeshing"] = remeshed(bodies, Gate.of(following.spacing, following.material.wave_speed), origin)
-    if report["remeshing"]["remeshed"]:
-        old, renewed = report["remeshing"]["before"], report["remeshing"]["after"]
-        progress.log(
-            f"impact {i + 1} has distorted the target: remeshed, its step is {renewed['step_s'] * 1e12:.0f} ps instead of"
-            f" {old['step_s'] * 1e12:.0f}"
-        )
     if left:
         progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         progress.stage("bringing the target to rest")

@@ -1,4 +1,4 @@
-"""The state of the target as records: a field more here is kept, restored, renumbered, joined and remeshed."""
+"""The state of the target as records: a field more here is kept, restored, renumbered and joined."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -30,20 +30,17 @@ class ElementState:
     """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
     the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that
     changes of temperature at rest have made.
-
-    A remeshed patch takes its arrays over by moving least squares, with the same sum over reference volume and none below `floor`,
-    by default the least of the old ones; those with computed=True are computed by `deposition.remeshing` and `fe.patch`.
     """
 
-    s: Annotated[np.ndarray, Rows(6, computed=True)]
-    eps_p: Annotated[np.ndarray, Rows(floor=0.0)]
-    rate: Annotated[np.ndarray, Rows(floor=0.0)]
-    heat: Annotated[np.ndarray, Rows(computed=True)]
-    volume: Annotated[np.ndarray, Rows(computed=True)]
+    s: Annotated[np.ndarray, Rows(6)]
+    eps_p: Annotated[np.ndarray, Rows()]
+    rate: Annotated[np.ndarray, Rows()]
+    heat: Annotated[np.ndarray, Rows()]
+    volume: Annotated[np.ndarray, Rows()]
     T: Annotated[np.ndarray, Rows()]
-    sigma_y: Annotated[np.ndarray, Rows(computed=True)]
-    fe: Annotated[np.ndarray, Rows(4, 3, computed=True)]
-    thermal_stress: Annotated[np.ndarray, Rows(6, computed=True)]
+    sigma_y: Annotated[np.ndarray, Rows()]
+    fe: Annotated[np.ndarray, Rows(4, 3)]
+    thermal_stress: Annotated[np.ndarray, Rows(6)]
 
 
 @dataclass(frozen=True)

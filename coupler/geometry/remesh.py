@@ -25,40 +25,36 @@ def even(
     triangles: np.ndarray,
     size: float,
     project: Callable[[np.ndarray], np.ndarray] | None = None,
-    fixed: int = 0,
-    scale: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """A closed surface (k,3) m, (m,3) with edges of about `size` m, of the same topology.
 
     project(vertices) -> vertices moves them to the true surface after each round; without it relaxing along the surface
-    decides their places. The first `fixed` vertices and the edges between them stay as they are.
-    scale(places (e,3)) -> (e,): factor on `size` at these places (default 1).
+    decides their places.
     """
     x, t = np.array(vertices, float), np.array(triangles, np.int64)
     edge = float(np.median(np.linalg.norm(x[t] - x[np.roll(t, 1, axis=1)], axis=2)))
     while edge < 0.5 * SHORT * size:  # a fine surface is coarsened in steps, shortest edges first
         edge *= 1.6
-        x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size, fixed, scale)
-        x, t = _flip_all(x, t, fixed)
-        x = relaxed(x, t, fixed)
+        x, t = _collapse_all(x, t, min(edge, SHORT * size), LONG * size)
+        x, t = _flip_all(x, t)
+        x = relaxed(x, t)
     for _ in range(ROUNDS):
-        x, t = _split_all(x, t, LONG * size, fixed, scale)
-        x, t = _collapse_all(x, t, SHORT * size, LONG * size, fixed, scale)
-        x, t = _flip_all(x, t, fixed)
-        x = relaxed(relaxed(x, t, fixed), t, fixed)
+        x, t = _split_all(x, t, LONG * size)
+        x, t = _collapse_all(x, t, SHORT * size, LONG * size)
+        x, t = _flip_all(x, t)
+        x = relaxed(relaxed(x, t), t)
         if project is not None:
-            x[fixed:] = project(x)[fixed:]
+            x = project(x)
     return x, t
 
 
-def relaxed(x: np.ndarray, t: np.ndarray, fixed: int = 0) -> np.ndarray:
+def relaxed(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Vertices (k,3) moved half-way to the mean of their neighbours, along the surface only."""
     total, count = np.zeros_like(x), np.bincount(t.ravel(), minlength=len(x))
     for a, b in ((0, 1), (1, 2), (2, 0)):  # each edge of a closed surface appears once in either direction
         for i in range(3):
             total[:, i] += np.bincount(t[:, a], x[t[:, b], i], len(x))
     step = total / count[:, None] - x
-    step[:fixed] = 0.0
     normal = vertex_normals(x, t)
     return x + 0.5 * (step - np.einsum("ij,ij->i", step, normal)[:, None] * normal)
 
@@ -87,14 +83,6 @@ def _around(t: Ints, n: int) -> tuple[Ints, Ints]:
     return start, table
 
 
-Scale = Callable[[np.ndarray], np.ndarray] | None
-
-
-def _scaled(x: np.ndarray, edges: np.ndarray, scale: Scale) -> np.ndarray:
-    """Factor on `size` at the middle of each edge, (e,)."""
-    return np.ones(len(edges)) if scale is None else scale(0.5 * (x[edges[:, 0]] + x[edges[:, 1]]))
-
-
 def _shortest_first(length: np.ndarray, size: float) -> np.ndarray:
     """Order of edges (e,) by their length, m, where lengths that differ by less than TIE of `size` count as equal.
 
@@ -104,16 +92,13 @@ def _shortest_first(length: np.ndarray, size: float) -> np.ndarray:
     return np.argsort(np.round(length / (TIE * size)), kind="stable")
 
 
-def _collapse_all(
-    x: np.ndarray, t: np.ndarray, short: float, longest: float, fixed: int, scale: Scale
-) -> tuple[np.ndarray, np.ndarray]:
+def _collapse_all(x: np.ndarray, t: np.ndarray, short: float, longest: float) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(60):
         edges, length = _edges(x, t)
-        wide = _scaled(x, edges, scale)
-        pick = np.flatnonzero((length < short * wide) & (edges >= fixed).any(axis=1))
+        pick = np.flatnonzero(length < short)
         pick = pick[_shortest_first(length[pick], short)]
         start, table = _around(t, len(x))
-        done = _collapse(x, t, start, table, edges[pick], longest * wide[pick], fixed)
+        done = _collapse(x, t, start, table, edges[pick], longest)
         if done == 0:
             break
         t = t[t[:, 0] >= 0]
@@ -141,10 +126,10 @@ def _turned(x: Floats, t: Ints, f: int, old: int, p: Floats) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest: Floats, fixed: int) -> int:
-    """Collapse edges, in their order, to their middles, or to their first end where that is one of the first `fixed` vertices.
+def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest: float) -> int:
+    """Collapse edges, in their order, to their middles.
 
-    longest (e,): edges that a collapse may leave. x and t change in place, gone triangles are -1. Returns how many.
+    longest: edge that a collapse may leave. x and t change in place, gone triangles are -1. Returns how many.
     """
     n = len(x)
     locked = np.zeros(n, np.bool_)
@@ -169,7 +154,7 @@ def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest
                     low = min(low, start[w + 1] - start[w])
         if shared != 2 or low < 4:
             continue
-        p = x[u].copy() if u < fixed else 0.5 * (x[u] + x[v])
+        p = 0.5 * (x[u] + x[v])
         good = True
         for old, other in ((u, v), (v, u)):
             for r in range(start[old], start[old + 1]):
@@ -180,7 +165,7 @@ def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest
                     w = t[f, k]
                     if w != old:
                         d = x[w] - p
-                        good = good and np.dot(d, d) < longest[e] * longest[e]
+                        good = good and np.dot(d, d) < longest * longest
                 good = good and not _turned(x, t, f, old, p)
             if not good:
                 break
@@ -203,10 +188,10 @@ def _collapse(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints, longest
     return done
 
 
-def _split_all(x: np.ndarray, t: np.ndarray, longest: float, fixed: int, scale: Scale) -> tuple[np.ndarray, np.ndarray]:
+def _split_all(x: np.ndarray, t: np.ndarray, longest: float) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(20):
         edges, length = _edges(x, t)
-        pick = np.flatnonzero((length > longest * _scaled(x, edges, scale)) & (edges >= fixed).any(axis=1))
+        pick = np.flatnonzero(length > longest)
         if len(pick) == 0:
             break
         pick = edges[pick[_shortest_first(-length[pick], longest)]]
@@ -244,10 +229,9 @@ def _split(x: Floats, t: Ints, start: Ints, table: Ints, edges: Ints) -> tuple[F
     return np.concatenate((x, points[:done])), np.concatenate((t, faces[: 2 * done]))
 
 
-def _flip_all(x: np.ndarray, t: np.ndarray, fixed: int) -> tuple[np.ndarray, np.ndarray]:
+def _flip_all(x: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(8):
         edges, _ = _edges(x, t)
-        edges = edges[(edges >= fixed).any(axis=1)]
         start, table = _around(t, len(x))
         if _flip(x, t, start, table, edges) == 0:
             break

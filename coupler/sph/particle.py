@@ -391,7 +391,7 @@ class Particle(ABC):
 
     def _own_fields(self) -> set[str]:
         """The arrays of the points' record that LAMMPS does not keep."""
-        return {name for name, spec in rows_of(self.POINTS).items() if not spec.notes.get("lammps")}
+        return {name for name, spec in rows_of(self.POINTS).items() if not spec.lammps}
 
     def _points(self) -> dict[str, np.ndarray]:
         """The arrays of the points' record as they are here."""

@@ -33,16 +33,16 @@ class Shape:
 class Rows(Shape):
     """Says of an array field that it has a row of this shape for each node, element or point, `fill` to begin with.
 
-    notes: what else is to be known of it, for example how it is transferred to another mesh.
+    lammps: whether LAMMPS keeps it.
     """
 
     per_row = True
 
     def __init__(
-        self, *shape: int, dtype: DTypeLike = np.float64, fill: float = 0.0, index_of: str = "", **notes: float | bool
+        self, *shape: int, dtype: DTypeLike = np.float64, fill: float = 0.0, index_of: str = "", lammps: bool = False
     ):
         super().__init__(-1, *shape, dtype=dtype, index_of=index_of)
-        self.fill, self.notes = fill, notes
+        self.fill, self.lammps = fill, lammps
 
     def new(self, n: int) -> np.ndarray:
         """An array of n rows of the fill value."""
