@@ -70,8 +70,10 @@ class Progress:
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
 
     def stage(self, text: str, of_impact: bool = True) -> None:
-        """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`. of_impact: it
-        belongs to the impact that was started last."""
+        """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
+        is begun again. of_impact: it belongs to the impact that was started last."""
+        if self._stage is not None and self._stage[0] == text:
+            return
         self._show_last()
         self._stage = (text, time.monotonic())
         self._impact = self._impact if of_impact else ""

@@ -220,6 +220,19 @@ def test_a_long_stage_is_shown_with_its_time(monkeypatch):
     assert "meshing the splat ... 1 s" in stream.getvalue()
 
 
+def test_a_stage_that_is_begun_again_goes_on(monkeypatch):
+    """Kernels are compiled one after another: one stage, whose time is that of all."""
+    now, recorded = [100.0], []
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    with Progress(stream=io.StringIO()) as progress:
+        progress.record = recorded.append
+        for _ in range(3):
+            progress.stage("compiling")
+            now[0] += 1.5
+        assert progress._stage == ("compiling", 100.0)
+        assert recorded == ["compiling"]
+
+
 def test_quiet_progress_says_nothing():
     stream = io.StringIO()
     with Progress(quiet=True, stream=stream) as progress:

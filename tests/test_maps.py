@@ -20,6 +20,7 @@ from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
+from coupler.ranks.executors import WITH_PARENT
 from coupler.studies import points as point_runs
 from coupler.studies.maps import BAND, interpolate, varying
 from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
@@ -512,6 +513,17 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
     statuses = point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), Losing(), said.append)
     assert statuses == {"a": "done", "b": "stopped", "c": "stopped"}
     assert sum("its worker was lost (node down)" in line for line in said) == 1
+
+
+def test_the_server_of_the_slurm_jobs_ends_with_the_sweep() -> None:
+    """The pipe ends when its last writer has: the child of a killed parent."""
+    child = f"{WITH_PARENT}; print('ready', flush=True); signal.pause()"
+    start = "import subprocess, sys; subprocess.run([sys.executable, '-c', sys.argv[1]])"
+    with subprocess.Popen([sys.executable, "-c", start, child], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline() == "ready\n"
+        parent.kill()
+        assert parent.stdout.read() == ""
 
 
 def test_executors(tmp_path, monkeypatch) -> None:

@@ -246,13 +246,13 @@ def test_a_line_for_each_impact():
         "impact 1   Ni sphere 25 um, 500 m/s at 0 deg from the normal, 300 K",
         "impact 2   Ti sphere",
         "impact 3   Ni flake 25 um, 500 m/s at 30 deg from the normal, 300 K, at (-3, 4.5) um, then a pause of 10 us",
-        "adhesion   cohesive, 300 MPa and 20 J/m2, where the velocity has reached 1 of the critical one",
+        "adhesion   cohesive, 300 MPa and 20 J/m2, where the velocity reaches the critical one",
         "each ends  at greatest deformation, at most",
     ):
         assert part in text
     assert max(map(len, text.splitlines())) <= 125
     alone = describe(plan(scene_with()))
-    assert "  adhesion   tied, where the velocity has reached 1 of the critical one" in alone
+    assert "  adhesion   tied, where the velocity reaches the critical one" in alone
 
 
 def test_the_spray_gives_the_time_between_impacts():

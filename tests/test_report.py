@@ -21,7 +21,7 @@ from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.page import report
 from coupler.report.picture import axes_at, blank, cut, label_log, stage, window
 from coupler.report.profiles import on_vertical, profiles
-from coupler.report.words import alerts, notes, span, summary_table, title
+from coupler.report.words import alerts, notes, remarks, span, summary_table, title
 
 
 @pytest.fixture(scope="module")
@@ -268,6 +268,14 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     head = page[page.index('<section id="front">') : page.index("</section>")]
     assert head.index("undecided</b>: not at rest") < head.index(f"doubtful</b>: {doubt}") < head.index("<li>rates")
     assert "85 is above 20" in page
+
+
+def test_impacts_of_one_remark_share_it(tmp_path) -> None:
+    """Impacts 1, 2, 4, 5, 6 of a run that is undecided: their splats do not rest."""
+    waits, done = {"end": {}, "refused": {"at_end": "not at rest"}}, {"end": {}, "refused": {}}
+    assert remarks(summary_of(waits, waits, done, waits, waits, waits)) == [
+        "impacts 1, 2, 4 to 6: no value of all measures at the end of the run: not at rest"
+    ]
 
 
 # How people without one kind of cone see linear RGB: Machado, Oliveira & Fernandes (2009), severity 1.

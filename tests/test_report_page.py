@@ -312,12 +312,14 @@ def fits(browser: Browser, folder: Path) -> None:
 
 @needs_chromium
 @pytest.mark.slow
-def test_the_front_of_eight_impacts_fits(finished, tmp_path):
+@pytest.mark.parametrize("count", [6, 8])
+def test_many_impacts_fit(finished, tmp_path, count):
+    """Six stand side by side with all measures, eight below each other."""
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
     scene = made_up_run.SCENE.replace("[particle]", "[[particle]]")
     head, particle = scene[: scene.index("[[")], scene[scene.index("[[") : scene.index("[substrate]")]
-    several = f"{head}{8 * (particle + OFFSET)}{scene[scene.index('[substrate]') :]}"
+    several = f"{head}{count * (particle + OFFSET)}{scene[scene.index('[substrate]') :]}"
     (copy / "plan.json").write_text(plan_text(plan(Scene.from_text(several))))
     band = {"half_width": 0.0118}
     end = {"time_s": 1e-9, "flattening_ratio": 0.5512, "crater_depth_m": 5.3e-6, "eps_p_mean": 0.7, "T_mean_K": 423.1}
@@ -334,11 +336,13 @@ def test_the_front_of_eight_impacts_fits(finished, tmp_path):
         "versions": {f"package{k}": "1.2.3" for k in range(9)},
         "command": "x " * 99,
     }
-    summary = made_up_run.summary_of(*[impact] * 8, warnings=[f"{k} is beyond the fitted range " * 5 for k in range(8)])
+    summary = made_up_run.summary_of(
+        *[impact] * count, warnings=[f"{k} is beyond the fitted range " * 5 for k in range(8)]
+    )
     Store(copy).finish(summary | {"provenance": record})
     path = write_report(Result(copy))
     front = path.read_text(encoding="utf-8")
-    assert "8 Ni of 25 µm on SS304 at 500 m/s" in front
+    assert f"{count} Ni of 25 µm on SS304 at 500 m/s" in front
     assert "offset (3, -4) µm" in front
     assert "0.551 ± 0.012" in front
     with shown(path, tmp_path / "profile") as browser:

@@ -249,7 +249,9 @@ class Adhesion:
             "all": "wherever they touch",
             "plastic_strain": f"where the plastic strain has reached {reached:g}",
             "pressure": f"where the pressure has reached {units.rounded(reached, 'MPa')}",
-            "velocity": f"where the velocity has reached {reached:g} of the critical one",
+            "velocity": "where the velocity reaches "
+            + (f"{reached:g} of " if reached != 1.0 else "")
+            + "the critical one",
         }
         own = "".join(f"; {' on '.join(pair.metals)} by its own law" for pair in self.pairs)
         return f"{text}, {where[self.criterion]}{own}"

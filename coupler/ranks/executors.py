@@ -20,6 +20,12 @@ KINDS = ("processes", "mpi", "slurm")
 # option of a Slurm job -> its value unless given; any other is passed on to sbatch
 SLURM = {"cores": "1", "time": "01:00:00"}
 RETRIES = 3  # of a computation whose Slurm job ended before it
+# a Python program that ends with the process that started it (prctl 1); Parsl's server of the jobs: else, where the sweep was killed,
+# they wait for work until their time is over
+WITH_PARENT = "import ctypes, signal; ctypes.CDLL(None).prctl(1, signal.SIGTERM)"
+_SERVER = (
+    f"{WITH_PARENT}; import runpy; runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
+)
 # variables by which a process joins the ranks of its parent
 _OF_MPI = ("PMI", "PMIX", "OMPI_", "MPI_", "MPICH_", "HYDI_", "HYDRA_")
 
@@ -93,7 +99,7 @@ def _slurm(count: int, folder: Path, options: dict[str, str]) -> Executor:
     workers = HighThroughputExecutor(
         "slurm",
         provider,
-        interchange_launch_cmd=[sys.executable, "-m", "parsl.executors.high_throughput.interchange"],
+        interchange_launch_cmd=[sys.executable, "-c", _SERVER],
         max_workers_per_node=at_once,
         encrypted=True,
         working_dir=str(folder),

@@ -167,7 +167,8 @@ SOLID = """<div class="controls" id="solid-controls">
 <label>Time <input type="range" id="time" min="0" step="1"> <output id="now"></output></label>
 </div>
 <div id="solid"></div><img id="solid-picture" alt="Particle and target in 3D">
-<p class="caption">Drag to turn, wheel to zoom, right button to move. Colours mean the same at all times; what lies above
+<p class="caption"><span class="controls-note">Drag to turn, wheel to zoom, right button to move.</span>
+Colours mean the same at all times; what lies above
 their range has the last one.</p>"""
 
 

@@ -82,15 +82,21 @@ def measures(summary: Summary) -> str:
     note = f'<p class="caption">What drives the bands: {escape("; ".join(drives))}.</p>' if drives else ""
     items = "".join(f"<li>{escape(text)}</li>" for text in remarks(summary))
     note += f'<ul class="caption">{items}</ul>' if items else ""
-    return f'<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
+    count = len(summary.get("impacts", []))
+    of = f'<p class="caption">Of the last impact, number {count}.</p>' if count > 1 else ""
+    return f'{of}<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
 
 
 def several(entries: Sequence[Block], headings: Sequence[str]) -> str:
     """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
     numeric = {key for entry in entries for key, value in entry.items() if isinstance(value, int | float)}
     groups = table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries])
-    rows = [[line.label, *line.cells, line.unit] for lines in groups.values() for line in lines]
-    return table(["", *headings, ""], rows, range(1, len(entries) + 1)) if rows else ""
+    rows = [
+        [f"{line.label}, {line.unit}" if line.unit else line.label, *line.cells]
+        for lines in groups.values()
+        for line in lines
+    ]
+    return table(["", *headings], rows, range(1, len(entries) + 1), stack=True) if rows else ""
 
 
 def each_impact(summary: Summary) -> str:

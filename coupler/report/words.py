@@ -131,10 +131,10 @@ def alerts(summary: Summary) -> list[str]:
 
 
 def remarks(summary: Summary) -> list[str]:
-    """The measures that have no value, each with the reason, and the meaning of unusual values."""
-    records, lines = summary.get("impacts", []), []
+    """The measures that have no value, each with the reason, and the meaning of unusual values; impacts of one remark share it."""
+    records = summary.get("impacts", [])
+    lines: dict[str, list[int]] = {}  # text -> impacts
     for number, impact in enumerate(records, 1):
-        prefix = f"impact {number}: " if len(records) > 1 else ""
         reasons: dict[str, list[str]] = {}
         for path, reason in (impact.get("refused") or {}).items():
             reasons.setdefault(str(reason), []).append(_label(str(path)))
@@ -142,17 +142,31 @@ def remarks(summary: Summary) -> list[str]:
             of_end = {_label(f"end.{key}") for key in impact["end"] if key != "time_s"}
             if of_end and of_end <= set(names):
                 names = ["all measures of the end", *(name for name in names if name not in of_end)]
-            lines.append(f"{prefix}no value of {', '.join(names)}: {reason}")
+            lines.setdefault(f"no value of {', '.join(names)}: {reason}", []).append(number)
         for block, moment in _BLOCKS.items():
             for key, value in (impact.get(block) or {}).items():
                 remark = measure(key).remark(value) if isinstance(value, int | float) else None
                 if remark is not None:
-                    lines.append(f"{prefix}{moment}, {remark}")
-    return lines
+                    lines.setdefault(f"{moment}, {remark}", []).append(number)
+    return [_of_impacts(numbers) + text if len(records) > 1 else text for text, numbers in lines.items()]
+
+
+def _of_impacts(numbers: Sequence[int]) -> str:
+    """Numbers of impacts in ascending order before a remark: [1, 2, 3, 5] is "impacts 1 to 3, 5: "."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+    return f"impact{'s' * (len(numbers) > 1)} {text}: "
 
 
 def _label(path: str) -> str:
     """The label of a key in an impact's record, with its block: "end.T_max_K" is "highest temperature at the end"."""
+    if path in _BLOCKS:
+        return f"all measures {_BLOCKS[path]}"
     block, _, key = path.rpartition(".")
     return f"{measure(key).label} {_BLOCKS[block]}" if block in _BLOCKS else measure(path).label
 
