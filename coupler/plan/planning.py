@@ -295,7 +295,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         gap=scene.derived.gap_of(particle),
         spacing=scene.derived.spacing,
         points=scene.derived.points_of(particle),
-        end_time=cap,
+        end_time=cap * (estimates.ON_SPLATS if i > 0 and scene.end.time is None else 1.0),
         expected=estimates.expected_time(cap, height, v, end_at, damage, points, particle.angle),
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
@@ -357,8 +357,9 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
 
 def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> list[Situation]:
     """What the numbers of each impact are made of; its waves and heat go on travelling while later ones are computed."""
-    situations, left = [], sum(i.end_time for i in impacts)
-    for impact in impacts:
+    usual = [scene.derived.end_time_of(particle) for particle in scene.particles]
+    situations, left = [], sum(usual)
+    for impact, duration in zip(impacts, usual, strict=True):
         situations.append(
             Situation(
                 materials=(impact.material, base),
@@ -370,12 +371,12 @@ def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> 
                 end_time=left,
                 element_size=scene.derived.element_size,
                 spacing=impact.spacing,
-                duration=impact.end_time,
+                duration=duration,
                 dwell=impact.dwell,
                 bonded=scene.derived.adhesion_law.kind != "none",
             )
         )
-        left -= impact.end_time
+        left -= duration
     return situations
 
 
