@@ -54,7 +54,7 @@ def test_no_hole_around_a_splat() -> None:
     """What sticks out from under a joined body can still be hit: a particle beside it must not fall through."""
     law = law_record(material("Ni"), rate_filter=1e-9)
     new = substrate().joined(
-        [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0
+        [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1
     )
     mesh = new.target.mesh
     beyond = np.abs(new.target.x[:, :2]).max(axis=1) > 10.1e-6
@@ -70,7 +70,7 @@ def test_a_splat_put_on_the_surface_keeps_its_volume(monkeypatch: pytest.MonkeyP
     body = block((-10e-6, -10e-6, -1.2e-6), 0.0, 1.0, law)
 
     def joined() -> Bodies:
-        return substrate().joined([body], Adhesion(kind="tied"), 6e-6, (0.0, 0.0, 0.0), 1.0)
+        return substrate().joined([body], Adhesion(kind="tied"), 6e-6, (0.0, 0.0, 0.0), 1.0, 1)
 
     new = joined()
     own = new.target.mesh.conn[new.body == 1]

@@ -134,7 +134,7 @@ def built() -> Splats:
         0.0, np.concatenate(points), np.concatenate(cells), {k: v.astype(np.float32) for k, v in data.items()}
     )
     return Splats(
-        mesh, of, np.array([0, 1, 3, 4]), None, np.array([False, True, False, False]), np.array([1.0, 1, 1, 1]), 4, 2, 20e-6, 2e-6
+        mesh, of, np.array([0, 1, 3, 4]), None, np.array([1.0, 0.0, 1.0, 1.0]), np.array([1.0, 1, 1, 1]), 4, 2, 20e-6, 2e-6
     )  # fmt: skip
 
 
@@ -156,7 +156,7 @@ def test_an_opening_makes_voids_open(built: Splats) -> None:
     below = built.mesh.points[built.mesh.cells].mean(axis=1)
     holed = ~((built.body == 3) & (np.hypot(below[:, 0] + 6e-6, below[:, 1]) < 4e-6))
     mesh = Fields(0.0, built.mesh.points, built.mesh.cells[holed], {k: v[holed] for k, v in built.mesh.data.items()})
-    one = Splats(mesh, built.body[holed], built.impact, None, built.rebounded, built.mass, 4, 2, 20e-6, 2e-6)
+    one = Splats(mesh, built.body[holed], built.impact, None, built.stayed, built.mass, 4, 2, 20e-6, 2e-6)
     opened, closed = Columns(one, (0.0, 0.0), 12e-6, 0.5e-6).voids(1e-6)
     assert closed.sum() == 0
     assert opened.sum() > 0

@@ -101,7 +101,7 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
     law = law_record(material("Ni"), rate_filter=1e-9)
     # 0.5 um off its place: the nodes are put on the facets
     body = block((-10e-6, -10e-6, 0.5e-6), 0.0, 1.0, law)
-    new = substrate().joined([body], Adhesion(kind=kind), 5e-6, (0.0, 0.0, 0.0), 1.0)
+    new = substrate().joined([body], Adhesion(kind=kind), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
     own = new.body == 1
     nodes = np.unique(new.target.mesh.conn[own])
     assert new.target.x[nodes, 2].min() == pytest.approx(0.0, abs=1e-12)
@@ -126,7 +126,7 @@ def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch
     body.points[low, 2] -= 3e-6
 
     def joined() -> tuple[Bodies, float]:
-        new = substrate().joined([body], Adhesion(kind="none"), 5e-6, (0.0, 0.0, 0.0), 1.0)
+        new = substrate().joined([body], Adhesion(kind="none"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
         return new, float(overlaps(new.surfaces, new.target.x, [1]).max())
 
     new, deepest = joined()
@@ -174,7 +174,7 @@ def test_a_residual_stress_stays() -> None:
     """Equal and opposite layers of stress in a free block stay what they are, up to the rim."""
     law = law_record(material("Ni"), rate_filter=1e-9)
     body = block((-10e-6, -10e-6, 0.0), 0.0, 0.999, law)
-    new = substrate().joined([body], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0)
+    new = substrate().joined([body], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
     own = new.body == 1
     before = new.target.p[new.target.mesh.conn[own]].mean()
     report = settle(new, 1e-9)
@@ -196,7 +196,9 @@ def test_the_next_one_starts_above_the_surface() -> None:
 
 def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
     law = law_record(material("Ni"), rate_filter=1e-9)
-    bodies = substrate().joined([block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), 5e-6, (0, 0, 0), 1.0)
+    bodies = substrate().joined(
+        [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), 5e-6, (0, 0, 0), 1.0, 1
+    )
     assert point_of_impact(bodies, (2e-6, 3e-6)) == pytest.approx((2e-6, 3e-6, 20e-6))  # on the block
     assert point_of_impact(bodies, (18e-6, 0.0)) == pytest.approx((18e-6, 0.0, 0.0), abs=1e-12)  # beside it
     assert point_of_impact(bodies, (90e-6, 0.0)) == (90e-6, 0.0, 0.0)  # beside everything

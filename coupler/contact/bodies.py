@@ -213,13 +213,14 @@ class BodyContact:
             side.contact.restore(kept)
 
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
-        """Take over the history of the contact of fewer bodies. node (N before,): new number of each of its nodes.
-
-        For a domain with one more body: friction springs and ledger continue. Heat must have been fetched before.
+        """Take over the history of the contact of fewer or more bodies. node (N before,): new number of each of its nodes, -1 where
+        it is gone: friction springs and ledger continue. Heat must have been fetched before.
         """
         springs, depth = np.zeros((len(self._held), 3)), np.zeros(len(self._held))
         for side in before._sides:
-            springs[node[side.nodes]], depth[node[side.nodes]] = side.contact.spring, side.contact.depth
+            stays = node[side.nodes] >= 0
+            into = node[side.nodes[stays]]
+            springs[into], depth[into] = side.contact.spring[stays], side.contact.depth[stays]
         for side in self._sides:
             side.contact.spring[:], side.contact.depth[:] = springs[side.nodes], depth[side.nodes]
             side.contact.friction_heat = side.contact.dropped_energy = 0.0

@@ -19,9 +19,10 @@ from ..progress import Progress
 from ..sph.carried_surface import CarriedSurface, shape_measures
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
+from .detaching import held_at_rest, release_time, without_detached
 from .equilibrium import RELAXED, settle
 from .mass_scaling import prepare
-from .pause import pause, release_time
+from .pause import pause
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
@@ -30,9 +31,9 @@ RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy
 def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None) -> tuple[Bodies, Values]:
     """The bodies that impact i + 1 meets, or those after the last impact, and what it took to make them.
 
-    domains: of the finished impact i; hold: the bond of its particle. A particle that is
-    not bonded and moves away has rebounded and does not join. Raises SplatError when it cannot be meshed, SolverError when it does
-    not come to rest.
+    domains: of the finished impact i; hold: the bond of its particle. A particle that is not bonded and moves away has rebounded and
+    does not join; splats that are no longer held leave (`detaching`). Raises SplatError when it cannot be meshed, SolverError when it
+    does not come to rest.
     """
     started = clock.perf_counter()
     p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
@@ -46,7 +47,7 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
     if left:
         progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         progress.stage("bringing the target to rest")
-        new = bodies.renumbered(origin)
+        new, report["detached"] = without_detached(plan, bodies.renumbered(origin), i + 1, "impact")
         report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
         return _ready(plan, i, new, origin, kinetic_0, report), report
     progress.stage("meshing the splat")
@@ -68,7 +69,8 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
     ]  # fmt: skip
     report["meshing_s"] = clock.perf_counter() - started
     held = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
-    new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, held)
+    new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, i + 1, held)
+    new, report["detached"] = without_detached(plan, new, i + 1, "impact")
     report |= {
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
@@ -81,7 +83,7 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
             f" may still be set free, {RELAXED:.0e} is sought"
         )
     report["after"] = _held(new)
-    deep = overlaps(new.surfaces, new.target.x, range(bodies.count, new.count))
+    deep = overlaps(new.surfaces, new.target.x, np.flatnonzero(new.impact == i + 1).tolist())
     report["overlap_m"] = float(deep.max())
     report["joining_s"] = clock.perf_counter() - started
     if report["released"] > RELEASED_BOUND:
@@ -112,11 +114,14 @@ def _ready(
     plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
 ) -> Bodies:
     """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `mass_scaling`."""
+    bodies, lost = held_at_rest(plan, bodies, i + 1, "rest", kinetic_0)
+    report["detached"] += lost
     if i + 1 == len(plan.impacts):
         return bodies
     if plan.impacts[i].dwell > 0.0 and plan.effects.cooling:
         report["cooling"] = pause(plan, i, bodies, kinetic_0)
-        bodies = bodies.renumbered(origin)
+        bodies, lost = held_at_rest(plan, bodies.renumbered(origin), i + 1, "pause", kinetic_0)
+        report["detached"] += lost
     report["mass_scaling"] = prepare(plan, i + 1, bodies)
     return bodies
 
@@ -149,20 +154,15 @@ def _held(bodies: Bodies) -> dict[str, float]:
     return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
 
 
-def splats_at_end(
-    plan: Plan, levels: Sequence[float], joins: Sequence[Values], bodies: Bodies
-) -> list[dict[str, float] | None]:
-    """How the splats that have joined the target stand in it, by impact: measures of shape, SI; None for one that has left.
+def splats_at_end(plan: Plan, levels: Sequence[float], joined: int, bodies: Bodies) -> list[dict[str, float] | None]:
+    """How the splats of the first `joined` impacts stand in the target: measures of shape, SI; None for one that has left.
 
-    levels: height (m) of the surface that each particle met; joins: the reports of their joining.
+    levels: height (m) of the surface that each particle met.
     """
-    first, mesh, standing = 1, bodies.target.mesh, []
-    for impact, level, count in zip(plan.impacts, levels, [join["bodies"] for join in joins], strict=False):
-        shape = None
-        if count > 0:
-            sets = [mesh.sets[f"splat{first + k}"] for k in range(count)]
-            nodes = np.unique(np.concatenate([mesh.facets[facets].ravel() for facets in sets]))
-            shape = shape_measures(bodies.target.x[nodes] - np.array([0.0, 0.0, level]), impact.diameter)
-        standing.append(shape)
-        first += count
+    mesh, standing = bodies.target.mesh, []
+    impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
+    for number, (impact, level) in enumerate(zip(plan.impacts[:joined], levels, strict=False), 1):
+        nodes = np.unique(mesh.facets[impact_of_facet == number])
+        away = bodies.target.x[nodes] - np.array([0.0, 0.0, level])
+        standing.append(shape_measures(away, impact.diameter) if len(nodes) else None)
     return standing

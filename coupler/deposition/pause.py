@@ -7,7 +7,6 @@ stress by an increment of its own.
 """
 
 import time as clock
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,14 +21,10 @@ from ..impact.bodies import NEAR, Bodies
 from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan
-from .equilibrium import RELEASE_TIME, settle
+from .detaching import held_at_rest, release_time
+from .equilibrium import settle
 
 _EXACT = 1e-6  # K: to which all comes to ambient
-
-
-def release_time(plan: Plan) -> float:
-    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
-    return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
 
 
 def pause(plan: Plan, i: int, bodies: Bodies, kinetic_0: float) -> Values:
@@ -47,17 +42,18 @@ def pause(plan: Plan, i: int, bodies: Bodies, kinetic_0: float) -> Values:
     return {**cooling, **_settled(bodies, kinetic_0, plan), "wall_s": clock.perf_counter() - started}
 
 
-def cool_to_ambient(plan: Plan, bodies: Bodies, counts: Sequence[int], kinetic_0: float) -> Values:
-    """Bring all bodies to the plan's ambient temperature and to equilibrium: their stresses are residual then. Returns the report.
+def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodies, Values]:
+    """Bring all bodies to the plan's ambient temperature and to equilibrium: their stresses are residual then. Returns those that are
+    still held (`detaching`), and the report.
 
-    counts: bodies of each impact's splat. Each body ends with the thermal strain of its thermal_expansion(T) between the temperature
+    Each body ends with the thermal strain of its thermal_expansion(T) between the temperature
     that it came with, at which it was without stress, and ambient; where a material has none, with that of Gamma0 rho c_p / K. The
     held faces of the substrate follow its free contraction.
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
     came = [(plan.target.material, plan.target.temperature)]
-    came += [(p.material, p.temperature) for p, n in zip(plan.impacts, counts, strict=True) for _ in range(n)]
+    came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
     splats = bodies.body > 0
     deposited = _in_plane(t, splats)
@@ -70,11 +66,13 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, counts: Sequence[int], kinetic_0
     t.x *= shrunk
     t.spring_rest *= shrunk
     report = {**before, **_settled(bodies, kinetic_0, plan), "ambient_K": ambient}
+    bodies, report["detached"] = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
+    t, splats = bodies.target, bodies.body > 0
     report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
     thermal = t.thermal_stress[splats, :2].mean(axis=1)
     report["thermal_stress_Pa"] = float(np.average(thermal, weights=t.volume[splats])) if splats.any() else 0.0
     report["overlap_m"] = float(overlaps(bodies.surfaces, t.x, range(bodies.count)).max())
-    return report | {"wall_s": clock.perf_counter() - started}
+    return bodies, report | {"wall_s": clock.perf_counter() - started}
 
 
 def _settled(bodies: Bodies, kinetic_0: float, plan: Plan) -> Values:

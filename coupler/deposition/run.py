@@ -32,6 +32,7 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
+from .detaching import without_detached
 from .joining import join, splats_at_end
 from .pause import cool_to_ambient
 from .summary import simulated, summary
@@ -217,7 +218,7 @@ class Deposition:
                 if len(self.records) < len(self.plan.impacts):
                     self._save(None, bodies.state())
             if plan.ambient is not None and not self.undecided:
-                self._close(bodies)
+                bodies = self._close(bodies)
             origin = provenance(Result(self.folder).scene_text, plan.engine)
             self.store.finish({**self._summary(bodies), "provenance": origin})
             if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
@@ -236,8 +237,12 @@ class Deposition:
             before = simulated(self.records)
             outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
             self.records.append(outcome.record)
-            if self.undecided or (i + 1 == len(plan.impacts) and plan.ambient is None):
+            if self.undecided:
                 return outcome.domains.bodies
+            if i + 1 == len(plan.impacts) and plan.ambient is None:  # its particle stays one of points
+                left, gone = without_detached(plan, outcome.domains.bodies, i + 1, "impact")
+                self.joins += [{"impact": i + 1, "detached": gone}] if gone else []
+                return left
             new, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
             self.joins.append(joined)
             return new
@@ -273,16 +278,17 @@ class Deposition:
             "numerics": repr(sorted(self.options.numerics.items())),
         }  # fmt: skip
 
-    def _close(self, bodies: Bodies) -> None:
-        """The closing stage: the bodies cool to ambient, come to equilibrium and are written."""
+    def _close(self, bodies: Bodies) -> Bodies:
+        """The closing stage: the bodies cool to ambient, come to equilibrium and are written. Returns those that are left."""
         self.options.progress.stage("cooling to ambient")
         if math.isfinite(bodies.target.horizon):  # made ready for an impact that was skipped
             bodies = bodies.renumbered((0.0, 0.0, 0.0))
-        counts = [join["bodies"] for join in self.joins]
-        self.closing = cool_to_ambient(self.plan, bodies, counts, self.records[-1].values["kinetic_energy_0_J"])
+        kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]
+        bodies, self.closing = cool_to_ambient(self.plan, bodies, kinetic_0)
         t = bodies.target
         thermal = {"thermal_stress": t.thermal_stress[:, VTK_ORDER], **cell_fields(bodies)}
         self.store.write(COLD, simulated(self.records), t.x, t.mesh.conn, {}, thermal)
+        return bodies
 
     def _restored(self) -> tuple[Bodies, RunningState | None]:
         """The bodies that the last whole checkpoint holds, and the impact that was interrupted, or None; from the start without one."""
@@ -311,7 +317,7 @@ class Deposition:
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far, whose splats are `bodies`."""
         levels = [record.values["surface_level_m"] for record in self.records]
-        standing = splats_at_end(self.plan, levels, self.joins, bodies)
+        standing = splats_at_end(self.plan, levels, len(self.joins), bodies)
         return summary(self.plan, self.records, self.joins, standing, self.wall, self.options.ranks, self.closing)
 
     def _last_checkpoint(self) -> DepositionState | None:

@@ -40,6 +40,7 @@ def summary(
     joins: the reports of the joining of splats; standing: how these stand at the end, None for one that has left
     (`joining.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
     """
+    detached = _detached([*joins, closing or {}])
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
     expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts say what they reached
     undecided = impacts[-1]["undecided"]
@@ -49,6 +50,8 @@ def summary(
         if undecided is not None and at_end is not None:  # the target that it lies in is not at rest
             at_end, refused["at_end"] = None, undecided
         impacts[i] = {**impacts[i], "at_end": at_end, "refused": refused}
+        if (lost := detached.get(i + 1)) is not None:  # a whole splat leaves with what it has lost as it was meshed
+            impacts[i]["detached_mass_kg"] = impacts[i]["particle_mass_kg"] if shape is None else lost
     return {
         "format": FORMAT,
         "version": __version__,
@@ -67,6 +70,10 @@ def summary(
             "memory_peak_bytes": records[-1].memory_peak,
             "warnings": [
                 *plan.skipped,
+                *(
+                    f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds have broken, its mass counts as lost"
+                    for n, kg in detached.items()
+                ),
                 *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),
                 *merged([*expected, *own]),
             ],
@@ -76,6 +83,14 @@ def summary(
         "joins": joins,
         **({"closing": closing} if closing is not None else {}),
     }  # fmt: skip
+
+
+def _detached(reports: Sequence[Values]) -> dict[int, float]:
+    """Mass (kg) that has come off, by the number of the splat, from the reports of the joining of splats and of the closing stage."""
+    mass: dict[int, float] = {}
+    for record in (record for report in reports for record in report.get("detached", [])):
+        mass[record["splat"]] = mass.get(record["splat"], 0.0) + record["mass_kg"]
+    return mass
 
 
 def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> list[str]:

@@ -17,6 +17,7 @@ from .mesh import TetMesh, prepare_ordered
 from .state import ElementState, NodeState
 
 Point = tuple[float, float, float]
+SPLAT = "splat"  # name of the facets of body b: SPLATb
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,38 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
     element_state = take(concatenate([d.elements for d in domains]), by_element)
     body = put([d.body + at for d, at in zip(domains, bodies, strict=False)], by_element).astype(np.int32)
     return Domain(mesh, node_state, element_state, body, np.concatenate([d.laws for d in domains])), rank
+
+
+def only(domain: Domain, kept: np.ndarray) -> tuple[Domain, np.ndarray, np.ndarray]:
+    """The bodies of a mask (bodies,), the substrate among them, in their order.
+
+    Returns them and the new number of each node (n,) and facet (f,) of before, -1 where it is gone.
+    """
+    mesh = domain.mesh
+    elements = kept[domain.body]
+    in_kept = np.zeros(len(mesh.points), bool)
+    in_kept[mesh.conn[elements]] = True
+    facets = elements[mesh.facet_element]
+    body, node, element, facet = (_new_numbers(mask) for mask in (kept, in_kept, elements, facets))
+    sets = {}
+    for name, ids in mesh.sets.items():
+        if not name.startswith(SPLAT):
+            sets[name] = facet[ids]
+        elif kept[number := int(name.removeprefix(SPLAT))]:
+            sets[f"{SPLAT}{body[number]}"] = facet[ids]
+    smaller = TetMesh(
+        points=mesh.points[in_kept], conn=node[mesh.conn[elements]].astype(np.int32), B=mesh.B[elements], V0=mesh.V0[elements],
+        node_volume=mesh.node_volume[in_kept], facets=node[mesh.facets[facets]].astype(np.int32),
+        facet_element=element[mesh.facet_element[facets]].astype(np.int32), sets=sets, reach_node=mesh.reach_node[in_kept],
+        reach_element=mesh.reach_element[elements],
+    )  # fmt: skip
+    states = take(domain.nodes, in_kept), take(domain.elements, elements)
+    return Domain(smaller, *states, body[domain.body[elements]].astype(np.int32), domain.laws[kept]), node, facet
+
+
+def _new_numbers(kept: np.ndarray) -> np.ndarray:
+    """Number (n,) of each row of a mask among those kept, -1 where it is not."""
+    return np.where(kept, np.cumsum(kept) - 1, -1)
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:

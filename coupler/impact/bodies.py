@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
@@ -11,7 +13,7 @@ from ..contact.hold import HeldPlaces
 from ..contact.overlap import ways_out
 from ..contact.surfaces import Interface, Surfaces, interface
 from ..errors import CheckpointError, SolverError
-from ..fe.assemble import BodyState, Domain, domain_now, domain_of, merge
+from ..fe.assemble import SPLAT, BodyState, Domain, domain_now, domain_of, merge, only
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
@@ -33,7 +35,7 @@ LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it
 
 @dataclass(frozen=True)
 class BodiesState:
-    """Substrate and splats with all that acts between them. placed (n,3) m: see `Bodies`, as for body (m,) and buried (b,)."""
+    """Substrate and splats with all that acts between them. placed (n,3) m: see `Bodies`, as for body (m,), impact and buried (b,)."""
 
     mesh: TetMesh
     target: TargetState
@@ -43,12 +45,14 @@ class BodiesState:
     laws: Annotated[np.ndarray, Shape(-1, dtype=LAW)]
     body: Annotated[np.ndarray, Shape(-1, dtype=np.int32, index_of="laws")]
     buried: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="facets")]
+    impact: Annotated[np.ndarray, Shape(-1, dtype=np.int64)]
 
 
 @dataclass
 class Bodies:
-    """Substrate (body 0) and splats. target: the one domain; body (m,): whose each element is; names: of the facet sets that are
-    fixed and absorbing; bond, contact: between bodies, None while there is only the substrate."""
+    """Substrate (body 0) and splats. target: the one domain; body (m,): whose each element is; impact (bodies,): the number of the
+    impact that each has come with, from 1 on, 0 of the substrate; fixed, absorbing: names of facet sets; bond, contact: between bodies,
+    None while there is only the substrate."""
 
     target: Target
     body: np.ndarray
@@ -59,6 +63,7 @@ class Bodies:
     bond: Bond | None = None
     buried: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # facets that nothing can reach
     placed: np.ndarray | None = None  # positions (n,3) m at which the contact was set up
+    impact: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
 
     @property
     def count(self) -> int:
@@ -77,7 +82,7 @@ class Bodies:
         """
         sets = self.target.mesh.sets
         ids = np.concatenate(
-            [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith("splat"))]
+            [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith(SPLAT))]
         )
         return np.setdiff1d(ids, self.buried)
 
@@ -123,7 +128,7 @@ class Bodies:
         return BodiesState(
             self.target.mesh, self.target.state(), self.contact.state() if self.contact is not None else None,
             self.bond.state() if self.bond is not None else None,
-            self.placed, self.target.laws, self.body, self.buried,
+            self.placed, self.target.laws, self.body, self.buried, self.impact,
         )  # fmt: skip
 
     @classmethod
@@ -136,7 +141,9 @@ class Bodies:
         T = state.target.elements.T
         target = Target(mesh, state.laws, T, state.body, fixed, absorbing, conduction=conduction)
         target.restore(state.target)
-        bodies = cls(target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed)
+        bodies = cls(
+            target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed, impact=state.impact
+        )  # fmt: skip
         if state.placed is not None and state.contact is not None:
             bodies.contact = BodyContact(bodies.surfaces, state.placed, [float(K) for K in target.laws["K"]], friction)
             bodies.contact.restore(state.contact)
@@ -153,20 +160,22 @@ class Bodies:
         size: float,
         origin: tuple[float, float, float],
         ratio: float | None,
+        impact: int,
         held: HeldPlaces | None = None,
     ) -> "Bodies":
-        """These bodies and finished splats, bonded where `adhesion` says, numbered outwards from origin (m). size: of elements, m;
-        ratio: velocity of the impact over the critical one; held: the places at which the impact has left it bonded, with their
-        laws and damage, where bonds act in the impact (`Adhesion.in_impact`).
+        """These bodies and the finished splats of an impact, bonded where `adhesion` says, numbered outwards from origin (m). size: of
+        elements, m; ratio: velocity of the impact over the critical one; held: the places at which the impact has left it bonded, with
+        their laws and damage, where bonds act in the impact (`Adhesion.in_impact`).
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
         equilibrium: see `relaxation.settle`. Raises SolverError when a splat cannot be put in place.
         """
         fitted = [self._fitted(splat, size) for splat in splats]
         parts = [domain_now(self.target, self.body)]
-        parts += [domain_of(splat, f"splat{self.count + i}") for i, splat in enumerate(fitted)]
+        parts += [domain_of(splat, f"{SPLAT}{self.count + i}") for i, splat in enumerate(fitted)]
         domain, rank = merge(parts, origin)
         new = self.remade(domain)
+        new.impact = np.append(self.impact, np.full(len(splats), impact))
         bonds = []
         if self.bond is not None:
             self.bond.renumber(rank)
@@ -197,14 +206,44 @@ class Bodies:
         return self.on(domain, rank, self.buried)
 
     def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":
-        """The same bodies, with their bonds and contact, on another domain, whose node rank[i] is node i of theirs. buried: its facets
-        that nothing can reach. The bond of these is renumbered."""
+        """The same bodies, with their bonds and contact, on another domain, whose node rank[i] is node i of theirs, -1 where it is
+        gone. buried: its facets that nothing can reach. The bond of these is renumbered."""
         new = self.remade(domain)
         if self.bond is not None:
             self.bond.renumber(rank)
         new.bond, new.buried = self.bond, buried
         if self.contact is not None:
             new._touch(self.contact, rank)
+        return new
+
+    def held(self) -> np.ndarray:
+        """Mask (bodies,) of those from which a path of unbroken bonds leads to the substrate.
+
+        Bonds alone hold: that splats may be locked into each other by their shape is not modelled.
+        """
+        pairs = np.zeros((2, 0), np.int64)
+        if self.bond is not None:
+            owner = np.zeros(len(self.target.x), np.int64)
+            owner[self.target.mesh.conn] = self.body[:, None]
+            pairs = owner[np.stack([self.bond.nodes, self.bond.triangles[:, 0]])[:, ~self.bond.broken]]
+        graph = coo_matrix((np.ones(pairs.shape[1]), tuple(pairs)), shape=(self.count, self.count))
+        part = connected_components(graph, directed=False)[1]
+        return np.asarray(part == part[0])
+
+    def without(self, gone: np.ndarray, size: float) -> "Bodies":
+        """These bodies less those of a mask (bodies,), with which their contact and bonds go. size: of the splats' elements, m.
+
+        The result is not in equilibrium. What the gone ones covered can be hit again.
+        """
+        domain, node, facet = only(domain_now(self.target, self.body), ~gone)
+        if self.bond is not None:
+            self.bond.drop((node[self.bond.nodes] < 0) | (node[self.bond.triangles[:, 0]] < 0))
+        buried = facet[self.buried]
+        new = self.on(domain, node, buried[buried >= 0])
+        new.impact = self.impact[~gone]
+        surfaces, x, near = new.surfaces, new.target.x, NEAR * size
+        covered = [_covered(interface(surfaces, x, b, near), surfaces, x, b, near) for b in range(1, new.count)]
+        new.buried = np.intersect1d(new.buried, np.concatenate([new.buried[:0], *covered]))
         return new
 
     def remade(self, domain: Domain) -> "Bodies":
@@ -214,7 +253,7 @@ class Bodies:
             conduction=self.target.conduction is not None, track_wave=bool(np.isfinite(self.target.reach)),
         )  # fmt: skip
         target.take(domain.nodes, domain.elements, self.target)
-        return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction)
+        return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
     def _touch(self, before: BodyContact | None, rank: np.ndarray) -> None:
         """Set the contact between bodies up where they are now; it goes on from that of `before`, whose node i is rank[i] here."""
@@ -299,6 +338,8 @@ def _check(state: BodiesState) -> None:
     facets, placed = len(mesh.facets), [] if state.placed is None else [state.placed]
     by_node = (mesh.node_volume, mesh.reach_node, state.target.nodes.x, *placed)
     by_element = (mesh.B, mesh.V0, mesh.reach_element, state.body, state.target.elements.T)
+    if len(state.impact) != len(state.laws):
+        raise CheckpointError("a state does not fit: it does not tell which impact each body has come with")
     fits = all(len(a) == n for a in by_node) and all(len(a) == m for a in by_element)
     if not fits or len(mesh.facet_element) != facets:
         raise CheckpointError("a state does not fit: mesh and fields of the target have different lengths")

@@ -34,10 +34,11 @@ class RecorderState:
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
-    """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined."""
+    """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined;
+    impact: with which each has come, 0 of the substrate."""
     t, stress = bodies.target, bodies.target.stress()
     cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
-    return {**cells, "body": bodies.body}
+    return {**cells, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
 class Recorder:

@@ -119,9 +119,15 @@ def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: floa
 
 
 def deposition_efficiency(records: Sequence[Values]) -> float | None:
-    """Mass of the particles that stayed over the mass of all, from the records of their impacts; None while one is undecided."""
+    """Mass that stayed over the mass of all particles, from the records of their impacts; None while one is undecided.
+
+    detached_mass_kg of a record: what of its splat has come off later.
+    """
     if any(record["rebounded"] is None for record in records):
         return None
     mass = [record["particle_mass_kg"] for record in records]
-    stayed = [m for m, record in zip(mass, records, strict=True) if not record["rebounded"]]
-    return float(sum(stayed) / sum(mass))
+    lost = [
+        m if record["rebounded"] else record.get("detached_mass_kg", 0.0)
+        for m, record in zip(mass, records, strict=True)
+    ]
+    return float(1.0 - sum(lost) / sum(mass))

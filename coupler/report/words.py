@@ -106,9 +106,10 @@ def verdict(summary: Summary) -> str:
     if sum(counts.values()) == 0:
         return ""
     if len(records) > 1:
-        return f"of {len(records)} particles " + ", ".join(
-            f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n
-        )
+        words = [f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n]
+        if off := sum("detached_mass_kg" in r for r in records):
+            words.append(f"{off} of these {'has' if off == 1 else 'have'} come off later")
+        return f"of {len(records)} particles {', '.join(words)}"
     record = records[0]
     text = str(record["verdict"])
     if record.get("verdict_rests_on"):

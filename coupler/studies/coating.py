@@ -33,14 +33,15 @@ class Splats:
     """The coating at the last written step, or cold after the closing stage (is_cold). mesh: substrate and splats;
     body (m,): of each tetrahedron, 0 the substrate; impact (bodies,): from which each came,
     counted from 1, 0 for the substrate. last: surface of the last particle, still made of
-    points, (points (k,3) m, triangles), None if it has left; rebounded (n,), mass (n,) kg: of each finished impact; planned: impacts of
-    the run, in so many layers; patch m: radius of the disc that particles are aimed at; element_size m: of the splats."""
+    points, (points (k,3) m, triangles), None if it has left; of each finished impact: mass (n,) kg, stayed (n,), the
+    share of it that is in the coating; planned: impacts of the run, in so many layers; patch m: radius of the disc that particles are
+    aimed at; element_size m: of the splats."""
 
     mesh: Fields
     body: NDArray[np.int64]
     impact: NDArray[np.int64]
     last: tuple[NDArray, NDArray] | None
-    rebounded: NDArray[np.bool_]
+    stayed: NDArray
     mass: NDArray
     planned: int
     layers: int
@@ -55,39 +56,29 @@ class Splats:
 
     @property
     def deposition_efficiency(self) -> float:
-        """Mass of the particles that stayed over that of all that have hit."""
-        return float(self.mass[~self.rebounded].sum() / self.mass.sum())
+        """Mass that stayed over that of all particles that have hit."""
+        return float(self.mass @ self.stayed / self.mass.sum())
 
 
 def read(result: Result) -> Splats:
     """What a run has built so far, finished or not. Raises StoreError where the files do not tell which body is which."""
     plan = read_plan(result.directory)
-    numbers, times = result.history("impact"), result.history("time")
+    numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
         raise StoreError(f"{result.directory} holds no impact yet: nothing to measure")
     done = int(numbers.max())
-    mesh = result.fields(-1, "target")
-    if "body" not in mesh.data:
+    is_cold = len(result.times(COLD)) > 0
+    mesh = result.fields(-1, COLD if is_cold else "target")
+    if "impact" not in mesh.data:
         raise StoreError(
             f"{result.directory} does not tell which tetrahedron is whose: run the scene again with this version"
         )
-    body = mesh.data["body"].astype(np.int64)
-    steps, counts = result.times("target"), []
-    for k in range(1, done + 1):
-        before = times[numbers == k - 1].max() if k > 1 else -1.0
-        first = int(np.searchsorted(steps, before + 0.5e-15, side="right"))
-        counts.append(int(result.fields(min(first, len(steps) - 1), "target").data["body"].max()) + 1)
+    body, came = mesh.data["body"].astype(np.int64), mesh.data["impact"].astype(np.int64)
     impact = np.zeros(int(body.max()) + 1, np.int64)
-    for k in range(1, done):
-        impact[counts[k - 1] : counts[k]] = k
-    left = [counts[k] == counts[k - 1] for k in range(1, done)]
-    last = None
-    is_cold = len(result.times(COLD)) > 0
+    impact[body] = came
+    left, last = [number not in impact for number in range(1, done)], None
     if is_cold:
-        left.append(bool(result.summary["impacts"][-1]["rebounded"]))
-        mesh = result.fields(-1, COLD)
-        body = mesh.data["body"].astype(np.int64)
-        impact = np.append(impact, np.full(int(body.max()) + 1 - len(impact), done))
+        left.append(done not in impact)
     elif result.finished and result.undecided is None:
         left.append(bool(result.summary["impacts"][-1]["rebounded"]))
         surface = result.fields(-1, "surface")
@@ -97,8 +88,15 @@ def read(result: Result) -> Splats:
     impacts = plan.impacts[: len(left)]  # one that is still falling, or undecided, is not counted
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
+    stayed = 1.0 - np.array(left)
+    if result.finished:
+        stayed *= (
+            1.0
+            - np.array([record.get("detached_mass_kg", 0.0) for record in result.summary["impacts"]])[: len(mass)]
+            / mass
+        )
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
-    return Splats(mesh, body, impact, last, np.array(left), mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
+    return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
                   plan.splat_element_size, is_cold)  # fmt: skip
 
 
@@ -241,7 +239,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     volume = float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum())
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
     return CoatingMeasures(
-        impacts=splats.finished, of=planned, rebounded=int(splats.rebounded.sum()),
+        impacts=splats.finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
         deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=columns.step,
         thickness_mean_m=float(thickness.mean()), thickness_min_m=float(thickness.min()), thickness_max_m=float(thickness.max()),
         height_mean_m=float(top.mean()), bare_share=float((thickness < columns.step).mean()), Sa_m=Sa, Sq_m=Sq,

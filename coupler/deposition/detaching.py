@@ -1,0 +1,54 @@
+"""Mass that is lost later: splats whose bonds have broken leave the coating.
+
+A splat is held where a path of unbroken bonds leads from it to the substrate (`Bodies.held`). One that is not held, after an impact,
+at rest or in the closing stage, leaves with its state: in the spray nothing keeps it. Only bonds that can break are judged: with kind
+"tied" nothing comes off, with "none" splats lie where they are.
+"""
+
+import numpy as np
+
+from ..files.summary import Values
+from ..impact.bodies import Bodies
+from ..plan.planning import Plan
+from .equilibrium import RELEASE_TIME, settle
+
+REASON = "no path of unbroken bonds leads to the substrate"
+
+
+def release_time(plan: Plan) -> float:
+    """How long (s) what is set free after joining is watched: the way of a wave through the largest particle, 25 um at the most."""
+    return RELEASE_TIME * min(max(impact.diameter for impact in plan.impacts) / 25e-6, 1.0)
+
+
+def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tuple[Bodies, list[Values]]:
+    """The bodies less the splats that are not held, and a record of each such splat.
+
+    number: of the last impact; stage: in which their bonds have broken. A record: splat and by_impact (numbers of impacts), stage,
+    bodies and mass_kg that leave, their velocity_z_m_s, the reason. What is left is not in equilibrium.
+    """
+    if plan.adhesion.kind != "cohesive" or (held := bodies.held()).all():
+        return bodies, []
+    t = bodies.target
+    mass = t.laws["rho"][t.law_of] * t.mesh.V0
+    upwards = t.v[t.mesh.conn, 2].mean(axis=1)
+    records = []
+    for splat in np.unique(bodies.impact[~held]):
+        gone = ~held & (bodies.impact == splat)
+        own = gone[bodies.body]
+        records.append({
+            "splat": int(splat), "by_impact": number, "stage": stage, "bodies": int(gone.sum()), "mass_kg": float(mass[own].sum()),
+            "velocity_z_m_s": float(np.average(upwards[own], weights=mass[own])), "reason": REASON,
+        })  # fmt: skip
+    return bodies.without(~held, plan.splat_element_size), records
+
+
+def held_at_rest(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
+    """Bodies at rest less those that are not held: what is left comes to rest anew, until all are held. Arguments as for
+    `without_detached`; kinetic_0: J of the impact."""
+    records: list[Values] = []
+    while True:
+        bodies, detached = without_detached(plan, bodies, number, stage)
+        if not detached:
+            return bodies, records
+        records += detached
+        settle(bodies, kinetic_0, release_time(plan))
