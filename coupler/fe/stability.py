@@ -120,6 +120,7 @@ class HighestFrequency:
         self._fe = np.zeros((elements, 4, 3))
         self._warm = False
         self._known = 0  # nodes that had a part in the vector so far
+        self._elements = 0  # those of the last call
 
     def state(self) -> FrequencyState:
         """The vector as it is, and the random numbers to come."""
@@ -139,6 +140,9 @@ class HighestFrequency:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
         mesh = t.mesh
         w, f = self._w[:n], self._f
+        for of_element in (self._dv, self._fe):  # those that are no longer active have no part in it
+            of_element[m : self._elements] = 0.0
+        self._elements = m
         size = float(np.sqrt(np.mean(w * w))) if self._warm else 0.0
         if not self._warm:
             w[:] = self._random.standard_normal((n, 3))
