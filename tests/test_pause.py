@@ -53,9 +53,8 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
 
 def planned(metal: Material, base: Material) -> Any:
     impact = SimpleNamespace(material=metal, temperature=CAME, diameter=25e-6)
-    return SimpleNamespace(
-        ambient=AMBIENT, impacts=[impact], target=SimpleNamespace(material=base, temperature=AMBIENT)
-    )
+    target = SimpleNamespace(material=base, temperature=AMBIENT)
+    return SimpleNamespace(ambient=AMBIENT, impacts=[impact], target=target, adhesion=Adhesion("tied"))
 
 
 def stiff(metal: Material, alpha: float) -> Material:
