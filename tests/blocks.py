@@ -116,6 +116,11 @@ class Blocks:
                 watch()
 
 
+def touching(contact: BodyContact) -> int:
+    """How many nodes touched at the last forces."""
+    return int(sum(side.contact.sums[3] for side in contact._sides))
+
+
 def cubes(side: float) -> Blocks:
     """Two cubes of unlike meshes, one on the other; side in m."""
     return Blocks(((side,) * 3, 0.3 * side, (0, 0, 0)), ((side,) * 3, 0.25 * side, (0, 0, side)))

@@ -204,7 +204,7 @@ def test_the_command_prints_writes_and_draws(capsys, tmp_path):
 def test_the_command_lists_nozzles_with_their_sources(capsys, tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(Path(nozzles.__file__).with_name("nozzles.toml").read_text().replace("[D42PBI]", "[Mine]"))
-    assert cli.main(["gas", "--list", "--nozzles", str(path)]) == 0
+    assert cli.main(["nozzles", "--nozzles", str(path)]) == 0
     said = capsys.readouterr().out
     assert "Mine: inlet 14 mm, throat 2.7 mm" in said
     assert said.count("source:") == 4

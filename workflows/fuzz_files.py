@@ -97,7 +97,7 @@ class Kind:
 KINDS = (
     Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
     Kind("coating scene", "coating.toml", 3, [["check", "FILE"]]),
-    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["gas", "--list", "--nozzles", "FILE"]]),
+    Kind("nozzle file", "nozzles.toml", 4, [[*GAS, "Mine"], ["nozzles", "--nozzles", "FILE"]]),
     Kind("points as text", "cloud.csv", 2, [["mesh", "FILE", "--unit", "um", "--out", "OUT.vtu"]]),
     Kind("points as .npz", "cloud.npz", 2, [["mesh", "FILE", "--out", "OUT.msh"]]),
     Kind("points of meshio", "cloud.vtu", 2, [["mesh", "FILE", "--out", "OUT.vtk"]]),

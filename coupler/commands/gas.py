@@ -26,7 +26,6 @@ def add(commands: Commands) -> None:
     option("--csv", type=path, metavar="FILE", help="write the table to a file too")
     option("--png", type=path, metavar="FILE", help="draw velocity and temperature along the axis")
     add_force(option)
-    option("--list", action="store_true", help="print the nozzles with their sources and stop")
 
 
 def add_conditions(option: Option) -> None:
@@ -34,7 +33,7 @@ def add_conditions(option: Option) -> None:
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
-    option("--nozzle", metavar="NAME", help="a nozzle of the library (see --list), or of --nozzles FILE")
+    option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --nozzles FILE")
     option("--nozzles", type=path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
     option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
     option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
@@ -52,9 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     from ..spray import flight
 
     nozzles = known_nozzles(arguments.nozzles)
-    if arguments.list:
-        print("\n\n".join(shown(nozzle) for nozzle in nozzles.values()))
-        return 0
     inputs = [arguments.nozzles] if arguments.nozzles else []
     for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
         if out is not None:

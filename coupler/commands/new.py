@@ -27,7 +27,8 @@ def add(commands: Commands) -> None:
     option("name", type=path, metavar="NAME", help="of the file, without or with its ending")
     option("--force", action="store_true", help="replace a file of this name")
     add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
-    add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
+    option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
+    option("--nozzles", type=path, metavar="FILE", help="also those of a TOML file in the form of the library")
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
     option("--out", type=path, metavar="FILE", help="write it there, as .json")
     add_force(option)
@@ -71,10 +72,9 @@ def shapes(arguments: argparse.Namespace) -> int:
 
 def nozzles(arguments: argparse.Namespace) -> int:
     """Print the nozzles. Returns the exit code."""
-    from ..spray.nozzles import library
-    from .gas import shown
+    from .gas import known_nozzles, shown
 
-    print("\n\n".join(shown(nozzle) for nozzle in library().values()))
+    print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments.nozzles).values()))
     return 0
 
 

@@ -103,16 +103,6 @@ class BodyContact:
         """Energy (J) that the springs of these held."""
         return sum(side.contact.dropped_energy for side in self._sides)
 
-    @property
-    def touching(self) -> int:
-        """How many nodes touched at the last forces."""
-        return int(sum(side.contact.sums[3] for side in self._sides))
-
-    @property
-    def deepest(self) -> float:
-        """Deepest penetration at the last forces, m."""
-        return max((float(side.contact.depth.max()) for side in self._sides), default=0.0)
-
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
         """Stable time step (s) of the penalty springs between nodes of mass (N,) kg; alone: see `Bond.stable_dt`."""
         step = alone
