@@ -10,6 +10,7 @@ import pytest
 import pyvista
 from runs import SharedRuns
 from scenes import SHORT
+from test_pause import COLD
 
 from coupler.commands.main import main
 from coupler.errors import StoreError
@@ -90,3 +91,12 @@ def test_a_collection_has_all_steps_with_their_times(
     assert main(["export", str(short.directory), "--out", str(out)]) == 0  # a folder of ours
     assert main(["export", str(tmp_path), "--out", str(out)]) == 2
     assert "no results of a run" in capsys.readouterr().err
+
+
+def test_the_closing_stage_is_exported_too(shared_run: SharedRuns, tmp_path: Path) -> None:
+    result = shared_run(COLD)
+    for form in ("pvd", "xdmf"):
+        assert main(["export", str(result.directory), "--format", form, "--out", str(tmp_path / form)]) == 0
+    grid = pyvista.read(tmp_path / "pvd" / "cold_0000.vtu")
+    np.testing.assert_allclose(grid["thermal_stress"], result.fields(-1, "cold").data["thermal_stress"])
+    assert (tmp_path / "xdmf" / "cold.xdmf").is_file()

@@ -100,6 +100,7 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
 
 
 COLD = scenes.scene(("Ni", 20, 550), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0})
+COLD = COLD.replace("[substrate]", '[substrate]\nsides = "half_space"\nbottom = "half_space"')
 COLD = COLD.replace('dwell = "0 us"', "").replace('at = "rest"', 'at = "cold"')
 
 

@@ -10,7 +10,9 @@ import made_up_run
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
+from runs import SharedRuns
 from scenes import NI
+from test_pause import COLD
 
 from coupler.commands import main as cli
 from coupler.errors import StoreError
@@ -407,3 +409,13 @@ def test_a_browser_shows_a_real_run(tmp_path, shared_run):
         # the stack of energies reaches 100 % less the drift at every time
         stack = browser.ask("document.getElementById('ledger').data.map((trace) => trace.y)")
         np.testing.assert_allclose(np.sum(stack, axis=0), 100 * (1 + result.history("drift")), atol=0.02)
+
+
+def test_a_cold_run_shows_its_residual_stress(shared_run: SharedRuns) -> None:
+    """The cut through all bodies after the closing stage, by in-plane stress too, and its mean."""
+    result = shared_run(COLD)
+    page = report(result)
+    section = page[page.index('<section id="cold">') :].split("</section>")[0]
+    assert section.count("<img") == 3
+    assert "in-plane stress" in section
+    assert f"{result.summary['closing']['residual_stress_Pa'] * 1e-6:.4g}" in section

@@ -12,8 +12,12 @@ import pytest
 import verify
 from runs import SharedRuns
 from scenes import SHORT, SHORT_DOUBLE, WHOLE
+from test_pause import COLD
 
-from coupler import Result
+from coupler import Result, Scene
+from coupler.files.result import Fields
+from coupler.impact.domains import build_target
+from coupler.plan.planning import plan
 
 Change = Callable[[np.ndarray], np.ndarray]
 Tamper = Callable[[Path], None]
@@ -138,3 +142,42 @@ def test_a_good_result_has_no_fault_and_a_splat_of_another_volume_is_found(
 
     field("target", "Points", swell, second)(copy)
     assert any("volume of splat 1 against its mass" in fault for fault in verify.check(Result(copy)).faults)
+
+
+COLD_FAULTS: dict[str, tuple[Tamper, str]] = {
+    "an inverted element": (field("cold", "Points", inside_out), "cold: an element is inverted"),
+    "warm metal": (field("cold", "CellData/T", lambda T: T + 5.0), "cold: K from ambient"),
+    "a splat of another size": (field("cold", "Points", about_centre(1.03)), "against its mass"),
+    "a stress above the law": (field("cold", "CellData/von_mises", lambda s: 9.0 * s), "over the law's"),
+    "residual stresses": (field("cold", "CellData/stress", lambda s: 1.01 * s), "cold: residual_stress_Pa is"),
+}  # fmt: skip
+
+
+def test_a_cold_sequence_has_no_fault_and_faults_of_its_last_stage_are_found(
+    shared_run: SharedRuns, tmp_path: Path
+) -> None:
+    """Two impacts on a substrate that goes on as a half-space, and the closing stage."""
+    result = shared_run(COLD)
+    assert verify.check(result).faults == []
+    for number, (tamper, expected) in enumerate(COLD_FAULTS.values()):
+        copy = tmp_path / f"{number}"
+        shutil.copytree(result.directory, copy)
+        tamper(copy)
+        assert any(expected in fault for fault in verify.check(Result(copy)).faults), expected
+    (tmp_path / "0" / "cold.vtkhdf").unlink()
+    assert "no fields of the closing stage" in verify.check(Result(tmp_path / "0")).faults
+
+
+def test_the_energy_of_the_half_space_is_that_of_its_springs() -> None:
+    """A target that is moved and stretched a little, against the springs of the program."""
+    scene = Scene.from_text(COLD, "cold")
+    bodies = build_target(plan(scene))
+    t = bodies.target
+    data = {"body": bodies.body, "impact": np.zeros(len(bodies.body), int)}
+    before = Fields(0.0, t.x.copy(), t.mesh.conn.astype(np.int64), data)
+    t.x += 1e-9 * np.array([1.0, 2.0, 3.0]) + 1e-5 * t.x
+    after = Fields(0.0, t.x, before.cells, data)
+    way = t.x[t.spring_nodes] - t.spring_rest
+    springs = 0.5 * float(np.einsum("ai,aij,aj->", way, t.springs, way))
+    assert verify.half_space_energy(scene, before, after) == pytest.approx(springs, rel=1e-3)
+    assert verify.half_space_energy(scene, before, before) == 0.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from coupler import Result, Scene
-from coupler.files.result import DOMAINS, Fields
+from coupler.files.result import COLD, DOMAINS, Fields
 from coupler.physics.materials import Material
 from coupler.plan.planning import plan
 
@@ -38,6 +38,7 @@ FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and 
 SAME = 1e-3  # figures of the summary against those of the fields
 UNDERSHOOT = 0.005  # of the highest rise of temperature: an error of conduction in distorted linear elements
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
+AMBIENT = 1.0  # K from ambient after the closing stage: what flows as it comes to rest warms
 DISSIPATION = 0.25  # both schemes together; more needs a warning
 STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
@@ -168,6 +169,36 @@ def of_run(summary: Mapping[str, Any], name: str) -> Any:
     return summary["run"].get(name)
 
 
+def half_space_energy(scene: Scene, untouched: Fields, target: Fields) -> float:
+    """Energy (J) of the springs that go on as a half-space: traction 4 G u / R along the normal of a facet, 2 G u / R within it.
+
+    R: from the axis of the substrate at its surface (docs/theory/target.md). untouched: the target before the first impact; its nodes
+    on these faces are now those that lie nearest.
+    """
+    substrate, x = scene.substrate, untouched.points
+    faces = boundary_faces(untouched.cells)
+    corners = x[faces]
+    cut = np.zeros(len(faces), bool)
+    for name, on in (
+        ("bottom", corners[:, :, 2] < x[:, 2].min() + 1e-9),
+        ("sides", np.hypot(corners[:, :, 0], corners[:, :, 1]) > 0.5 * substrate.diameter * (1.0 - 1e-6)),
+    ):
+        cut |= on.all(axis=1) & (getattr(substrate, name) == "half_space")
+    if not cut.any():
+        return 0.0
+    own = corners[cut]
+    normal = np.cross(own[:, 1] - own[:, 0], own[:, 2] - own[:, 0])
+    area = 0.5 * np.linalg.norm(normal, axis=1)
+    normal /= 2.0 * area[:, None]
+    base = target.points[np.unique(target.cells[target.data["body"] == 0])]
+    moved = base[cKDTree(base).query(own)[1]] - own
+    across = np.einsum("fci,fi->fc", moved, normal) ** 2
+    R = np.linalg.norm(own.mean(axis=1), axis=1)
+    each = (2.0 * (np.einsum("fci,fci->fc", moved, moved) - across) + 4.0 * across).sum(axis=1) / 3.0
+    G = scene.derived.material(substrate.material).G
+    return float(0.5 * np.sum(G / R * area * each))
+
+
 @dataclass
 class Findings:
     """faults: in words; figures: the worst of each kind over all impacts; undecided, warned: as the run says itself."""
@@ -214,13 +245,54 @@ def check(result: Result) -> Findings:
     found.fault(not complete, f"fields of {n} impacts, records of {len(records)}, {last} particles")
     if found.faults:  # the rest would be about numbers that are none
         return found
-    stayed: list[int] = []  # impacts whose splats are bodies 1, 2, ... of the target
+    untouched = instants[0]["target"]
     for i, own in enumerate(impacts):
-        if i and own[0]["target"].data["body"].max() > len(stayed):
-            stayed.append(i - 1)
         rows = {name: column[history["impact"] == i + 1] for name, column in history.items()}
-        _ImpactCheck(found, scene, i, stayed, own, rows, records[i]).all()
+        _ImpactCheck(found, scene, i, own, rows, records[i], untouched).all()
+    if scene.end.at == "cold" and found.undecided is None:
+        found.fault(len(result.times(COLD)) != 1, "no fields of the closing stage")
+        if not found.faults:
+            _check_cold(found, scene, result)
     return found
+
+
+def bodies_of(scene: Scene, target: Fields) -> list[tuple[Material, float, float]]:
+    """Material, initial temperature (K) and volume from its mass (m3, nan of the substrate) of each body of a target."""
+    base = scene.substrate
+    came = np.zeros(int(target.data["body"].max()) + 1, int)
+    came[target.data["body"].astype(int)] = target.data["impact"]
+    splats = [scene.particles[k - 1] for k in came[1:]]
+    parts = [(base.material, base.temperature, np.nan), *((s.material, s.temperature, s.volume) for s in splats)]
+    return [(scene.derived.material(name), T, volume) for name, T, volume in parts]
+
+
+def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
+    """The bodies after the closing stage: at ambient, within the yield stress, of their mass, of the stress that the summary has."""
+    f, closing = result.fields(-1, COLD), result.summary["closing"]
+    volume, body = tetrahedra_volumes(f.points, f.cells), f.data["body"].astype(int)
+    for name, data in {"points": f.points, **f.data}.items():
+        found.fault(not np.all(np.isfinite(data)), f"cold: {name} is not a number")
+    found.fault(volume.min() <= 0.0, "cold: an element is inverted")
+    if found.faults:
+        return
+    found.hold("ambient", np.abs(f.data["T"] - scene.end.ambient).max(), AMBIENT, "cold: K from ambient")
+    for b, (metal, _, expected) in enumerate(bodies_of(scene, f)):
+        own = body == b
+        stress = f.data["von_mises"][own].astype(float)
+        over = float((stress / greatest_flow_stress(metal, f.data["eps_p"][own].astype(float))).max())
+        found.hold("yield", over, YIELD, f"cold: von Mises stress of body {b} over the law's")
+        if b:
+            found.hold(
+                "joined", volume[own].sum() / expected - 1.0, JOINED, f"cold: volume of splat {b} against its mass"
+            )
+    splats = body > 0
+    if splats.any():
+        for name, reported in (("stress", "residual_stress_Pa"), ("thermal_stress", "thermal_stress_Pa")):
+            mean = float(np.average(f.data[name][splats, :2].mean(axis=1, dtype=float), weights=volume[splats]))
+            off = abs(mean - closing[reported]) / max(abs(mean), 1e6)
+            found.fault(
+                off > SAME, f"cold: {reported} is {closing[reported]} in the summary, {mean:.6g} from the fields"
+            )
 
 
 def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
@@ -238,12 +310,12 @@ def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
 
 
 class _ImpactCheck:
-    """One impact. rows: of its history; record: of the summary; bodies: material, initial temperature (K) and volume from its mass
-    (m3) of the substrate and of each splat; mass kg, energy J: of the particle at the start."""
+    """One impact. rows: of its history; record: of the summary; untouched: the target before the first; bodies: see `bodies_of`; mass
+    kg, energy J: of the particle at the start."""
 
     def __init__(
-        self, found: Findings, scene: Scene, i: int, stayed: list[int], instants: list[Instant], rows: dict[str, Array],
-        record: Mapping[str, Any],
+        self, found: Findings, scene: Scene, i: int, instants: list[Instant], rows: dict[str, Array], record: Mapping[str, Any],
+        untouched: Fields,
     ):  # fmt: skip
         self.found, self.scene, self.where = found, scene, f"impact {i + 1}"
         self.instants, self.rows, self.record = instants, rows, record
@@ -254,9 +326,8 @@ class _ImpactCheck:
         self.energy = 0.5 * self.mass * p.velocity**2
         planned = plan(scene)
         self.effects, self.end_at = planned.effects, planned.impact.end_at
-        base, splats = scene.substrate, [scene.particles[k] for k in stayed]
-        parts = [(base.material, base.temperature, np.nan), *((s.material, s.temperature, s.volume) for s in splats)]
-        self.bodies = [(scene.derived.material(name), T, volume) for name, T, volume in parts]
+        self.bodies = bodies_of(scene, self.last["target"])
+        self.untouched, self.number = untouched, i + 1
         self.body = self.last["target"].data["body"].astype(int)
         self.volumes = [tetrahedra_volumes(f["target"].points, f["target"].cells) for f in instants]
 
@@ -264,10 +335,10 @@ class _ImpactCheck:
         self.found.hold(name, number, limit, f"{self.where}: {text}")
 
     def all(self) -> None:
-        bodies = int(self.body.max())
-        self.found.fault(bodies >= len(self.bodies), f"{self.where}: {bodies} splats in the target, more than joined")
+        latest = int(self.last["target"].data["impact"].max())
+        self.found.fault(latest >= self.number, f"{self.where}: the target holds the splat of impact {latest} already")
         self.found.fault(not self.rows["contact_force"].max() > 0.0, f"{self.where}: the particle never touched")
-        if bodies < len(self.bodies):
+        if latest < self.number:
             self.ledger()
             self.contact()
             self.volume()
@@ -351,6 +422,10 @@ class _ImpactCheck:
             volume = self.volumes[0][own]
             energies["elastic_target"] += elastic_energy(metal, after, volume) - elastic_energy(metal, before, volume)
             stored += elastic_energy(metal, before, volume)
+        energies["elastic_target"] += sum(
+            sign * half_space_energy(self.scene, self.untouched, f["target"])
+            for sign, f in ((1, self.last), (-1, self.first))
+        )
         uncertain = AVERAGED * abs(self.rows["elastic_target"][-1])
         for b, (metal, T_0, _) in enumerate(self.bodies):
             own = self.body == b

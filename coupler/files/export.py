@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .outputs import MARK, replacing
-from .result import DOMAINS, Fields, Result
+from .result import COLD, DOMAINS, Fields, Result
 
 CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> name of meshio
+WRITTEN = (*DOMAINS, COLD)
 NAMES = tuple(
-    f"{domain}{ending}" for domain in DOMAINS for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
+    f"{domain}{ending}" for domain in WRITTEN for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
 )
 FORMATS = ("pvd", "xdmf")
 _TOPOLOGY = {1: "Polyvertex", 3: "Triangle", 4: "Tetrahedron"}  # columns of the cells -> name of XDMF
@@ -36,7 +37,7 @@ def write_pvd(result: Result, folder: Path, stage: Callable[[str], None] = lambd
     stage(text): told what comes next. Returns the .pvd files. SI units.
     """
     collections = []
-    for domain in DOMAINS:
+    for domain in WRITTEN:
         times = result.times(domain)
         for step in range(len(times)):
             stage(f"{domain}, step {step + 1} of {len(times)}")
@@ -57,7 +58,7 @@ def write_xdmf(result: Result, folder: Path, stage: Callable[[str], None] = lamb
     stage(text): told what comes next. Returns the .xdmf files. SI units.
     """
     written = []
-    for domain in DOMAINS:
+    for domain in WRITTEN:
         times = result.times(domain)
         if not len(times):
             continue

@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs  # type: ignore[import-untyped]
 
 from ..errors import StoreError
 from ..files.outputs import write_text
-from ..files.result import Result
+from ..files.result import COLD, Result
 from ..files.summary import Summary
 from ..measures import measure
 from . import charts, parts, picture
@@ -120,6 +120,10 @@ def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> 
         lower = replace(cuts[-1], window=(*seen[:3], picture.window(result, picked[-1:], at)[3]))
         front = _cuts([lower], main, {}) + front
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
+        if len(result.times(COLD)):
+            section, colours = picture.cut_cold(result, at, seen)
+            caption = {"after the closing stage, at ambient temperature": section.time}
+            page.section("cold", "Residual stress", parts.cold(summary) + _cuts([section], colours, caption))
         stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:

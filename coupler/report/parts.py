@@ -108,6 +108,24 @@ def each_impact(summary: Summary) -> str:
     return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
 
 
+COLD_ROWS = (
+    ("residual_stress_Pa", "residual stress in the plane, mean over the splats"),
+    ("thermal_stress_Pa", "of it by cooling, in the pauses and at the end"),
+    ("stress_before_Pa", "stress in the plane before the closing stage"),
+    ("T_max_before_K", "hottest before it"),
+    ("ambient_K", "ambient"),
+    ("overlap_m", "deepest overlap of bodies"),
+)
+
+
+def cold(summary: Summary) -> str:
+    """What the closing stage has left, a row for each of COLD_ROWS."""
+    closing = summary.get("closing", {})
+    known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
+    rows = [(label, f"{value * m.factor:.4g}", m.unit) for m, label, value in known]
+    return table(("", "", ""), rows, numbers=(1,)) if rows else ""
+
+
 def scene_of(result: Result) -> Values:
     """The scene as nested dicts of its own words; empty if there is none that can be read."""
     try:

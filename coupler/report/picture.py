@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ..errors import StoreError
 from ..files.outputs import MARK, replacing
-from ..files.result import DOMAINS, Fields, Result
+from ..files.result import COLD, DOMAINS, Fields, Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
@@ -35,6 +35,7 @@ MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
 RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
 PIXELS = 500  # along the longer side of the particle
+COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
 
 Window = tuple[float, float, float, float]  # left, right, bottom, top, um
 
@@ -143,6 +144,19 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: Window) ->
     rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
     nothing = {name: np.zeros((0, 0)) for name in names}
     return Cut(target.time, at.level, seen, [], corners, rim, (0.0, 1.0, 0.0, 1.0), values, nothing)
+
+
+def cut_cold(result: Result, at: Stage, seen: Window) -> tuple[Cut, dict[str, Range]]:
+    """The cut through all bodies after the closing stage, and the colours of COLD_FIELDS: tension and compression reach as far.
+
+    Raises StoreError where nothing is stored of that stage.
+    """
+    bodies = result.fields(-1, COLD)
+    bodies.data["in_plane"] = bodies.data["stress"][:, :2].mean(axis=1)
+    section = cut_bodies(bodies, COLD_FIELDS, at, seen)
+    ranges = {name: colour_range([section], name) for name in COLD_FIELDS}
+    most = max(float(np.percentile(np.abs(section.values["in_plane"]), 98)), FIELDS["in_plane"].least_range)
+    return section, {**ranges, "in_plane": Range(-most, most, exceeded=True)}
 
 
 def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fields, Fields]:

@@ -18,14 +18,14 @@ from ..files.result import COLD, Result
 from ..geometry.sections import section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
-from ..report.picture import MICRO, Range, Stage, blank, colour_range, cut, cut_bodies, panels, read, save, scale_bar
+from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
 from .coating import CoatingMeasures, Splats
 from .table import write_rows
 
 NAMES = (
     "coating.json", "coating_depth.csv", "section.png", "micrograph.png", "stress.png", "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
-_DRAWN, _COLD = ("eps_p", "T", "von_mises"), ("eps_p", "von_mises", "in_plane")
+_DRAWN = ("eps_p", "T", "von_mises")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
 
 
@@ -44,12 +44,8 @@ def section(result: Result, path: Path, radius: float, heading: str, plane: floa
     StoreError where there is nothing to draw.
     """
     if len(result.times(COLD)):
-        mesh = result.fields(-1, COLD)
-        mesh.data["in_plane"] = mesh.data["stress"][:, :2].mean(axis=1)
-        section_cut = cut_bodies(mesh, _COLD, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(mesh.points, radius))
-        ranges = {name: colour_range([section_cut], name) for name in _COLD}
-        most = float(np.percentile(np.abs(section_cut.values["in_plane"]), 98))
-        save(panels(section_cut, {**ranges, "in_plane": Range(-most, most, exceeded=True)}, heading), path)
+        seen = _seen(result.fields(-1, COLD).points, radius)
+        save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), seen), heading), path)
         return path
     read(result, -1, _DRAWN)
     mesh, surface = result.fields(-1, "target"), result.fields(-1, "surface")
