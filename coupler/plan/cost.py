@@ -29,10 +29,10 @@ GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, accuracy): the
 # logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than 1 / CFL_AT_REST, are these coefficients times
 # [1, ln d_p, ln d_t, ln(N / 1000), sin^2 angle]; d: `damage_numbers`, N: points in a sphere of the particle's diameter.
-REST_FIT = (-0.228, 0.121, 0.252, -0.042, 0.795)
+REST_FIT = (-0.199, 0.13, 0.241, -0.048, 0.932)
 CFL_AT_REST = 0.41  # c dt / spacing as long as nothing is deformed
-CFL_FIT = (-1.068, 1.053, 0.089, 0.356, 1.752)
-STEP_ON_SPLAT = 0.58  # of an impact on a splat over that on a substrate: 0.5 to 0.66 in docs/tables/validation.csv
+CFL_FIT = (-1.242, 1.044, 0.343, 0.403, -0.68)
+STEP_ON_SPLAT = 0.75  # of an impact on a splat over that on a substrate: 0.58 to 0.88 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
 SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
 # wall time of one step, one core, by engine
