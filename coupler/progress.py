@@ -35,6 +35,7 @@ class Progress:
         self._done, self._share = 0.0, 1.0  # parts of the whole: of the impacts before, and of this one
         self._running = False
         self._state = (float("nan"), float("nan"), 0)  # kinetic fraction, dt, step
+        self._shown: tuple[float, int] | None = None  # simulated time and step that were shown last
         self._stage: tuple[str, float] | None = None  # and when it began
         self._bar: Bar | None = None
         self._first: tuple[float, float] | None = None  # wall clock and share done at the first update
@@ -66,7 +67,7 @@ class Progress:
         if self._first is None:  # time to go is counted from here, without compilation and meshing
             self._first = (now, self._fraction())
         if now >= self._next:
-            self._show(self.status(now))
+            self._show_state(now)
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
 
     def stage(self, text: str, of_impact: bool = True) -> None:
@@ -143,7 +144,14 @@ class Progress:
     def _show_last(self) -> None:
         """The last state of an impact, before something else begins."""
         if self._running and self._stage is None and self.time > self._before:
-            self._show(self.status(time.monotonic()))
+            self._show_state(time.monotonic())
+
+    def _show_state(self, now: float) -> None:
+        """The state of an impact; a line only where it is another one than before."""
+        state = (self.time, self._state[2])
+        if self._bar or state != self._shown:
+            self._show(self.status(now))
+        self._shown = state
 
     def _show(self, text: str) -> None:
         if self._bar:

@@ -99,7 +99,7 @@ def pattern(dimension: str) -> str:
 
 
 def nearest(word: str, known: object) -> str:
-    """A hint such as ' (did you mean "velocity"?)' if a known word is close, else an empty text.""" ""
+    """A hint such as ' (did you mean "velocity"?)' if a known word is close, else an empty text."""
     words = {str(k).lower(): str(k) for k in known}  # type: ignore[attr-defined]
     close = difflib.get_close_matches(word.lower()[:_LONGEST], list(words), n=1, cutoff=0.6)
     return f' (did you mean "{words[close[0]]}"?)' if close else ""

@@ -210,6 +210,17 @@ def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(m
     assert set(stream.getvalue().splitlines()) <= set(recorded)
 
 
+def test_a_state_is_printed_once(monkeypatch):
+    """The last of an impact may be due as a line just before its end."""
+    now, stream = [100.0], io.StringIO()
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    with Progress(stream=stream) as progress:
+        progress.start(1e-9)
+        now[0] += 10.0
+        progress.update(1e-9, 0.5, 3e-11, 30)
+    assert len(stream.getvalue().splitlines()) == 1
+
+
 def test_a_long_stage_is_shown_with_its_time(monkeypatch):
     monkeypatch.setattr(progress_module, "_STAGE_AFTER", 0.0)
     stream, shown = io.StringIO(), threading.Event()
@@ -241,3 +252,28 @@ def test_quiet_progress_says_nothing():
         progress.log("x")
     assert stream.getvalue() == ""
     assert progress.time == 0.5
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["rnu", "x.toml"], "there is no command 'rnu' (did you mean \"run\"?)"),
+        (["check", "many.toml"], "is the file of a sweep: coldspray sweep many.toml"),
+        (["sweep", "one.toml"], "is a scene, not the file of a sweep: coldspray run one.toml"),
+    ],
+)
+def test_a_wrong_command_is_told_the_right_one(words, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("one.toml").write_text('[particle]\nmaterial = "Ni"\n')
+    Path("many.toml").write_text('[points]\nvelocity = ["500 m/s"]\n[scene]\npreset = "draft"\n')
+    try:
+        code = cli.main(words)
+    except SystemExit as error:  # argparse
+        code = error.code
+    said = capsys.readouterr().err
+    assert (code, said.startswith("coldspray: "), says in said) == (2, True, True)
+
+
+def test_no_command_is_help(capsys):
+    assert cli.main([]) == 2
+    assert "compute a scene" in capsys.readouterr().out

@@ -1,5 +1,6 @@
 """A run is followed from its files, and nothing is written into its folder."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -26,6 +27,10 @@ def test_an_unfinished_run_is_shown_as_far_as_it_is(
     (copy / "history.csv").unlink()
     assert main(["watch", str(copy), "--once"]) == 0
     assert "no row of the history yet" in capsys.readouterr().out
+    for path in copy.iterdir():
+        os.utime(path, (1e9, 1e9))
+    assert main(["watch", str(copy), "--once"]) == 0
+    assert "coldspray resume" in capsys.readouterr().out
 
 
 def test_a_finished_run_ends_with_its_first_screen(shared_run: SharedRuns, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
+from ..units import nearest
 from . import accuracy, coating, critical, gas, materials, mesh, new, sweep, watch, window
 from . import map as maps
 from .arguments import (
@@ -44,7 +45,12 @@ _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with mor
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        if not (sys.argv[1:] if argv is None else argv):
+            if is_first_rank():
+                parser.print_help()
+            return 2
+        arguments = parser.parse_args(argv)
         with bounded_memory():
             code = arguments.command(arguments)
         sys.stdout.flush()
@@ -156,6 +162,14 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         if not is_first_rank():
             self.exit(2)
+        if unknown := re.fullmatch(
+            r"argument COMMAND: invalid choice: '(.*)' \(choose from (.*)\)", message, re.DOTALL
+        ):
+            known = re.findall(r"[\w-]+", unknown[2])
+            self.exit(
+                2,
+                f"coldspray: there is no command {unknown[1]!r}{nearest(unknown[1], known)}; coldspray --help lists all\n",
+            )
         super().error(message)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SplatError
+from ..units import rounded
 from .arguments import Commands, add_command, add_force, path, quantity, working
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 METHODS = ("auto", "carried", "density", "paper")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
+_MOST_SPACING = 1e-3  # m: more is a file in another unit
 _MEMORY_EACH = 3000.0  # bytes for each point: 2000 measured from 5000 to 40 000 points, at the default size
 _COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 1, "T": 1, "J": 1, "energy": 1, "volume": 1}
 _SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's order, xx yy zz xy yz xz
@@ -139,8 +141,10 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
         spacing = estimated_spacing(x) if volume is None else float(np.cbrt(np.median(volume)))
         if volume is None:
             notes.append(
-                f"spacing estimated: {spacing:.4g} m (give --spacing if it is known: the volume depends on it)"
+                f"spacing estimated: {rounded(spacing, 'um')} (give --spacing if it is known: the volume depends on it)"
             )
+        if spacing > _MOST_SPACING:
+            notes.append(f"the points are {spacing:.3g} m apart: give the unit of the file, such as --unit um")
     if volume is None:
         volume = np.full(len(x), spacing**3)
     index, left_out = cleaned(x, spacing)

@@ -12,6 +12,7 @@ from .arguments import Commands, add_command, add_force, path, seconds
 if TYPE_CHECKING:
     from ..files.result import Result
 
+SILENT = 60.0  # s after which a run may have been stopped
 # column of the history: label, factor, unit
 _SHOWN = {
     "height": ("height above surface", 1e6, "um"), "crater_depth": ("crater depth", 1e6, "um"),
@@ -71,10 +72,12 @@ def state(result: "Result") -> str:
     """The last line of the log, the last row of the history and its ledger over the energy at the start, as lines of text."""
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     lines = [_last_line(result.directory / "run.log")]
+    age = time.time() - max((path.stat().st_mtime for path in result.directory.iterdir()), default=time.time())
+    if age > SILENT:
+        lines.append(f"nothing written for {age:.0f} s: if it was stopped, coldspray resume {result.directory} goes on")
     if not len(history.get("time", ())):
         return "\n".join([*lines, "no row of the history yet"])
-    age = time.time() - (result.directory / "history.csv").stat().st_mtime
-    lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}; last written {age:.0f} s ago")
+    lines.append(f"{history['time'][-1] * 1e9:.1f} ns, step {history['step'][-1]:.0f}")
     lines += [f"  {label:30} {history[name][-1] * factor:.4g} {unit}" for name, (label, factor, unit) in _SHOWN.items()]
     of_impact = history["impact"] == history["impact"][-1]
     whole = history["kinetic_particle"][of_impact][0]
