@@ -120,30 +120,36 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
     assert json.dumps(closing)
 
 
-@pytest.mark.parametrize("resumed", [False, True])
-def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumed: bool) -> None:
-    """The second of three cannot be meshed: without it the run goes on, at once or resumed, and says so."""
+@pytest.mark.parametrize("how", ["fails", "fails, resumed", "undecided"])
+def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    """The second of three cannot be meshed, or has no end: without it the run goes on, at once or resumed, and says so."""
     text = scenes.scene(
         ("Ni", 20, 500), ("Ti", 20, 450), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0}, end=6
     )
-    true_join = deposition.join
+    true_join, true_impact = deposition.join, deposition.run_impact
+    reason = "not at rest at its time limit" if how == "undecided" else "the cloud has a hole"
 
     def join(plan: Any, i: int, *more: Any) -> Any:
         if plan.impacts[i].material.name == "Ti":
-            raise SplatError("the cloud has a hole")
+            raise SplatError(reason)
         return true_join(plan, i, *more)
 
-    monkeypatch.setattr(deposition, "join", join)
+    def run_impact(plan: Any, i: int, *more: Any) -> Any:
+        outcome = true_impact(plan, i, *more)
+        if plan.impacts[i].material.name == "Ti":
+            outcome.record.values["undecided"] = reason
+        return outcome
+
+    name, function = ("run_impact", run_impact) if how == "undecided" else ("join", join)
+    monkeypatch.setattr(deposition, name, function)
     scene, out = Scene.from_text(text, "skip"), tmp_path / "out"
-    if resumed:
+    if how.endswith("resumed"):
         with pytest.raises(SplatError):
             deposition.run(scene, out, quiet=True, checkpoint_every=0.0)
         result = deposition.resume(out, quiet=True, skip_failed=True)
     else:
         result = deposition.run(scene, out, quiet=True, skip_failed=True)
     assert [impact["material"] for impact in result.impacts] == ["Ni", "Ni"]
-    assert (
-        result.summary["run"]["warnings"][0] == "particle 2 of the scene's sequence was skipped: the cloud has a hole"
-    )
+    assert result.summary["run"]["warnings"][0] == f"particle 2 of the scene's sequence was skipped: {reason}"
     assert list(np.unique(result.history("impact"))) == [1.0, 2.0]
     assert len(result.summary["joins"]) == 1

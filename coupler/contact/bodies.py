@@ -41,12 +41,13 @@ class BodyContactState:
 
 
 class BodyContact:
-    """Surface nodes of each body against the facets of the bodies that came before it.
+    """Surface nodes of each body against the facets of all others, so that neither side of a pair lies in the other.
 
-    So every pair of bodies is looked at once, and bodies fitted together (`Interface.fitted`) begin without a force. The
-    same sums as between particle and target: penalty k = factor K a / h for each node (K the softer bulk modulus, a
-    the mean area of a node, h the spacing of its body's surface), Coulomb friction with history, forces equal and
-    opposite in force and moment. Nodes that a bond holds are left to it.
+    The same sums as between particle and target: penalty k = factor K a / 2h for each node (K the softer bulk modulus, a
+    the mean area of a node, h the spacing of its body's surface, for the substrate, whose own grows outwards, of the first splat's),
+    half of it because both sides of a pair press; Coulomb friction with history, forces equal and opposite in force and moment. Nodes
+    that a bond holds are left to it; those of the other side between them are not. Bodies fitted together (`Interface.fitted`) begin
+    all but without a force.
     """
 
     def __init__(
@@ -67,19 +68,19 @@ class BodyContact:
         count = len(surfaces.facets)
         self._all, self._corners = np.arange(count), np.zeros((count, 3, 3))
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
-        self._sides = [self._side(body, x, factor) for body in range(1, surfaces.bodies)]
+        self._sides = [self._side(body, x, factor) for body in range(surfaces.bodies)] if surfaces.bodies > 1 else []
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _side(self, body: int, x: np.ndarray, factor: float) -> _Side:
-        s = self.surfaces
-        partners = range(body)
-        nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, body)
-        area = float(np.linalg.norm(s.vectors(x, s.facets_of(body)), axis=1).sum()) / len(nodes)
-        softer = min(self.bulk_modulus[b] for b in (body, *partners))
+        s, alike = self.surfaces, max(body, 1)  # the stiffness does not change when later bodies join
+        partners = [other for other in range(s.bodies) if other != body]
+        nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, alike)
+        area = 0.5 * np.sqrt(3.0) * spacing**2  # two equilateral triangles for each node
+        softer = min(self.bulk_modulus[: alike + 1])
         contact = PointContact(
-            len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=factor, facet_ids=ids, jump=JUMP,
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=0.5 * factor, facet_ids=ids, jump=JUMP,
         )  # fmt: skip
         return _Side(nodes, ids, contact, ids[:0])
 

@@ -188,6 +188,11 @@ class Deposition:
         """Whether the last impact so far has ended without its end criterion."""
         return bool(self.records) and self.records[-1].values["undecided"] is not None
 
+    @property
+    def _may_skip(self) -> bool:
+        """Whether an impact that fails, or ends undecided, is left out."""
+        return self.options.skip_failed and self.options.ranks.size == 1 and len(self.plan.impacts) > 1
+
     def run(self, create: Callable[[], Store] | None = None) -> Result:
         """Compute all impacts and write summary.json and the picture. create: makes the folder's files; None: go on with those that
         are there, and with the impacts that its checkpoint has not seen finished."""
@@ -238,6 +243,8 @@ class Deposition:
             outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
             self.records.append(outcome.record)
             if self.undecided:
+                if self._may_skip:
+                    raise SolverError(str(self.records[-1].values["undecided"]))
                 return outcome.domains.bodies
             if i + 1 == len(plan.impacts) and plan.ambient is None:  # its particle stays one of points
                 left, gone = without_detached(plan, outcome.domains.bodies, i + 1, "impact")
@@ -259,7 +266,7 @@ class Deposition:
         Raises the error where nobody has asked for that, or nothing else would be left.
         """
         i, kept, options = len(self.records), self._pristine, self.options
-        if not options.skip_failed or options.ranks.size > 1 or kept is None or len(self.plan.impacts) == 1:
+        if not self._may_skip or kept is None:
             raise error
         text = f"particle {i + 1} of the scene's sequence was skipped: {error}"
         options.progress.log(text)
