@@ -1,31 +1,35 @@
-"""Energy of bonds and of rebound over velocity, size, temperature and oxide film: python workflows/bonding_energy.py
+"""Verdict, and energy of bonds and of rebound, over velocity, size, temperature and film: python workflows/bonding_energy.py
 
 Runs of workflows/critical_ni.toml and critical_cu.toml, kept in runs/bonding_energy (--runs). Writes docs/tables/bonding_energy.csv,
-whose rows are not computed again, and its part of the page on bonding; --docs only the page.
+whose rows are not computed again, critical_velocity.csv from its verdicts, and their parts of the page on bonding; --docs only
+these.
 """
 
 import math
 import tomllib
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, ROOT, markdown, number, options, study_table, versions, write_parts
+from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, versions, write_parts, write_table
 
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.physics.materials import material
-from coupler.studies.critical import run_at
+from coupler.studies.critical import bracket, run_at
 from coupler.studies.table import Row
 
 COLUMNS = (
-    "metal", "diameter_um", "temperature_K", "film", "velocity_m_s", "verdict", "restitution", "restitution_measured",
+    "metal", "diameter_um", "temperature_K", "film", "preset", "velocity_m_s", "verdict", "restitution", "restitution_measured",
     "bonded_over_section", "bond_J_m2", "torn_J_m2", "rebound_J_m2",
 )  # fmt: skip
-# metal, diameter in um, temperature in K, factor on the strength of the film (its range: docs/theory/bonds.md), velocity in m/s
+KEY = COLUMNS[:6]
+# metal, diameter in um, temperature in K, factor on the strength of the film (its range: docs/theory/bonds.md), preset, velocity in m/s
 CASES = (
-    *(("ni", None, 300.0, 1.0, v) for v in (400, 665, 1039)), *(("cu", None, 300.0, 1.0, v) for v in (400, 610, 952)),
-    ("ni", None, 300.0, 1.94, 665), ("ni", None, 300.0, 1.94, 831), ("cu", None, 300.0, 2.0, 610),
-    ("ni", 5.0, 300.0, 1.0, 665), ("ni", 40.0, 300.0, 1.0, 665), ("ni", None, 900.0, 1.0, 665),
+    *(("ni", 10.0, 300.0, 1.0, "draft", v) for v in (665, 831, 1039)), *(("cu", 14.0, 300.0, 1.0, "draft", v) for v in (610, 762, 952)),
+    *(("ni", 10.0, 300.0, 1.94, "draft", v) for v in (665, 831)), ("cu", 14.0, 300.0, 2.0, "draft", 610),
+    ("ni", 5.0, 300.0, 1.0, "draft", 665), ("ni", 40.0, 300.0, 1.0, "draft", 665), ("ni", 10.0, 900.0, 1.0, "draft", 665),
+    ("ni", 10.0, 300.0, 1.0, "draft", 400), ("cu", 14.0, 300.0, 1.0, "draft", 400), ("ni", 10.0, 300.0, 1.0, "standard", 665),
 )  # fmt: skip
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
@@ -33,14 +37,16 @@ MEASURED = {
            (649, 0.020)),
     "cu": ((129, 0.134), (220, 0.090), (315, 0.112), (385, 0.091), (459, 0.065), (489, 0.052), (530, 0.037)),
 }  # fmt: skip
+# m/s, of particles of a diameter (um) at 300 K, the same source
+MEASURED_CRITICAL = {("Ni", 10.0): 660.0, ("OFHC_Cu", 14.0): 568.0}
 
 
-def scene_of(name: str, diameter: float | None = None, temperature: float = 300.0, film: float = 1.0) -> Scene:
-    """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, and
-    strength of the oxide film (factor)."""
+def scene_of(name: str, size: float, temperature: float = 300.0, film: float = 1.0, preset: str = "draft") -> Scene:
+    """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, strength
+    of the oxide film (factor) and preset."""
     data = tomllib.loads((ROOT / "workflows" / f"critical_{name}.toml").read_text())
+    data["preset"] = preset
     own = float(data["particle"]["diameter"].split()[0])
-    size = own if diameter is None else diameter
     for table, keys in (("particle", ("diameter",)), ("substrate", ("diameter", "height"))):
         for key in keys:
             data[table][key] = f"{float(data[table][key].split()[0]) * size / own:g} um"
@@ -48,11 +54,14 @@ def scene_of(name: str, diameter: float | None = None, temperature: float = 300.
     metal = data["particle"]["material"]
     strength = film * (material(metal).oxide_strength or 0.0)
     data["materials"] = {metal: {"oxide_strength": f"{strength / 1e9:g} GPa"}} if film != 1.0 else {}
-    return Scene.from_dict(data, f"{name}_{size:g}um_{temperature:g}K_{film:g}")
+    return Scene.from_dict(data, f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}")
 
 
-def row_of(name: str, scene: Scene, film: float, velocity: float, runs: Path) -> dict[str, object]:
+def row_of(
+    name: str, size: float, temperature: float, film: float, preset: str, velocity: float, runs: Path
+) -> dict[str, object]:
     """One run: energies over all the area that bonded."""
+    scene = scene_of(name, size, temperature, film, preset)
     folder = runs / scene.name
     run_at(scene, velocity, folder)
     s = Result(folder / f"{velocity:.6g}ms").values
@@ -60,9 +69,10 @@ def row_of(name: str, scene: Scene, film: float, velocity: float, runs: Path) ->
     torn = s["energies"]["bond"] * s["kinetic_energy_0_J"]
     rebound = 0.5 * s["particle_mass_kg"] * max(s["velocity_z_m_s"], 0.0) ** 2
     v, e = np.array(MEASURED[name]).T
-    is_measured = scene.particle.diameter == scene_of(name).particle.diameter and v.min() <= velocity <= v.max()
+    metal = scene.particle.material
+    is_measured = (metal, size) in MEASURED_CRITICAL and temperature == 300.0 and v.min() <= velocity <= v.max()
     values = (
-        scene.particle.material, scene.particle.diameter * 1e6, scene.particle.temperature, film, velocity, s["verdict"],
+        metal, size, temperature, film, preset, velocity, s["verdict"],
         "" if s["restitution"] is None else round(s["restitution"], 4),
         round(float(np.interp(velocity, v, e)), 3) if is_measured else "", round(area / section, 3),
         *(round(energy / area, 1) if area else "" for energy in (s["bond_energy_J"], torn, rebound)),
@@ -70,31 +80,73 @@ def row_of(name: str, scene: Scene, film: float, velocity: float, runs: Path) ->
     return dict(zip(COLUMNS, values, strict=True))
 
 
+def name_of(row: Row) -> str:
+    """The particle of a row."""
+    return f"{row['metal']} {number(row, 'diameter_um'):g} um, {number(row, 'temperature_K'):g} K"
+
+
+def criticals(rows: list[Row]) -> list[dict[str, object]]:
+    """The bracket that the verdicts of each particle, film and preset show, and its error where the velocity is measured."""
+
+    def case(row: Row) -> tuple[str, ...]:
+        return tuple(row[key] for key in KEY[:-1])
+
+    lines = []
+    for key, group in groupby(sorted(rows, key=case), key=case):
+        first, *others = group
+        found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in (first, *others)})
+        at_300 = number(first, "temperature_K") == 300.0
+        measured = MEASURED_CRITICAL.get((first["metal"], number(first, "diameter_um"))) if at_300 else None
+        error = "" if measured is None or found.velocity is None else f"{found.velocity / measured - 1.0:+.3f}"
+        values = found.low or "", found.high or "", found.velocity or "", measured or "", error
+        names = "rebounds_to_m_s", "sticks_from_m_s", "critical_m_s", "measured_m_s", "relative_error"
+        lines.append(dict(zip((*KEY[:-1], *names), (*key, *values), strict=True)))
+    return lines
+
+
+def critical_page(lines: list[dict[str, object]]) -> list[str]:
+    """Critical velocities as a table."""
+
+    def words(r: dict[str, object]) -> object:
+        none = (
+            f"none, rebounds up to {r['rebounds_to_m_s']}" if r["rebounds_to_m_s"] else f"below {r['sticks_from_m_s']}"
+        )
+        return r["critical_m_s"] or none
+
+    rows = [
+        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["preset"], words(r), r["measured_m_s"] or "-",
+         r["relative_error"] or "-"] for r in lines
+    ]  # fmt: skip
+    return markdown("particle | film | preset | computed, m/s | measured, m/s | error", rows)
+
+
 def page(rows: list[Row]) -> list[str]:
     """The rows as a table."""
     lines = [
-        [f"{row['metal']} {number(row, 'diameter_um'):g} um, {row['temperature_K']} K", row["film"], f"{row['velocity_m_s']} m/s",
+        [name_of(row), row["film"], row["preset"], f"{row['velocity_m_s']} m/s",
          row["verdict"], row["restitution"] or "-", row["restitution_measured"] or "-", row["bonded_over_section"],
          *(f"{row[key]} J/m2" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
     ]  # fmt: skip
-    head = "particle | film | velocity | verdict | restitution | measured | bonded / cross section | to tear it | torn | rebound"
+    head = "particle | film | preset | velocity | verdict | restitution | measured | bonded / section | to tear it | torn | rebound"
     return [*markdown(head, lines), "", versions(rows)]
 
 
 def main() -> None:
     """Run what is missing and tabulate."""
     a = options(__doc__ or "", "docs", runs="runs/bonding_energy")
-    table = study_table("bonding_energy", COLUMNS, COLUMNS[:5], "python workflows/bonding_energy.py")
+    table = study_table("bonding_energy", COLUMNS, KEY, "python workflows/bonding_energy.py")
+    metals = {"ni": "Ni", "cu": "OFHC_Cu"}
     known = {
-        (row["metal"], *(number(row, key) for key in ("diameter_um", "temperature_K", "film", "velocity_m_s")))
+        (row["metal"], *(number(row, k) for k in KEY[1:4]), row["preset"], number(row, "velocity_m_s"))
         for row in table.rows
     }
-    for name, D, T, film, v in CASES if not a.docs else ():
-        scene = scene_of(name, D, T, film)
-        p = scene.particle
-        if (p.material, round(p.diameter * 1e6, 6), p.temperature, film, float(v)) not in known:
-            print(table.add(row_of(name, scene, film, float(v), Path(a.runs))), flush=True)
-    write_parts(PAGES["bonding"], {"energy": page(table.rows)})
+    for name, *case in CASES if not a.docs else ():
+        if (metals[name], *case) not in known:
+            print(table.add(row_of(name, *case, Path(a.runs))), flush=True)
+    lines = criticals(table.rows)
+    about = "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)"
+    write_table(TABLES / "critical_velocity.csv", lines, about)
+    write_parts(PAGES["bonding"], {"energy": page(table.rows), "critical": critical_page(lines)})
 
 
 if __name__ == "__main__":
