@@ -1,7 +1,7 @@
-"""Rebound over velocity and the critical velocity, for Ni, Ti, Cu and Al on their own kind: python workflows/restitution.py
+"""Rebound over velocity, for Ni, Ti, Cu and Al on their own kind: python workflows/restitution.py
 
 Particles of 25 um at 300 K, preset draft, without adhesion: 18 runs, each a row of docs/tables/restitution.csv that is not computed
-again. Then docs/tables/critical_velocity.csv, the figure and the tables of the page on bonding; --docs makes only these.
+again. Then the figure and the table of the page on bonding; --docs makes only these.
 """
 
 import math
@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from pages import (
     PAGES,
-    TABLES,
     column,
     figure_path,
     markdown,
@@ -22,14 +21,12 @@ from pages import (
     study_table,
     versions,
     write_parts,
-    write_table,
 )  # fmt: skip
 
 from coupler import Scene, run
 from coupler.contact.hold import CONTACT_RANGE
 from coupler.geometry.triangles import vertex_areas
 from coupler.impact.exchange import Impact
-from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import Material, material
 from coupler.progress import Progress
 from coupler.report.picture import blank, save
@@ -40,7 +37,6 @@ VELOCITIES = (200, 400, 600, 850)
 DIAMETER, TEMPERATURE = 25e-6, 300.0
 BAND = ((0.5, "Ni", 400), (2.0, "Ni", 400))  # contact stiffness, metal, velocity
 FLOW_STRAIN = 0.2  # at which Johnson-Cook gives the flow stress of the theory
-FITTED = "OFHC_Cu"  # whose critical velocity gives the one number that is fitted
 COLUMNS = (
     "metal", "velocity_m_s", "contact_stiffness", "restitution", "rebound_m_s", "area_um2", "interface_strain", "interface_T_K",
     "needed_J_m2", "flattening", "energy_drift",
@@ -53,18 +49,6 @@ height = "75 um"
 [adhesion]
 kind = "none"
 """
-
-
-def critical_velocity_linear(metal: Material, temperature: float) -> float:
-    """Critical velocity, m/s, as the linear fit v = 667 - 14 rho + 0.08 T_m + 0.1 sigma_TS - 0.4 T to computed impacts.
-
-    There rho is in g/cm3, temperatures in degC, sigma_TS in MPa: Assadi, Gaertner, Stoltenhoff & Kreye (2003), Acta
-    Mater. 51, 4379. It was fitted for copper and for small changes about it: use it for nothing far from copper. nan where the
-    metal has no sigma_TS.
-    """
-    strength = (metal.sigma_TS or math.nan) * 1e-6
-    T, T_m = temperature - 273.15, metal.T_m - 273.15
-    return 667.0 - 14.0 * metal.rho * 1e-3 + 0.08 * T_m + 0.1 * strength - 0.4 * T
 
 
 class Interface:
@@ -114,59 +98,26 @@ def johnson(m: Material, velocity: float) -> float:
     return 3.8 * math.sqrt(Y / stiff) * (0.5 * mass * velocity**2 / (Y * R**3)) ** (-1 / 8)
 
 
-def crossing(v: np.ndarray, strain: np.ndarray, threshold: float) -> float:
-    """The velocity at which the strain of the interface comes to `threshold`, linear between runs; nan outside of them."""
-    return float(np.interp(threshold, strain, v)) if strain[0] <= threshold <= strain[-1] else math.nan
-
-
 def curve(rows: list[Row], metal: str) -> tuple[np.ndarray, ...]:
-    """Velocity, restitution and strain of the interface of a metal's runs with the usual contact, by velocity."""
+    """Velocity and restitution of a metal's runs with the usual contact, by velocity."""
     own = [row for row in rows if row["metal"] == metal and number(row, "contact_stiffness") == 1.0]
     own.sort(key=lambda row: number(row, "velocity_m_s"))
-    return tuple(column(own, name) for name in ("velocity_m_s", "restitution", "interface_strain"))
+    return tuple(column(own, name) for name in ("velocity_m_s", "restitution"))
 
 
-def criticals(rows: list[Row]) -> list[dict[str, object]]:
-    """Critical velocities: of the published formulas, and from one strain of the interface for all, fitted to copper."""
-    v, _, strain = curve(rows, FITTED)
-    schmidt = {metal: critical_velocity(material(metal), TEMPERATURE) for metal in METALS}
-    threshold = float(np.interp(schmidt[FITTED], v, strain))
-    critical: list[dict[str, object]] = []
-    for metal in METALS:
-        v, e, strain = curve(rows, metal)
-        at = crossing(v, strain, threshold)
-        critical.append({
-            "metal": metal, "schmidt_2006_m_s": round(schmidt[metal]),
-            "assadi_2003_m_s": round(critical_velocity_linear(material(metal), TEMPERATURE)),
-            "strain_threshold": round(threshold, 2), "from_strain_m_s": round(at) if math.isfinite(at) else "none",
-            "fitted": "yes" if metal == FITTED else "no",
-            "strain_at_schmidt": round(float(np.interp(schmidt[metal], v, strain)), 2),
-            "exponent_of_restitution": round(float(np.polyfit(np.log(v), np.log(e), 1)[0]), 2),
-        })  # fmt: skip
-    return critical
-
-
-def draw(rows: list[Row], critical: list[dict[str, object]]) -> None:
+def draw(rows: list[Row]) -> None:
     colours = dict(zip(METALS, ("#0072b2", "#d55e00", "#009e73", "#cc79a7"), strict=True))
-    figure = blank(11.0, 4.6, 110)
-    left, right = figure.add_axes((0.07, 0.13, 0.41, 0.83)), figure.add_axes((0.57, 0.13, 0.41, 0.83))
+    figure = blank(6.0, 4.6, 110)
+    axes = figure.add_axes((0.12, 0.13, 0.85, 0.83))
     for metal, colour in colours.items():
-        v, e, strain = curve(rows, metal)
-        left.plot(v, e, "o-", color=colour, label=metal, ms=4)
-        left.fill_between(v, 0.7 * e, 1.3 * e, color=colour, alpha=0.12, lw=0)
+        v, e = curve(rows, metal)
+        axes.plot(v, e, "o-", color=colour, label=metal, ms=4)
+        axes.fill_between(v, 0.7 * e, 1.3 * e, color=colour, alpha=0.12, lw=0)
         smooth = np.linspace(v.min(), v.max(), 30)
-        left.plot(smooth, [johnson(material(metal), x) for x in smooth], "--", color=colour, lw=1)
-        right.plot(v, strain, "o-", color=colour, ms=4)
-        row = next(r for r in critical if r["metal"] == metal)
-        right.plot(row["schmidt_2006_m_s"], row["strain_at_schmidt"], "*", color=colour, ms=13, mec="black", mew=0.5)
-    right.axhline(critical[0]["strain_threshold"], color="0.3", lw=1, ls=":")
-    left.plot([], [], "k--", lw=1, label="Johnson (1985), theory")
-    left.legend(fontsize=8)
-    left.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
-    right.set(xlabel="velocity of impact (m/s)", ylabel="plastic strain of the interface, mean", ylim=(0, None))
-    right.plot([], [], "k*", ms=9, label="critical velocity of Schmidt et al. (2006)")
-    right.plot([], [], ":", color="0.3", label="threshold fitted to copper")
-    right.legend(fontsize=8)
+        axes.plot(smooth, [johnson(material(metal), x) for x in smooth], "--", color=colour, lw=1)
+    axes.plot([], [], "k--", lw=1, label="Johnson (1985), theory")
+    axes.legend(fontsize=8)
+    axes.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
     save(figure, figure_path("bonding", "bonding.png"))
 
 
@@ -174,7 +125,7 @@ def rebound_part(rows: list[Row]) -> list[str]:
     """Restitution over velocity, computed and by theory, and the influence of the contact stiffness."""
     lines = []
     for metal in METALS:
-        v, e, _ = curve(rows, metal)
+        v, e = curve(rows, metal)
         cells = [f"{value:.3f} ({johnson(material(metal), at):.3f})" for at, value in zip(v, e, strict=True)]
         lines.append([metal, *cells])
     texts = []
@@ -192,20 +143,6 @@ def rebound_part(rows: list[Row]) -> list[str]:
     ]
 
 
-def critical_part(critical: list[dict[str, object]]) -> list[str]:
-    """Critical velocities beside each other; the fitted one is marked."""
-    lines = []
-    for r in critical:
-        ours = f"{r['from_strain_m_s']} m/s" + (" (fitted)" if r["fitted"] == "yes" else "")
-        ours = f"none up to {VELOCITIES[-1]} m/s" if r["from_strain_m_s"] == "none" else ours
-        lines.append([r["metal"], f"{r['schmidt_2006_m_s']} m/s", f"{r['assadi_2003_m_s']} m/s", ours, r["strain_at_schmidt"],
-                      f"v^{r['exponent_of_restitution']}"])  # fmt: skip
-    head = (
-        "| Schmidt et al. (2006) | Assadi et al. (2003) | from one strain | strain at Schmidt's | restitution goes as"
-    )
-    return [*markdown(head, lines), "", f"The strain: {critical[0]['strain_threshold']}."]
-
-
 def main() -> None:
     """Run what is missing, tabulate, draw."""
     a = options(__doc__, "docs")
@@ -215,11 +152,8 @@ def main() -> None:
     for case in cases if not a.docs else ():
         if case not in known:
             print(table.add(rebound(*case)), flush=True)
-    critical = criticals(table.rows)
-    about = "remake: python workflows/restitution.py\n25 um, 300 K; from_strain: one strain of the interface, fitted to OFHC_Cu"
-    write_table(TABLES / "critical_velocity.csv", critical, about)
-    draw(table.rows, critical)
-    write_parts(PAGES["bonding"], {"rebound": rebound_part(table.rows), "critical": critical_part(critical)})
+    draw(table.rows)
+    write_parts(PAGES["bonding"], {"rebound": rebound_part(table.rows)})
 
 
 if __name__ == "__main__":
