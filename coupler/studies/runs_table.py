@@ -102,7 +102,8 @@ def scene_numbers(value: object, key: str = "") -> Iterator[tuple[str, float, st
 
 
 def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
-    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of."""
+    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of, or
+    in which the points do not differ."""
     names = []
     for key in keys:
         name = KEYS.get(key, key)
@@ -112,6 +113,8 @@ def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
                 raise StoreError(f"--axes {key}: no scene has a number there{units.nearest(key, known)}")
             for row in rows:
                 row[name] = row["keys"].get(key)
+        if len(rows) > 1 and len({row[name] for row in rows}) == 1:
+            raise StoreError(f"--axes {key}: all {len(rows)} points have the same value there; leave it out")
         names.append(name)
     return tuple(names)
 
