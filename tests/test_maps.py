@@ -310,8 +310,8 @@ def test_any_key_of_the_scene_is_an_axis(tmp_path, capsys) -> None:
     assert sorted(float(row["contact.friction"]) for row in rows) == [0.0, 0.2, 0.5, 0.8]
     assert cli.main(["map", str(tmp_path), "--axes", "contact.frction"]) == 2
     assert "contact.friction" in capsys.readouterr().err
-    assert cli.main(["map", str(tmp_path), "--axes", "contact.friction", "velocity"]) == 2
-    assert "--axes velocity: all 4 points have the same value there" in capsys.readouterr().err
+    assert cli.main(["map", str(tmp_path), "--axes", "contact.friction", "particle.velocity"]) == 2
+    assert "--axes particle.velocity: all 4 points have the same value there" in capsys.readouterr().err
 
 
 def test_refine_runs_the_point_that_tells_most(tmp_path, capsys, monkeypatch) -> None:
