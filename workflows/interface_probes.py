@@ -1,0 +1,143 @@
+"""Where bonds lose their strength, and tension and jet at the edge of the contact: python workflows/interface_probes.py
+
+losses: of the energy to tear the bonds in tension, what is lost while the contact presses, by its pressure, and after it has let go;
+runs of workflows/critical_ni.toml and critical_cu.toml. edge: largest mean tension within D / 5 of the edge of the contact, and outward
+speed of the particle's surface, over spacing and velocity. Writes docs/tables/bond_losses.csv and edge_tension.csv, whose rows are not
+computed again, and their parts of the page on bonding; --docs only the page.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from bonding_energy import scene_of
+from pages import PAGES, markdown, options, single_impact, study_table, versions, write_parts
+
+from coupler import Scene, run
+from coupler.geometry.triangles import vertex_areas
+from coupler.impact.exchange import Impact
+from coupler.impact.exposure import softer_strength
+from coupler.physics.adhesion import EXTRUSION
+from coupler.progress import Progress
+from coupler.studies.critical import at_velocity
+
+PRESSURES = (0.0, 1.0 / 3.0, EXTRUSION)  # over the flow stress
+LOSSES = ("metal", "velocity_m_s", "pressed_above_extrusion", "pressed_to_extrusion", "pressed_to_third", "let_go")
+LOSS_CASES = (("ni", 10.0, 665.0), ("cu", 14.0, 610.0))
+EDGE = ("metal", "diameter_um", "velocity_m_s", "spacing_um", "tension_GPa", "jet_over_velocity")
+EDGE_CASES = tuple(("Ni", 10.0, v, h) for v in (250.0, 400.0, 660.0) for h in (0.806, 0.56, 0.4))
+WINDOW = (0.1, 0.2)  # of D / v: the edge is free, the jet forms
+
+
+class Losses:
+    """A probe: energy (J) to tear bonds in tension that each class of pressure has taken so far."""
+
+    def __init__(self) -> None:
+        self.taken = dict.fromkeys(LOSSES[2:], 0.0)
+        self._damage: dict[int, float] = {}
+
+    def __call__(self, impact: Impact) -> None:
+        hold, contact, exposure = impact.hold, impact.contact, impact.exposure
+        if hold is None or exposure is None:
+            return
+        bond, rows = hold.bond, hold.rows
+        area = vertex_areas(impact.surface.positions(impact.particle.x), impact.surface.triangles)
+        force = contact.stiffness * contact.depth[: len(area)]
+        pressure = ((force + exposure._ring @ force) / (area + exposure._ring @ area))[rows]
+        near, facets = contact.touching(len(area), 10.0 * impact.particle.spacing)
+        strength = np.full(len(area), np.inf)
+        strength[near] = softer_strength(impact.domains, near, facets)
+        before = np.array([min(self._damage.get(row, 0.0), now) for row, now in zip(rows, bond.damage, strict=True)])
+        lost = bond.area * bond.energy[:, 0] * ((1.0 - before) ** 2 - bond.soundness)
+        classes = 3 - np.searchsorted(PRESSURES, pressure / strength[rows], side="left")
+        classes[bond.traction[:, 0] > 0.0] = 3
+        for index, name in enumerate(self.taken):
+            self.taken[name] += float(lost[classes == index].sum())
+        self._damage = dict(zip(rows.tolist(), bond.damage, strict=True))
+
+
+class Edge:
+    """A probe: largest mean tension (Pa) near the edge of the contact and outward speed (m/s) of the surface, in the WINDOW."""
+
+    def __init__(self, diameter: float, velocity: float):
+        self.reach, self.crossing = 0.2 * diameter, diameter / velocity
+        self.tension = self.speed = 0.0
+
+    def __call__(self, impact: Impact) -> None:
+        particle, surface, target = impact.particle, impact.surface, impact.target
+        skin, v = surface.positions(particle.x), surface.values(particle.v)
+        pressing = impact.contact.depth[: len(skin)] > 0.0
+        if not WINDOW[0] <= impact.time / self.crossing < WINDOW[1] or not pressing.any():
+            return
+        r = np.hypot(skin[:, 0], skin[:, 1])
+        edge, height = r[pressing].max(), skin[pressing, 2].max()
+        self.speed = max(self.speed, float(((v[:, :2] * skin[:, :2]).sum(axis=1) / np.maximum(r, 1e-9)).max()))
+        centres = target.x[target.mesh.conn].mean(axis=1)
+        for x, stress in ((particle.x, particle.stress()), (centres, target.stress())):
+            near = (np.abs(np.hypot(x[:, 0], x[:, 1]) - edge) < self.reach) & (np.abs(x[:, 2] - height) < self.reach)
+            self.tension = max(self.tension, float(stress[near, :3].mean(axis=1).max(initial=0.0)))
+
+
+def compute(text: str, probe: Callable[[Impact], None]) -> None:
+    with tempfile.TemporaryDirectory() as place:
+        run(Scene.from_text(text, "probe"), Path(place) / "run", threads=1, probe=probe, progress=Progress(quiet=True))
+
+
+def losses(name: str, size: float, velocity: float) -> dict[str, object]:
+    scene, probe = scene_of(name, size), Losses()
+    compute(at_velocity(scene, velocity), probe)
+    total = sum(probe.taken.values())
+    shares = (round(value / total, 3) for value in probe.taken.values())
+    return dict(zip(LOSSES, (scene.particle.material, velocity, *shares), strict=True))
+
+
+def edge(metal: str, size: float, velocity: float, spacing: float) -> dict[str, object]:
+    """One impact on the same metal up to 0.25 D / v."""
+    probe = Edge(size * 1e-6, velocity)
+    text = f'preset = "draft"\n{single_impact(metal, size, velocity, metal)}diameter = "{4 * size} um"\nheight = "{2 * size} um"\n'
+    text += f'[resolution]\nspacing = "{spacing} um"\nelement_size = "{1.25 * spacing} um"\n[adhesion]\nkind = "none"\n'
+    compute(text + f'[end]\ntime = "{0.25e3 * size / velocity} ns"\n', probe)
+    values = metal, size, velocity, spacing, round(probe.tension * 1e-9, 2), round(probe.speed / velocity, 3)
+    return dict(zip(EDGE, values, strict=True))
+
+
+def main() -> None:
+    """Run what is missing and write the parts of the page."""
+    a = options(__doc__ or "", "docs")
+    remake = "python workflows/interface_probes.py"
+    lost, edges = (
+        study_table("bond_losses", LOSSES, LOSSES[:2], remake),
+        study_table("edge_tension", EDGE, EDGE[:4], remake),
+    )
+    for case in LOSS_CASES if not a.docs else ():
+        if not any(float(row["velocity_m_s"]) == case[2] for row in lost.rows):
+            print(lost.add(losses(*case)), flush=True)
+    known = {(row["metal"], *(float(row[key]) for key in EDGE[1:4])) for row in edges.rows}
+    for place in EDGE_CASES if not a.docs else ():
+        if place not in known:
+            print(edges.add(edge(*place)), flush=True)
+    head = "lost of the energy in tension | above $p_E$ | $\\sigma_0 / 3$ to $p_E$ | 0 to $\\sigma_0 / 3$ | let go"
+    cells = [
+        [f"{row['metal']}, {float(row['velocity_m_s']):g} m/s", *(f"{float(row[name]):.1%}" for name in LOSSES[2:])]
+        for row in lost.rows
+    ]
+    spacings = sorted({float(row["spacing_um"]) for row in edges.rows}, reverse=True)
+    lines = []
+    for velocity in sorted({float(row["velocity_m_s"]) for row in edges.rows}):
+        own = {float(row["spacing_um"]): row for row in edges.rows if float(row["velocity_m_s"]) == velocity}
+        cell = [f"{own[h]['tension_GPa']} GPa, {own[h]['jet_over_velocity']}" if h in own else "-" for h in spacings]
+        lines.append([f"{velocity:g} m/s", *cell])
+    parts = {
+        "losses": [*markdown(head, cells), "", versions(lost.rows)],
+        "edge": [
+            *markdown(["tension, jet / velocity", *(f"{h:g} um" for h in spacings)], lines),
+            "",
+            versions(edges.rows),
+        ],
+    }
+    write_parts(PAGES["bonding"], parts)
+
+
+if __name__ == "__main__":
+    main()
