@@ -17,7 +17,7 @@ from time import process_time
 from pages import PAGES, column, markdown, options, study_table, table_rows, versions, write_parts
 
 from coupler import Scene, run
-from coupler.errors import ColdsprayError
+from coupler.errors import ColdsprayError, SolverError
 from coupler.progress import Progress
 from coupler.studies import coating
 from coupler.studies.table import Row
@@ -29,13 +29,13 @@ COLUMNS = (
 )  # fmt: skip
 KEY = COLUMNS[:6]
 POINTS, FINE = 213, 500  # of a particle
-DISC = 0.7  # diameters: radius of the disc that the particles are aimed at
+DISC = 0.9  # diameters: radius of the disc that the particles are aimed at
 SCENE = """
 preset = "draft"
 [coating]
 material = "{metal}"
 number = 12
-layers = 3
+layers = 2
 radius = "{radius:g} um"
 positions = "even"
 diameter = "{diameter:g} um"
@@ -74,7 +74,7 @@ class Case:
 
     @property
     def text(self) -> str:
-        """The scene: three layers on a disc of DISC diameters radius; the substrate is 5.5 diameters wide and 3 high."""
+        """The scene: two layers on a disc of DISC diameters radius; the substrate is 5.5 diameters wide and 3 high."""
         spacing = self.diameter * (math.pi / 6.0 / self.points) ** (1.0 / 3.0)
         size = {"radius": DISC * self.diameter, "width": 5.5 * self.diameter, "depth": 3.0 * self.diameter}
         return SCENE.format(**vars(self), **size, spacing=spacing)
@@ -102,6 +102,8 @@ def row_of(case: Case) -> dict[str, object]:
         with tempfile.TemporaryDirectory() as place:
             scene = Scene.from_text(case.text, "coating")
             result = run(scene, Path(place) / "run", threads=1, skip_failed=True, progress=Progress(quiet=True))
+            if result.undecided is not None:
+                raise SolverError(result.undecided)
             measures = coating.measure(coating.read(result), MEASURED["window"] * DISC * case.diameter * 1e-6)
             summary = result.summary
     except ColdsprayError as problem:
