@@ -1,15 +1,22 @@
 """A coating: particles from a seed, and what is measured of made-up bodies whose thickness, roughness and voids are known."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from runs import SharedRuns
+from test_pause import COLD
 
 from coupler import Scene
+from coupler.commands.main import main
 from coupler.errors import SceneError
 from coupler.files.result import Fields
 from coupler.geometry import mesher
-from coupler.studies.coating import Columns, Splats, over_depth, per_layer, roughness
+from coupler.report.picture import _most_cut
+from coupler.studies.coating import Columns, Splats, measure, over_depth, per_layer, read, roughness
+from coupler.studies.coating_growth import growth
 
 COATING = """
 preset = "draft"
@@ -193,3 +200,33 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
         row["sigma_p5"] - 1.0 <= 0.5 * (row["sigma_xx"] + row["sigma_yy"]) <= row["sigma_p95"] + 1.0 for row in by_depth
     )
     assert built.deposition_efficiency == pytest.approx(0.75)
+
+
+def test_growth_has_a_row_for_each_impact(
+    shared_run: SharedRuns, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two impacts one on the other: the second adds thickness, the last row is that of the cold coating; watch shows the first."""
+    result = shared_run(COLD)
+    one, two = growth(result)
+    assert (one["impacts"], one["splats"], two["impacts"], two["splats"]) == (1, 1, 2, 2)
+    assert one["thickness_mean_m"] < two["thickness_mean_m"] < 40e-6
+    cold = measure(read(result))
+    assert two["thickness_mean_m"] == pytest.approx(cold.thickness_mean_m, rel=0.02)
+    assert main(["coating", str(result.directory), "--out", str(tmp_path / "out")]) == 0
+    rows = (tmp_path / "out" / "coating_growth.csv").read_text().splitlines()
+    assert len(rows) == 3
+    assert (tmp_path / "out" / "growth.png").stat().st_size > 10_000
+    copy = shutil.copytree(result.directory, tmp_path / "run")
+    (copy / "summary.json").unlink()
+    capsys.readouterr()
+    assert main(["watch", str(copy), "--once"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert f"coating after impact 1: splats 1, thickness {one['thickness_mean_m'] * 1e6:.1f} um" in shown
+
+
+def test_a_film_of_a_coating_cuts_most_of_its_particles() -> None:
+    places = [8.0, -1.0, -12.0, 0.5, 2.0]
+    plan = {"impacts": [{"offset": [0.0, y * 1e-6], "diameter": 10e-6} for y in places]}
+    assert _most_cut(plan, 8e-6) == -1e-6  # the first of those that cut three
+    assert _most_cut({"impacts": plan["impacts"][:1]}, 7e-6) == 7e-6
+    assert _most_cut({}, 7e-6) == 7e-6

@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_folder
     from ..files.result import Result
-    from ..studies import coating, coating_files
+    from ..studies import coating, coating_files, coating_growth
 
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
@@ -39,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
         splats = coating.read(result)
         measures = coating.measure(splats, arguments.window)
         coating_files.write_measures(folder, measures)
+        coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.WINDOW
         coating_files.section(result, folder / "section.png", radius, heading, arguments.section)

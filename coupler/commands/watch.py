@@ -46,11 +46,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.picture is not None:
         claim_file(arguments.picture, (".png",), [arguments.run], arguments.force)
-    console, drawn = Console(highlight=False, markup=False), 0
+    console, drawn, coating = Console(highlight=False, markup=False), 0, _Coating()
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while not (result := Result(arguments.run)).finished:
             with reading(arguments.run):
-                text = state(result)
+                text = state(result) + coating.line(result)
                 steps = min(len(result.times(domain)) for domain in ("particle", "surface", "target"))
                 if arguments.picture is not None and steps > drawn:
                     section_picture(result, arguments.picture)
@@ -66,6 +66,24 @@ def run(arguments: argparse.Namespace) -> int:
         section_picture(result, arguments.picture)
     print(screen(result))
     return 0
+
+
+class _Coating:
+    """The line on the coating of several impacts, measured anew after each of them."""
+
+    def __init__(self) -> None:
+        self._impact, self._line = 0, ""
+
+    def line(self, result: "Result") -> str:
+        """A line that begins with its break; "" before the second impact."""
+        from ..studies import coating_growth
+
+        impacts = result.history("impact").tolist() if (result.directory / "history.csv").is_file() else []
+        impact = int(impacts[-1]) if impacts else 0
+        if impact > max(self._impact, 1):
+            self._line = f"\n  coating {coating_growth.line(coating_growth.latest(result))}"
+        self._impact = impact
+        return self._line
 
 
 def state(result: "Result") -> str:

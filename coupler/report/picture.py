@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ..errors import StoreError
 from ..files.outputs import MARK, replacing
 from ..files.result import COLD, DOMAINS, Fields, Result
+from ..files.summary import Values
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
@@ -92,15 +93,29 @@ def drawable(result: Result) -> list[str]:
 
 
 def stage(result: Result) -> Stage:
-    """The plane through the middle of the particle at the start. Raises StoreError without a stored step."""
+    """The plane through the middle of the particle at the start, of several that which cuts the most of them, the first of equal ones.
+
+    Raises StoreError without a stored step.
+    """
     if not stored_steps(result):
         raise StoreError(f"{result.directory} holds 0 steps of particle, surface and target: nothing to draw yet")
     surface, count = result.fields(0, "surface"), len(result.fields(0, "particle").points)
     start = surface.points
     volume = abs(enclosed_volume(start, surface.cells))
-    plane = float(start[:, 1].min() + start[:, 1].max()) / 2
+    plane = _most_cut(result.plan, float(start[:, 1].min() + start[:, 1].max()) / 2)
     level = float(result.fields(0, "target").points[:, 2].max()) * MICRO
     return Stage(plane, level, float(np.ptp(start[:, 0])) * MICRO, VOID * (volume / max(count, 1)) ** (1 / 3))
+
+
+def _most_cut(plan: Values, first: float) -> float:
+    """The plane y (m) through the centre of one of a plan's particles that cuts the most of them; first: that of the first one."""
+    try:
+        impacts = [(float(each["offset"][1]), float(each["diameter"])) for each in plan["impacts"]]
+    except (KeyError, TypeError, IndexError, ValueError):  # without a plan that can be read
+        return first
+    cuts = [sum(abs(y - plane) < 0.4 * diameter for y, diameter in impacts) for plane, _ in impacts]
+    best = int(np.argmax(cuts)) if cuts else 0
+    return impacts[best][0] if best else first
 
 
 def window(result: Result, steps: Iterable[int], at: Stage) -> Window:

@@ -60,15 +60,19 @@ class Splats:
         return float(self.mass @ self.stayed / self.mass.sum())
 
 
-def read(result: Result) -> Splats:
-    """What a run has built so far, finished or not. Raises StoreError where the files do not tell which body is which."""
+def read(result: Result, before: int | None = None) -> Splats:
+    """What a run has built so far, finished or not; before: until the impact of this number begins.
+
+    Raises StoreError where the files do not tell which body is which.
+    """
     plan = read_plan(result.directory)
     numbers = result.history("impact")
     if not len(numbers) or not len(result.times("target")):
         raise StoreError(f"{result.directory} holds no impact yet: nothing to measure")
-    done = int(numbers.max())
-    is_cold = len(result.times(COLD)) > 0
-    mesh = result.fields(-1, COLD if is_cold else "target")
+    done = before or int(numbers.max())
+    is_cold = before is None and len(result.times(COLD)) > 0
+    step = -1 if before is None else first_step(result, before)
+    mesh = result.fields(step, COLD if is_cold else "target")
     if "impact" not in mesh.data:
         raise StoreError(
             f"{result.directory} does not tell which tetrahedron is whose: run the scene again with this version"
@@ -79,7 +83,7 @@ def read(result: Result) -> Splats:
     left, last = [number not in impact for number in range(1, done)], None
     if is_cold:
         left.append(done not in impact)
-    elif result.finished and result.undecided is None:
+    elif before is None and result.finished and result.undecided is None:
         left.append(bool(result.summary["impacts"][-1]["rebounded"]))
         surface = result.fields(-1, "surface")
         last = None if left[-1] else (surface.points, surface.cells)
@@ -89,15 +93,19 @@ def read(result: Result) -> Splats:
     mass = np.array([p.material.rho * sphere_volume(p.diameter) for p in impacts])
     coating = parse_toml(result.scene_text).get("coating")
     stayed = 1.0 - np.array(left)
-    if result.finished:
-        stayed *= (
-            1.0
-            - np.array([record.get("detached_mass_kg", 0.0) for record in result.summary["impacts"]])[: len(mass)]
-            / mass
-        )
+    if before is None and result.finished:
+        detached = np.array([record.get("detached_mass_kg", 0.0) for record in result.summary["impacts"]])
+        stayed *= 1.0 - detached[: len(mass)] / mass
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
                   plan.splat_element_size, is_cold)  # fmt: skip
+
+
+def first_step(result: Result, number: int) -> int:
+    """The stored step of the target with which the impact of this number, from 2 on, begins."""
+    impacts, times, steps = result.history("impact"), result.history("time"), result.times("target")
+    before = times[impacts == number - 1].max()
+    return min(int(np.searchsorted(steps, before + 0.5e-15, side="right")), len(steps) - 1)
 
 
 class Columns:
@@ -230,27 +238,38 @@ class CoatingMeasures:
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default."""
     size, planned = splats.element_size, splats.planned
-    radius = radius or max(WINDOW * splats.patch, 4.0 * size)
-    columns = Columns(splats, (0.0, 0.0), radius, COLUMN * size)
-    top = columns.top()
-    thickness = top - columns.interface()
-    Sa, Sq = roughness(top)
-    opened, closed = columns.voids(FINEST * size)
-    volume = float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum())
+    radius = radius or window_radius(splats)
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
     return CoatingMeasures(
         impacts=splats.finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
-        deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=columns.step,
-        thickness_mean_m=float(thickness.mean()), thickness_min_m=float(thickness.min()), thickness_max_m=float(thickness.max()),
-        height_mean_m=float(top.mean()), bare_share=float((thickness < columns.step).mean()), Sa_m=Sa, Sq_m=Sq,
-        porosity_open=float(opened.sum()) / volume if volume else 0.0,
-        porosity_closed=float(closed.sum()) / volume if volume else 0.0,
-        overlap_share=float(columns.double.sum()) / volume if volume else 0.0, void_limit_m=FINEST * size,
+        deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=COLUMN * size,
+        **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=in_plane(splats, radius, "stress"), thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress"),
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
         + ([] if splats.is_cold else ["the bodies have not cooled: their stresses are not residual stresses"]),
     )  # fmt: skip
+
+
+def window_radius(splats: Splats) -> float:
+    """Radius (m) of what is measured by default."""
+    return max(WINDOW * splats.patch, 4.0 * splats.element_size)
+
+
+def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
+    """Thickness, heights, roughness, m, and the shares of voids and overlap in a window of `radius` m, from columns `step` m apart."""
+    columns = Columns(splats, (0.0, 0.0), radius, step)
+    top = columns.top()
+    thickness = top - columns.interface()
+    Sa, Sq = roughness(top)
+    opened, closed = columns.voids(FINEST * splats.element_size)
+    volume = max(float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum()), 1.0)
+    return {
+        "thickness_mean_m": float(thickness.mean()), "thickness_min_m": float(thickness.min()),
+        "thickness_max_m": float(thickness.max()), "height_mean_m": float(top.mean()), "bare_share": float((thickness < step).mean()),
+        "Sa_m": Sa, "Sq_m": Sq, "porosity_open": float(opened.sum()) / volume, "porosity_closed": float(closed.sum()) / volume,
+        "overlap_share": float(columns.double.sum()) / volume,
+    }  # fmt: skip
 
 
 def in_plane(splats: Splats, radius: float, name: str) -> float:

@@ -20,10 +20,12 @@ from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import enclosed_volume
 from ..report.picture import MICRO, Stage, blank, colour_range, cut, cut_cold, panels, read, save, scale_bar
 from .coating import CoatingMeasures, Splats
+from .coating_growth import Row, draw
 from .table import write_rows
 
 NAMES = (
-    "coating.json", "coating_depth.csv", "section.png", "micrograph.png", "stress.png", "coating.vtu", "splats/splat_*.stl",
+    "coating.json", "coating_depth.csv", "coating_growth.csv", "growth.png", "section.png", "micrograph.png", "stress.png",
+    "coating.vtu", "splats/splat_*.stl",
 )  # fmt: skip
 _DRAWN = ("eps_p", "T", "von_mises")
 _IN_CELLS = ("eps_p", "T", "von_mises", "stress", "thermal_stress")
@@ -35,6 +37,12 @@ def write_measures(folder: Path, measures: CoatingMeasures) -> list[Path]:
     write_rows(paths[1], list(measures.depth[0]) if measures.depth else ["z_m"], measures.depth)
     write_text(paths[0], json.dumps(asdict(measures), indent=2) + "\n")
     return paths
+
+
+def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
+    """coating_growth.csv and growth.png: the coating after each impact. Raises StoreError."""
+    write_rows(folder / "coating_growth.csv", list(rows[0]), rows)
+    return [folder / "coating_growth.csv", draw(rows, folder / "growth.png")]
 
 
 def section(result: Result, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:

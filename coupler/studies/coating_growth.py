@@ -1,0 +1,73 @@
+"""How a coating grows: its thickness, roughness and porosity after each impact, from the stored steps of a run, finished or not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import StoreError
+from ..files.result import Result
+from ..report.picture import MICRO, blank, save
+from .coating import COLUMN, Splats, read, shape, window_radius
+
+COARSE = 2.0  # times the distance of the columns: a curve needs less than the final figures
+Row = dict[str, float]
+
+
+def growth(result: Result, radius: float | None = None) -> list[Row]:
+    """A row for each finished impact (see `row`), in one window for all: radius m, by default that of the coating."""
+    built = read(result)
+    radius = radius or window_radius(built)
+    rows = [row(read(result, number), radius) for number in range(2, built.finished + 1)]
+    return [*rows, row(built, radius)]
+
+
+def latest(result: Result) -> Row:
+    """The row of the impacts that are finished so far. Raises StoreError where there is none."""
+    number = int(result.history("impact").max(initial=0.0))
+    if number < 2:
+        raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
+    built = read(result, number)
+    return row(built, window_radius(built))
+
+
+def row(built: Splats, radius: float) -> Row:
+    """impacts: so many are finished; splats: that are in the coating; deposition_efficiency; the measures of `coating.shape`."""
+    measures = shape(built, radius, COARSE * COLUMN * built.element_size)
+    splats = float(np.count_nonzero(built.stayed))
+    return {
+        "impacts": built.finished,
+        "splats": splats,
+        "deposition_efficiency": built.deposition_efficiency,
+        **measures,
+    }
+
+
+def line(now: Row) -> str:
+    """A row in a line of text."""
+    return (
+        f"after impact {now['impacts']:.0f}: splats {now['splats']:.0f}, thickness {now['thickness_mean_m'] * MICRO:.1f} um"
+        f" (bare {now['bare_share']:.0%}), Sa {now['Sa_m'] * MICRO:.1f} um, porosity {now['porosity_closed']:.1%} closed,"
+        f" {now['porosity_open']:.1%} open, deposition efficiency {now['deposition_efficiency']:.0%}"
+    )
+
+
+def draw(rows: list[Row], path: Path) -> Path:
+    """Thickness with its range and roughness, and porosity, over the number of impacts."""
+    impacts = [each["impacts"] for each in rows]
+    um = {key: np.array([each[key] for each in rows]) * MICRO for key in rows[0] if key.endswith("_m")}
+    share = {key: 100.0 * np.array([each[key] for each in rows]) for key in ("porosity_open", "porosity_closed")}
+    figure = blank(5.0, 5.5, 160, "constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.fill_between(impacts, um["thickness_min_m"], um["thickness_max_m"], color="0.88", label="least to greatest")
+    above.plot(impacts, um["thickness_mean_m"], "o-", color="black", markersize=3, label="mean thickness")
+    above.plot(impacts, um["Sa_m"], color="#0072b2", label="roughness Sa")
+    above.set(ylabel="µm", ylim=(0.0, None))
+    below.plot(impacts, share["porosity_closed"], "o-", color="#d55e00", markersize=3, label="closed")
+    below.plot(impacts, share["porosity_open"], color="#0072b2", label="open")
+    below.set(xlabel="impacts", ylabel="porosity (%)", ylim=(0.0, None))
+    for axis in (above, below):
+        axis.legend(fontsize=8)
+    save(figure, path)
+    return path
