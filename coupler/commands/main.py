@@ -148,6 +148,8 @@ def _add_running(option: Option) -> None:
     add_verbose(option, "all measures at the end, not only those that converge")
     option("--threads", type=int, metavar="N",
            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
+    option("--jobs", type=int, default=1, metavar="N",
+           help="impacts of a batch at a time, each on one core; `check` prints the batches (default: 1)")  # fmt: skip
     option("--placement", metavar="HOW",
            help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
            " particle on all ranks)")  # fmt: skip
@@ -229,6 +231,7 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
             threads=threads,
             placement=arguments.placement or None,
             checkpoint_every=arguments.checkpoint,
+            jobs=arguments.jobs,
         )
     except KeyboardInterrupt as interrupt:
         number = getattr(interrupt, "signal", signal.SIGINT)

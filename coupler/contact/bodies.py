@@ -11,7 +11,7 @@ from ..state.records import Shape
 from . import broad
 from .bond import Bond
 from .penalty import ContactState, PointContact
-from .surfaces import Surfaces
+from .surfaces import Surfaces, neighbours
 
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
@@ -68,14 +68,17 @@ class BodyContact:
         count = len(surfaces.facets)
         self._all, self._corners = np.arange(count), np.zeros((count, 3, 3))
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
-        self._sides = [self._side(body, x, factor) for body in range(surfaces.bodies)] if surfaces.bodies > 1 else []
+        low, high = surfaces.boxes(x)
+        # bodies farther apart than half the size of the largest splat do not come together while they are here
+        reach = 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
+        bodies = range(surfaces.bodies) if surfaces.bodies > 1 else ()
+        self._sides = [self._side(body, x, factor, neighbours(low, high, body, reach)) for body in bodies]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
-    def _side(self, body: int, x: np.ndarray, factor: float) -> _Side:
+    def _side(self, body: int, x: np.ndarray, factor: float, partners: Sequence[int]) -> _Side:
         s, alike = self.surfaces, max(body, 1)  # the stiffness does not change when later bodies join
-        partners = [other for other in range(s.bodies) if other != body]
         nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, alike)
         area = 0.5 * np.sqrt(3.0) * spacing**2  # two equilateral triangles for each node
         softer = min(self.bulk_modulus[: alike + 1])
@@ -203,21 +206,30 @@ class BodyContact:
         for side, kept in zip(self._sides, state.sides, strict=True):
             side.contact.restore(kept)
 
-    def follow(self, before: "BodyContact", node: np.ndarray) -> None:
-        """Take over the history of the contact of fewer or more bodies. node (N before,): new number of each of its nodes, -1 where
-        it is gone: friction springs and ledger continue. Heat must have been fetched before.
-        """
-        springs, depth = np.zeros((len(self._held), 3)), np.zeros(len(self._held))
-        for side in before._sides:
-            stays = node[side.nodes] >= 0
-            into = node[side.nodes[stays]]
-            springs[into], depth[into] = side.contact.spring[stays], side.contact.depth[stays]
+    def history(self) -> np.ndarray:
+        """Friction springs and depths (N,4) m of all nodes."""
+        history = np.zeros((len(self._held), 4))
         for side in self._sides:
-            side.contact.spring[:], side.contact.depth[:] = springs[side.nodes], depth[side.nodes]
+            history[side.nodes, :3], history[side.nodes, 3] = side.contact.spring, side.contact.depth
+        return history
+
+    def follow(self, before: "BodyContact", node: np.ndarray) -> None:
+        """Take over the history of the contact of other bodies. node (N before,): new number of each of its nodes, -1 of one that is
+        not here. Friction springs and ledger continue. Heat must have been fetched before.
+        """
+        history, kept = np.zeros((len(self._held), 4)), node >= 0
+        history[node[kept]] = before.history()[kept]
+        self.begin(history, before.lost, before.friction_heat, before.dropped_energy, before.dropped)
+
+    def begin(
+        self, history: np.ndarray, lost: float, friction_heat: float, dropped_energy: float, dropped: int
+    ) -> None:
+        """Go on from a `history` and a ledger, J."""
+        for side in self._sides:
+            side.contact.spring[:], side.contact.depth[:] = history[side.nodes, :3], history[side.nodes, 3]
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
             side.contact.dropped = 0
         if self._sides:
             first = self._sides[0].contact
-            first.friction_heat, first.dropped = before.friction_heat, before.dropped
-            first.dropped_energy = before.dropped_energy
-        self.lost = before.lost
+            first.friction_heat, first.dropped_energy, first.dropped = friction_heat, dropped_energy, dropped
+        self.lost = lost

@@ -1,6 +1,7 @@
 """Boundaries of several bodies in one domain, and the interface where one of them lies on the others."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -31,9 +32,24 @@ class Surfaces:
         """How many bodies there are."""
         return int(self.body.max()) + 1
 
+    @cached_property
+    def _by_body(self) -> tuple[np.ndarray, np.ndarray]:
+        """Ids of all facets, body by body, and where each body begins."""
+        return np.argsort(self.body, kind="stable"), np.cumsum([0, *np.bincount(self.body)])
+
     def facets_of(self, *bodies: int) -> np.ndarray:
         """Ids of the facets of these bodies, ascending."""
-        return np.flatnonzero(np.isin(self.body, bodies))
+        order, start = self._by_body
+        parts = [order[start[b] : start[b + 1]] for b in bodies if b < self.bodies]
+        return np.sort(np.concatenate(parts)) if parts else order[:0]
+
+    def boxes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner (bodies,3) m of a box round each body; x (N,3) m."""
+        order, start = self._by_body
+        corners = x[self.facets[order]]
+        return np.minimum.reduceat(corners.min(axis=1), start[:-1]), np.maximum.reduceat(
+            corners.max(axis=1), start[:-1]
+        )
 
     def nodes_of(self, body: int) -> np.ndarray:
         """Surface nodes of a body, ascending."""
@@ -86,6 +102,12 @@ class Interface:
         moved = x.copy()
         moved[self.nodes] = np.einsum("ij,ijd->id", self.weights, x[surfaces.facets[self.facet]])
         return moved
+
+
+def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tuple[int, ...]:
+    """Bodies before `body` whose boxes low, high (bodies,3) m come within `reach` m of its own."""
+    near = (low[:body] <= high[body] + reach).all(axis=1) & (high[:body] >= low[body] - reach).all(axis=1)
+    return tuple(np.flatnonzero(near).tolist())
 
 
 def interface(

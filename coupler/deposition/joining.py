@@ -1,5 +1,6 @@
 """Between two impacts: the finished splat becomes bodies of elements, joins the target, and all comes to rest."""
 
+import math
 import time as clock
 from collections.abc import Sequence
 
@@ -8,7 +9,7 @@ import numpy as np
 from ..contact.hold import Hold
 from ..contact.overlap import overlaps
 from ..errors import SolverError
-from ..fe.assemble import BodyState
+from ..fe.assemble import BodyState, Point
 from ..files.summary import Values
 from ..impact.bodies import Bodies, level_under
 from ..impact.domains import Domains
@@ -28,12 +29,15 @@ _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
-def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None) -> tuple[Bodies, Values]:
+def join(
+    plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None, place: Point | None = None
+) -> tuple[Bodies, Values]:
     """The bodies that impact i + 1 meets, or those after the last impact, and what it took to make them.
 
-    domains: of the finished impact i; hold: the bond of its particle. A particle that is not bonded and moves away has rebounded and
-    does not join; splats that are no longer held leave (`detaching`). Raises SplatError when it cannot be meshed, SolverError when it
-    does not come to rest.
+    domains: of the finished impact i; hold: the bond of its particle; place: of an impact on a cut of the target (m), whose bodies come
+    to rest within the impact's window and are not made ready for the next. A particle that is not bonded and moves away has rebounded
+    and does not join; splats that are no longer held leave (`detaching`). Raises SplatError when it cannot be meshed, SolverError when
+    it does not come to rest.
     """
     started = clock.perf_counter()
     p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
@@ -43,13 +47,15 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
     report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio
     left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True
-    origin = point_of_impact(bodies, following.offset, None if left else domains)
+    origin = place or point_of_impact(bodies, following.offset, None if left else domains)
+    radius = math.inf if place is None else p.window
     if left:
         progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         progress.stage("bringing the target to rest")
-        new, report["detached"] = without_detached(plan, bodies.renumbered(origin), i + 1, "impact")
+        new, report["detached"] = _held_bodies(plan, bodies.renumbered(origin), i, place)
+        new.target.window(radius)
         report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
-        return _ready(plan, i, new, origin, kinetic_0, report), report
+        return (new if place else _ready(plan, i, new, origin, kinetic_0, report)), report
     progress.stage("meshing the splat")
     cloud = cloud_of(domains)
     splat = convert(cloud, plan.splat_element_size, plan.splat_method)
@@ -76,6 +82,7 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
         "elements": len(new.target.mesh.conn), "before": _held(new),
     }  # fmt: skip
     progress.stage("bringing splat and target to rest")
+    new.target.window(radius)
     report |= settle(new, kinetic_0, release_time(plan))
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
@@ -91,13 +98,13 @@ def join(plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | 
             f"splat {i + 1} set free {report['released']:.2%} of the kinetic energy as it joined, allowed {RELEASED_BOUND:.1%}:"
             " try a finer preset, or another [splat] method"
         )
+    if place is not None:
+        return new, report
     progress.stage("cooling, and preparing the next impact")
     return _ready(plan, i, new, origin, kinetic_0, report), report
 
 
-def point_of_impact(
-    bodies: Bodies, offset: tuple[float, float], domains: Domains | None = None
-) -> tuple[float, float, float]:
+def point_of_impact(bodies: Bodies, offset: tuple[float, float], domains: Domains | None = None) -> Point:
     """Where the axis of a particle at `offset` (m) meets what lies there, (x, y, z) m: from there waves and windows are reckoned.
 
     domains: of the impact whose particle is about to join, and lies there too.
@@ -110,20 +117,27 @@ def point_of_impact(
     return (*offset, z if np.isfinite(z) else 0.0)
 
 
-def _ready(
-    plan: Plan, i: int, bodies: Bodies, origin: tuple[float, float, float], kinetic_0: float, report: Values
-) -> Bodies:
+def _ready(plan: Plan, i: int, bodies: Bodies, origin: Point, kinetic_0: float, report: Values) -> Bodies:
     """The bodies as the next impact meets them, after the pause; what was done in the report, as `cooling` and `mass_scaling`."""
     bodies, lost = held_at_rest(plan, bodies, i + 1, "rest", kinetic_0)
     report["detached"] += lost
     if i + 1 == len(plan.impacts):
         return bodies
     if plan.impacts[i].dwell > 0.0 and plan.effects.cooling:
-        report["cooling"] = pause(plan, i, bodies, kinetic_0)
+        report["cooling"] = pause(plan, plan.impacts[i].dwell, bodies, kinetic_0)
         bodies, lost = held_at_rest(plan, bodies.renumbered(origin), i + 1, "pause", kinetic_0)
         report["detached"] += lost
     report["mass_scaling"] = prepare(plan, i + 1, bodies)
     return bodies
+
+
+def rest(plan: Plan, impacts: range, bodies: Bodies, kinetic_0: float) -> Values:
+    """Let heat flow after a batch of impacts for all the time until the next, and all bodies come to equilibrium. kinetic_0: J, of the
+    last. Returns the report."""
+    time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))
+    if time > 0.0 and plan.effects.cooling:
+        return {"cooling": pause(plan, time, bodies, kinetic_0)}
+    return {f"whole_{name}": value for name, value in settle(bodies, kinetic_0, release_time(plan)).items()}
 
 
 def cloud_of(domains: Domains) -> Cloud:

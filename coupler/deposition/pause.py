@@ -11,7 +11,7 @@ import time as clock
 import numpy as np
 
 from ..contact.overlap import overlaps
-from ..contact.surfaces import interface
+from ..contact.surfaces import interface, neighbours
 from ..fe.cooling import Film, Links, cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
@@ -27,8 +27,8 @@ from .equilibrium import settle
 _EXACT = 1e-6  # K: to which all comes to ambient
 
 
-def pause(plan: Plan, i: int, bodies: Bodies, kinetic_0: float) -> Values:
-    """Let heat flow until impact i + 1, and bodies at rest come to equilibrium again. kinetic_0: J, of impact i. Returns the report.
+def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float) -> Values:
+    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impact before. Returns the report.
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
     insulated; bodies that lie on each other conduct as in perfect contact.
@@ -36,9 +36,7 @@ def pause(plan: Plan, i: int, bodies: Bodies, kinetic_0: float) -> Values:
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
-    cooling = cool(
-        t, plan.impacts[i].dwell, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat)
-    )
+    cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
     return {**cooling, **_settled(bodies, kinetic_0, plan), "wall_s": clock.perf_counter() - started}
 
 
@@ -122,7 +120,9 @@ def _missing_energy(metal: Material, T: float, ambient: float) -> float:
 def _links(bodies: Bodies, size: float) -> list[Links]:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
     surfaces, x = bodies.surfaces, bodies.target.x
-    contacts = [interface(surfaces, x, body, NEAR * size) for body in range(1, bodies.count)]
+    boxes, reach = surfaces.boxes(x), NEAR * size
+    before = [neighbours(*boxes, body, reach) for body in range(bodies.count)]
+    contacts = [interface(surfaces, x, body, reach, before[body]) for body in range(1, bodies.count) if before[body]]
     return [Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts if len(c.nodes)]
 
 

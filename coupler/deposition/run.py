@@ -5,6 +5,7 @@ import math
 import os
 import time as clock
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,10 +33,13 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
+from .batches import clear, compute, replay, tasks_of, workers
+from .cut import put_back
 from .detaching import without_detached
-from .joining import join, splats_at_end
+from .joining import join, rest, splats_at_end
 from .pause import cool_to_ambient
 from .summary import simulated, summary
+from .task import TaskResult
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
 
@@ -55,6 +59,7 @@ def run(
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
     skip_failed: bool = False,
+    jobs: int = 1,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
@@ -63,7 +68,8 @@ def run(
     in turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the scheme, values in
     place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps with the
     `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
-    skip_failed: of several impacts, leave out those that fail, in one process.
+    skip_failed: of several impacts, leave out those that fail, in one process. jobs: impacts of a batch at a time (`plan.batches`),
+    each in a process of its own; the numbers are the same.
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
     there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
@@ -74,7 +80,7 @@ def run(
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed, jobs
     )
     deposition = Deposition(decided, folder, options)
     return deposition.run(lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided)))
@@ -92,6 +98,7 @@ def resume(
     checkpoint_every: float = CHECKPOINT_EVERY,
     until: float | None = None,
     skip_failed: bool = False,
+    jobs: int = 1,
 ) -> Result:
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
@@ -112,7 +119,16 @@ def resume(
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed
+        folder,
+        progress or Progress(quiet),
+        threads,
+        knobs,
+        placement,
+        probe,
+        checkpoint_every,
+        until,
+        skip_failed,
+        jobs,
     )
     return Deposition(decided, folder, options).run()
 
@@ -136,12 +152,22 @@ def _options(
     checkpoint_every: float,
     until: float | None = None,
     skip_failed: bool = False,
+    jobs: int = 1,
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world(), placement)
     threads = (threads or cores()) if ranks.size == 1 else 1
     return RunOptions(
-        progress, folder / "log.lammps", ranks, threads, numerics, probe, checkpoint_every, until, skip_failed
+        progress,
+        folder / "log.lammps",
+        ranks,
+        threads,
+        numerics,
+        probe,
+        checkpoint_every,
+        until,
+        skip_failed,
+        max(jobs, 1),
     )
 
 
@@ -206,12 +232,21 @@ class Deposition:
             parallel.leading(ranks),
             create() if create is not None else Store.reopen(self.folder) as self.store,
             _logged(options.progress, self.store),
+            workers(plan, options, self.folder) as pool,
         ):
             options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
             self._belongs_to = self._identity()
             options.progress.stage("meshing the target")
+            if create is not None:
+                clear(self.folder)
             bodies, running = (build_target(plan), None) if create is not None else self._restored()
             while len(self.records) < len(self.plan.impacts):
+                if math.isfinite(self.plan.impacts[len(self.records)].window):
+                    self._save(None, bodies.state())
+                    bodies = self._batch(bodies, pool)
+                    if self.undecided:
+                        break
+                    continue
                 if running is None and len(plan.impacts) > 1:
                     self._pristine = Pristine(bodies.state(), self.store.state())
                 try:
@@ -228,6 +263,7 @@ class Deposition:
             self.store.finish({**self._summary(bodies), "provenance": origin})
             if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
                 checkpoint.clear(self.folder)
+                clear(self.folder)
             result = Result(self.folder)
             options.progress.stage("drawing the section", of_impact=False)
             report.section_picture(result)
@@ -260,13 +296,49 @@ class Deposition:
             if outcome is not None:
                 outcome.domains.particle.close()
 
+    def _batch(self, whole: Bodies, pool: Executor | None) -> Bodies:
+        """Compute the next impacts side by side, each on its own cut of the bodies; returns these with all splats that stay."""
+        plan, options, first = self.plan, self.options, len(self.records)
+        tasks = tasks_of(plan, first, whole, self.folder, self._belongs_to)
+        results = compute([task for task, _ in tasks], options, pool)
+        for i, result in enumerate(results, first):
+            if isinstance(result, ColdsprayError):
+                self._skip(i, result)
+                clear(self.folder)
+                return whole
+        for (task, cut), result in zip(tasks, results, strict=True):
+            assert isinstance(result, TaskResult)
+            replay(self.store, task, result, whole, simulated(self.records))
+            self.records.append(result.record)
+            if self.undecided or result.bodies is None:
+                return whole
+            whole = put_back(whole, cut, restored_target(plan, result.bodies))
+            joined = {**result.joined, "elements": len(whole.target.mesh.conn), "mass_scaling": result.prepared}
+            self.joins.append(joined)
+        options.progress.stage("cooling, and preparing the next impact")
+        self.joins[-1] |= rest(
+            plan, range(first, len(self.records)), whole, self.records[-1].values["kinetic_energy_0_J"]
+        )
+        if self.records[-1].values["verdict"] != UNDECIDED:
+            clear(self.folder)
+        return whole
+
     def _without_impact(self, error: ColdsprayError) -> Bodies:
-        """Take the impact that has failed out of the plan, which is written anew; the bodies as it met them.
+        """The bodies as the impact that has failed met them, where it is left out of the plan; raises the error otherwise."""
+        kept = self._pristine
+        if kept is None:
+            raise error
+        self._skip(len(self.records), error)
+        self.store.go_back(kept.store, self.options.progress.log)
+        return restored_target(self.plan, kept.bodies)
+
+    def _skip(self, i: int, error: ColdsprayError) -> None:
+        """Take an impact that has failed out of the plan, which is written anew.
 
         Raises the error where nobody has asked for that, or nothing else would be left.
         """
-        i, kept, options = len(self.records), self._pristine, self.options
-        if not self._may_skip or kept is None:
+        options = self.options
+        if not self._may_skip:
             raise error
         text = f"particle {i + 1} of the scene's sequence was skipped: {error}"
         options.progress.log(text)
@@ -274,8 +346,6 @@ class Deposition:
         self.plan = replace(self.plan, impacts=impacts, skipped=(*self.plan.skipped, text))
         write_text(self.folder / PLAN, plan_text(self.plan))
         self._belongs_to = self._identity()
-        self.store.go_back(kept.store, options.progress.log)
-        return restored_target(self.plan, kept.bodies)
 
     def _identity(self) -> dict[str, str]:
         """What a checkpoint belongs to."""

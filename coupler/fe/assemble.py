@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..geometry.tetrahedra import boundary_faces
 from ..physics.constitutive import pressures, yield_stresses
 from ..state.records import collect, concatenate, new_rows, take
 from .explicit import Target
@@ -77,8 +78,9 @@ def domain_of(body: BodyState, name: str) -> Domain:
     return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 
 
-def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]:
-    """One domain of several, numbered outwards from `origin` (m) as the bodies lie now; bodies and laws follow one another.
+def merge(domains: Sequence[Domain], origin: Point | None) -> tuple[Domain, np.ndarray]:
+    """One domain of several, numbered outwards from `origin` (m) as the bodies lie now, one after another without one; bodies and laws
+    follow one another.
 
     Returns it and the new number of each node (n,), in the order of the domains given.
     """
@@ -91,7 +93,7 @@ def merge(domains: Sequence[Domain], origin: Point) -> tuple[Domain, np.ndarray]
         return np.ascontiguousarray(np.concatenate(arrays)[order])
 
     x = np.concatenate([d.nodes.x for d in domains])
-    distance = np.linalg.norm(x - np.asarray(origin), axis=1)
+    distance = np.linalg.norm(x - np.asarray(origin), axis=1) if origin is not None else np.zeros(len(x))
     by_node = np.argsort(distance, kind="stable")
     rank = np.argsort(by_node)
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
@@ -154,3 +156,53 @@ def _new_numbers(kept: np.ndarray) -> np.ndarray:
 def domain_now(target: Target, body: np.ndarray) -> Domain:
     """A running target as a domain; body (m,) of each element."""
     return Domain(target.mesh, collect(NodeState, target), collect(ElementState, target), body, target.laws)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A part of a domain as a domain of its own; nodes, elements, facets, bodies: which each of its own was, ascending. The faces of
+    the cut come after the facets, in the set "cut"."""
+
+    domain: Domain
+    nodes: np.ndarray
+    elements: np.ndarray
+    facets: np.ndarray
+    bodies: np.ndarray
+
+
+def select(domain: Domain, chosen: np.ndarray) -> Selection:
+    """The elements chosen (m,) bool of a domain.
+
+    Nodes keep their volumes, elements outside included. Facet sets of bodies after the first, "splat1" and so on, follow the bodies.
+    """
+    mesh, body = domain.mesh, domain.body
+    elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
+    nodes, bodies = np.unique(mesh.conn[elements]), np.unique(body[elements])
+
+    def place(ids: np.ndarray, n: int) -> np.ndarray:
+        number = np.full(n, -1)
+        number[ids] = np.arange(len(ids))
+        return number
+
+    node, element = place(nodes, len(mesh.points)), place(elements, len(mesh.conn))
+    facet, of_body = place(facets, len(mesh.facets)), place(bodies, len(domain.laws))
+    names = {f"splat{b}": of_body[b] for b in range(1, len(domain.laws))}
+    kept = {name: facet[ids][facet[ids] >= 0] for name, ids in mesh.sets.items()}
+    conn = node[mesh.conn[elements]]
+    faces, behind = boundary_faces(conn)
+    own = node[mesh.facets[facets]]
+    key = np.sort(np.concatenate([own, faces]), axis=1) @ np.array([len(nodes) ** 2, len(nodes), 1])
+    new = ~np.isin(key[len(own) :], key[: len(own)])
+    kept["cut"] = len(own) + np.arange(int(new.sum()))
+    new_mesh = TetMesh(
+        points=mesh.points[nodes], conn=conn.astype(np.int32), B=mesh.B[elements], V0=mesh.V0[elements],
+        node_volume=mesh.node_volume[nodes], facets=np.concatenate([own, faces[new]]).astype(np.int32),
+        facet_element=np.concatenate([element[mesh.facet_element[facets]], behind[new]]).astype(np.int32),
+        sets={(f"splat{names[n]}" if n in names else n): ids for n, ids in kept.items() if names.get(n, 0) >= 0},
+        reach_node=mesh.reach_node[nodes], reach_element=mesh.reach_element[elements],
+    )  # fmt: skip
+    part = Domain(
+        new_mesh, take(domain.nodes, nodes), take(domain.elements, elements), of_body[body[elements]].astype(np.int32),
+        domain.laws[bodies],
+    )  # fmt: skip
+    return Selection(part, nodes, elements, facets, bodies)

@@ -23,7 +23,7 @@ from .heat import Conduction, take_heat
 from .mesh import TetMesh
 from .stability import HighestFrequency
 from .state import ElementState, NodeState, TargetState
-from .window import LAYER, edge, layer
+from .window import LAYER, layer, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
@@ -64,6 +64,8 @@ class Target:
     sigma_y: np.ndarray
     fe: np.ndarray
     thermal_stress: np.ndarray
+    node_number: np.ndarray
+    element_number: np.ndarray
 
     def __init__(
         self,
@@ -154,7 +156,7 @@ class Target:
         n, m = self._active_counts(np.inf)
         if m == len(self.mesh.conn):
             return m
-        self.fixed = np.union1d(self.fixed, edge(self.mesh, m))
+        self.fixed = np.union1d(self.fixed, outside(self.mesh, m, n))
         self.inv_mass[self.fixed] = 0.0
         nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
         matrices = np.zeros((len(self.mass), 3, 3))

@@ -13,7 +13,8 @@ from .stability import FrequencyState
 @dataclass(frozen=True)
 class NodeState:
     """Of n nodes: x m, v m/s at half a step before, f and f_old internal forces of this and the last step N, total N: with all other
-    forces; J: volume ratio, p Pa, energy J per reference m3."""
+    forces; J: volume ratio, p Pa, energy J per reference m3; node_number: in the bodies that these
+    were cut from, -1 of new ones."""
 
     x: Annotated[np.ndarray, Rows(3)]
     v: Annotated[np.ndarray, Rows(3)]
@@ -23,13 +24,14 @@ class NodeState:
     J: Annotated[np.ndarray, Rows(fill=1.0)]
     p: Annotated[np.ndarray, Rows()]
     energy: Annotated[np.ndarray, Rows()]
+    node_number: Annotated[np.ndarray, Rows(dtype=np.int64, fill=-1)]
 
 
 @dataclass(frozen=True)
 class ElementState:
     """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
     the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that
-    changes of temperature at rest have made.
+    changes of temperature at rest have made; element_number: as node_number.
     """
 
     s: Annotated[np.ndarray, Rows(6)]
@@ -40,6 +42,7 @@ class ElementState:
     T: Annotated[np.ndarray, Rows()]
     sigma_y: Annotated[np.ndarray, Rows()]
     fe: Annotated[np.ndarray, Rows(4, 3)]
+    element_number: Annotated[np.ndarray, Rows(dtype=np.int64, fill=-1)]
     thermal_stress: Annotated[np.ndarray, Rows(6)]
 
 

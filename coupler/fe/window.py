@@ -13,10 +13,11 @@ LAYER = 0.2  # of the radius
 ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: a dashpot of rho c to long waves
 
 
-def edge(mesh: TetMesh, elements: int) -> np.ndarray:
-    """Nodes (k,) that the first so many elements share with the others."""
-    inside = np.unique(mesh.conn[:elements])
-    return np.intersect1d(inside, mesh.conn[elements:])
+def outside(mesh: TetMesh, elements: int, nodes: int) -> np.ndarray:
+    """Those of the first so many nodes (k,) that other than the first so many elements have: the window's edge, and nodes that are
+    nearer than its farthest."""
+    others = np.unique(mesh.conn[elements:])
+    return others[others < nodes]
 
 
 def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[np.ndarray, np.ndarray]:

@@ -197,7 +197,7 @@ class Bodies:
                     bonds.append(_taken_over(held, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
-        new._touch(self.contact, rank[: len(self.target.x)])
+        new.touch(self.contact, rank[: len(self.target.x)])
         return new
 
     def renumbered(self, origin: tuple[float, float, float]) -> "Bodies":
@@ -213,7 +213,7 @@ class Bodies:
             self.bond.renumber(rank)
         new.bond, new.buried = self.bond, buried
         if self.contact is not None:
-            new._touch(self.contact, rank)
+            new.touch(self.contact, rank)
         return new
 
     def held(self) -> np.ndarray:
@@ -255,7 +255,7 @@ class Bodies:
         target.take(domain.nodes, domain.elements, self.target)
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
-    def _touch(self, before: BodyContact | None, rank: np.ndarray) -> None:
+    def touch(self, before: BodyContact | None, rank: np.ndarray) -> None:
         """Set the contact between bodies up where they are now; it goes on from that of `before`, whose node i is rank[i] here."""
         self.placed = self.target.x.copy()
         self.contact = BodyContact(self.surfaces, self.placed, [float(K) for K in self.target.laws["K"]], self.friction)

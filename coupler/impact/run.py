@@ -32,7 +32,7 @@ class RunOptions:
     threads: 2 computes the target beside the particle; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
     called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)
     of an impact that goes on after its own one, None for as long again;
-    skip_failed: impacts that fail are left out.
+    skip_failed: impacts that fail are left out; jobs: impacts of a batch at a time.
     """
 
     progress: Progress
@@ -44,6 +44,7 @@ class RunOptions:
     checkpoint_every: float = 60.0
     until: float | None = None
     skip_failed: bool = False
+    jobs: int = 1
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from textwrap import fill
 from .. import units
 from ..measures import MEASURES
 from . import cost as estimates
+from .batches import batches
 from .planning import BEYOND_FIT, ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
@@ -172,7 +173,12 @@ def _window(plan: Plan) -> list[str]:
     lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
     first, last = (units.rounded(length, "um") for length in (lengths[0], lengths[-1])) if lengths else ("", "")
     radius = first if first == last else f"{first.removesuffix(' um')} to {last}"
-    return [f"  window     {radius} round each impact; beyond it the target keeps still"] if lengths else []
+    if not lengths:
+        return []
+    sides = batches(plan.impacts)
+    most = max(map(len, sides))
+    side = f"; {len(sides)} batches of up to {most} impacts side by side" if most > 1 else ""
+    return [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
 
 
 def _ends(plan: Plan) -> str:

@@ -7,7 +7,10 @@ they run.
 import os
 import re
 import shutil
+import signal
 import sys
+import threading
+import time
 from collections.abc import Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -39,12 +42,26 @@ def executor(
     starts_processes: the functions start a process themselves, so that threads are enough for `processes`. Raises PlacementError.
     """
     if kind == "processes":
-        return ThreadPoolExecutor(count) if starts_processes else ProcessPoolExecutor(count, get_context("spawn"))
+        if starts_processes:
+            return ThreadPoolExecutor(count)
+        return ProcessPoolExecutor(count, get_context("spawn"), _end_with, (os.getpid(),))
     if kind == "mpi":
         return _mpi()
     if kind == "slurm":
         return _slurm(count, folder, {**SLURM, **(slurm or {})})
     raise PlacementError(f"no executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
+
+
+def _end_with(parent: int) -> None:
+    """Let this process end with its parent, however that ends; an interrupt from the terminal is the parent's affair."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def own_environment() -> dict[str, str]:

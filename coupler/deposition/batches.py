@@ -1,0 +1,112 @@
+"""Impacts side by side: the tasks of a batch in this process or in those of an executor, and their files in the order of arrival."""
+
+import contextlib
+import shutil
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, wait
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ColdsprayError, NoContactError, SolverError, SplatError
+from ..files.result import Result
+from ..files.store import Store
+from ..impact.bodies import Bodies
+from ..impact.recorder import cell_fields
+from ..impact.run import RunOptions
+from ..impact.stop import Stopped, StopSignals
+from ..plan.batches import batch, batches
+from ..plan.planning import Plan
+from ..ranks.executors import executor
+from .cut import Cut, cut_out
+from .joining import point_of_impact
+from .task import STOP, Task, TaskResult, run_alone, run_task
+
+TASKS = "impacts"  # folder of the tasks in that of the run
+_LOOK = 0.5  # s between two looks for a signal
+
+
+@contextlib.contextmanager
+def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor | None]:
+    """The executor for batches; None where all is computed in this process."""
+    widest = max(map(len, batches(plan.impacts)))
+    if min(options.jobs, widest) == 1 or options.ranks.size > 1 or options.probe is not None:
+        yield None
+        return
+    with executor("processes", min(options.jobs, widest), folder) as pool:
+        yield pool
+
+
+def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[str, str]) -> list[tuple[Task, Cut]]:
+    """The batch that begins with an impact, as far as its cuts share no node."""
+    tasks: list[tuple[Task, Cut]] = []
+    taken = np.zeros(len(whole.target.x), bool)
+    for i in batch(plan.impacts, first):
+        place = point_of_impact(whole, plan.impacts[i].offset)
+        part, cut = cut_out(whole, place, plan.impacts[i].window)
+        if taken[cut.nodes].any():
+            break
+        taken[cut.nodes] = True
+        own = about | {"impact": str(i + 1)}
+        tasks.append((Task(plan, i, part.state(), place, folder / TASKS / f"{i + 1:05d}", own), cut))
+    return tasks
+
+
+def compute(tasks: Sequence[Task], options: RunOptions, pool: Executor | None) -> list[TaskResult | ColdsprayError]:
+    """Their results, in order; the error in the place of one that fails. Raises Stopped after a signal."""
+    folder = tasks[0].folder.parent
+    folder.mkdir(exist_ok=True)
+    (folder / STOP).unlink(missing_ok=True)
+    if pool is None or len(tasks) == 1:
+        return [_here(task, options) for task in tasks]
+    numbers = f"{tasks[0].i + 1} to {tasks[-1].i + 1}"
+    options.progress.stage(f"impacts {numbers} side by side", of_impact=False)
+    with StopSignals() as signals:
+        futures = [
+            pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
+            for task in tasks
+        ]
+        left = set(futures)
+        while left:
+            left = wait(left, _LOOK).not_done
+            if signals.number and not (folder / STOP).exists():
+                (folder / STOP).touch()
+        if signals.number:
+            raise Stopped(signals.number)
+    return [future.result() for future in futures]
+
+
+def _here(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
+    try:
+        return run_task(task, options)
+    except (SolverError, SplatError, NoContactError) as error:
+        return error
+
+
+def replay(store: Store, task: Task, result: TaskResult, whole: Bodies, before: float) -> None:
+    """Append what a task has written to the files of the run, its target as a part of the whole. before: simulated time (s) of the
+    impacts before it."""
+    own, t = Result(task.folder), whole.target
+    nodes, elements = task.bodies.target.nodes.node_number, task.bodies.target.elements.element_number
+    for row in result.store.history:
+        values = dict(zip(result.store.columns, row.tolist(), strict=True))
+        store.record({**values, "time": before + values["time"]})
+    for domain, steps in result.store.steps.items():
+        for step in range(steps):
+            fields = own.fields(step, domain)
+            points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
+            if domain == "target":
+                points, cells = t.x.copy(), t.mesh.conn
+                points[nodes] = fields.points
+                velocity = np.zeros_like(points)
+                velocity[nodes] = at_points["velocity"]
+                at_points, changed, inside = {"velocity": velocity}, inside, cell_fields(whole)
+                inside["T"], inside["eps_p"] = inside["T"].copy(), inside["eps_p"].copy()
+                for name in changed.keys() - {"body"}:
+                    inside[name][elements] = changed[name]
+            store.write(domain, before + fields.time, points, cells, at_points, inside)
+
+
+def clear(folder: Path) -> None:
+    """Remove the folders of all tasks of a run."""
+    shutil.rmtree(folder / TASKS, ignore_errors=True)

@@ -1,0 +1,171 @@
+"""An impact on its own cut of the target: the part of all bodies about its place, taken out and put back.
+
+A cut holds the elements that have a node within a radius of the place of landing, whole splats, and a rim round them. The window of
+the impact (`fe.window`) has the same radius: its edge is held and the rim keeps still, so that inside the cut the impact is that on all
+bodies, number by number. Nothing outside the radius changes; cuts whose spheres lie apart by more than an element are independent.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..contact.bond import Bond, BondRows, BondState
+from ..fe.assemble import Point, Selection, domain_now, merge, select
+from ..fe.state import ElementState, NodeState
+from ..geometry.tetrahedra import boundary_faces
+from ..geometry.triangles import edges
+from ..impact.bodies import Bodies
+from ..state.records import collect, concatenate, rows_of, take
+
+ROUNDS = 20  # at most, to make the surface of a cut sound
+Ledgers = dict[str, Any]
+# of target, contact (in the order of `BodyContact.begin`) and bonds
+_SUMS = ("sums", "impulse", "internal_work", "absorbed", "time")
+_OF_CONTACT = ("lost", "friction_heat", "dropped_energy", "dropped")
+_OF_BOND = ("stored", "dissipated")
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Where a cut was. part: what it holds; nodes, elements: those of the whole that an impact on it can change; before: the ledgers of
+    target, contact and bonds when it was made."""
+
+    part: Selection
+    nodes: np.ndarray
+    elements: np.ndarray
+    before: Ledgers
+
+
+def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
+    """What lies within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The whole stays as it is."""
+    t = whole.target
+    conn, x = t.mesh.conn, t.x
+    reach = np.linalg.norm(x - np.asarray(place), axis=1)[conn].min(axis=1)
+    inside = reach < radius
+    # an element, a bond or a contact that has a node inside has all others within the rim
+    near = conn[reach < 1.5 * radius]
+    rim = max(float(np.linalg.norm(x[near[:, a]] - x[near[:, b]], axis=1).max()) for a in range(4) for b in range(a))
+    chosen = reach < radius + rim
+    splats = np.unique(whole.body[chosen])
+    chosen |= np.isin(whole.body, splats[splats > 0])  # the stiffness of a splat's contact is that of its whole surface
+    chosen = _without_pinches(conn, chosen)
+    domain = domain_now(t, whole.body)
+    domain.nodes.node_number[:] = np.arange(len(x))
+    domain.elements.element_number[:] = np.arange(len(conn))
+    selected = select(domain, chosen)
+    numbered, rank = merge([selected.domain], place)
+    part = whole.remade(numbered)
+    part.buried = np.flatnonzero(np.isin(selected.facets, whole.buried))
+    number = np.full(len(x), -1)
+    number[selected.nodes] = rank
+    if whole.contact is not None and part.count > 1:
+        part.touch(whole.contact, number)
+    if whole.bond is not None:
+        state = whole.bond.state()
+        held = ((number[state.rows.nodes] >= 0) & (number[state.rows.triangles] >= 0).all(axis=1)).nonzero()[0]
+        part.bond = Bond.from_state(BondState(take(state.rows, held), state.exponent, state.stored, state.dissipated))
+        part.bond.renumber(number)
+    elements = np.flatnonzero(inside)
+    return part, Cut(selected, np.unique(conn[elements]), elements, _ledgers(part))
+
+
+def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """The chosen elements (m,) bool and those around edges that more than two triangles of their surface have: rays need to know
+    what is inside."""
+    n = int(conn.max()) + 1
+    for _ in range(ROUNDS):
+        low, high = np.sort(edges(boundary_faces(conn[chosen])[0]).astype(np.int64), axis=1).T
+        key, count = np.unique(low * n + high, return_counts=True)
+        pinched = np.zeros(n, bool)
+        pinched[np.concatenate(np.divmod(key[count > 2], n))] = True
+        if not pinched.any():
+            break
+        chosen = chosen | pinched[conn].any(axis=1)
+    return chosen
+
+
+def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
+    """The whole with a part in the place of its cut; new splats come after all others. Numbers of the whole do not change."""
+    domain, now = domain_now(whole.target, whole.body), domain_now(part.target, part.body)
+    number, n = now.nodes.node_number, len(domain.mesh.points)
+    _replace(domain.nodes, now.nodes, cut.nodes, number)
+    _replace(domain.elements, now.elements, cut.elements, now.elements.element_number)
+    domains, node, facet = [domain], number.copy(), np.full(len(now.mesh.facets), -1)
+    facet[: len(cut.part.facets)] = cut.part.facets
+    first = len(cut.part.bodies)
+    if part.count > first:
+        splats = select(now, part.body >= first)
+        mesh = splats.domain.mesh
+        sets = {f"splat{whole.count + k}": mesh.sets[f"splat{k}"] for k in range(part.count - first)}
+        domains.append(replace(splats.domain, mesh=replace(mesh, sets=sets)))
+        node[splats.nodes] = n + np.arange(len(splats.nodes))
+        facet[splats.facets] = len(domain.mesh.facets) + np.arange(len(splats.facets))
+    new = whole.remade(merge(domains, None)[0])
+    buried = facet[part.buried]
+    new.buried = np.union1d(whole.buried, buried[buried >= 0])
+    after = _ledgers(part)
+    gain = {name: after[name] - value for name, value in cut.before.items()}
+    for name in _SUMS:
+        setattr(new.target, name, getattr(new.target, name) + gain[name])
+    changed = np.zeros(len(new.target.x), bool)
+    changed[cut.nodes] = changed[n:] = True
+    _put_bonds_back(new, whole, part, cut, node, changed, gain)
+    if new.count > 1:
+        history = np.zeros((len(changed), 4))
+        if whole.contact is not None:
+            history[:n] = whole.contact.history()
+        if part.contact is not None:
+            own = changed[node]
+            history[node[own]] = part.contact.history()[own]
+        before = whole.contact
+        new.touch(None, node)
+        if new.contact is not None:
+            new.contact.begin(history, *(
+                gain[name] + (getattr(before, name) if before is not None else 0.0) for name in _OF_CONTACT
+            ))  # fmt: skip
+    return new
+
+
+def _put_bonds_back(
+    new: Bodies, whole: Bodies, part: Bodies, cut: Cut, node: np.ndarray, changed: np.ndarray, gain: Ledgers
+) -> None:
+    """Bonds of the whole that the impact cannot change, and those of the part that it can. node (n,): of the part, in the whole."""
+    rows: list[BondRows] = []
+    stored, dissipated, exponent = gain["stored"], gain["dissipated"], 1.0
+    if whole.bond is not None:
+        b = whole.bond
+        held = np.zeros(len(changed), bool)
+        held[cut.part.nodes] = True
+        away = _any(b.nodes, b.triangles, changed) & held[b.nodes] & held[b.triangles].all(axis=1)
+        rows.append(take(collect(BondRows, b), ~away))
+        stored, dissipated, exponent = stored + b.stored, dissipated + b.dissipated, b.exponent
+    if part.bond is not None:
+        b = Bond.from_state(part.bond.state())
+        b.renumber(node)
+        rows.append(take(collect(BondRows, b), _any(b.nodes, b.triangles, changed)))
+        exponent = b.exponent
+    if rows:
+        new.bond = Bond.from_state(BondState(concatenate(rows), exponent, float(stored), float(dissipated)))
+
+
+def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndarray:
+    return which[nodes] | which[triangles].any(axis=1)
+
+
+def _replace(
+    record: NodeState | ElementState, new: NodeState | ElementState, ids: np.ndarray, number: np.ndarray
+) -> None:
+    """Put into the rows `ids` of a record those rows of a new one that have these numbers."""
+    row = np.full(int(number.max()) + 1, -1)
+    kept = np.flatnonzero(number >= 0)
+    row[number[kept]] = kept
+    for name in rows_of(record):
+        getattr(record, name)[ids] = getattr(new, name)[row[ids]]
+
+
+def _ledgers(bodies: Bodies) -> Ledgers:
+    t, c, b = bodies.target, bodies.contact, bodies.bond
+    sums: Ledgers = {name: np.copy(getattr(t, name)) for name in _SUMS}
+    sums |= {name: getattr(c, name) if c is not None else 0.0 for name in _OF_CONTACT}
+    return sums | {name: getattr(b, name) if b is not None else 0.0 for name in _OF_BOND}

@@ -1,0 +1,112 @@
+"""One impact on its cut of the target, in a folder of its own: a function for any process, which goes on where it has ended."""
+
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import ColdsprayError, NoContactError, SolverError, SplatError
+from ..fe.assemble import Point
+from ..files import checkpoint
+from ..files.store import Store, StoreState
+from ..files.summary import Values
+from ..impact.bodies import BodiesState
+from ..impact.domains import restored_target
+from ..impact.run import RunningState, RunOptions, run_impact
+from ..impact.summary import ImpactRecord
+from ..measures import UNDECIDED
+from ..plan.planning import Plan
+from ..progress import Progress
+from .joining import join
+from .mass_scaling import prepare
+
+STOP = "stop"  # file beside the folders of tasks: those that run stop at their next window of steps
+
+
+@dataclass(frozen=True)
+class Task:
+    """Impact i of a plan on a cut: its bodies, numbered outwards from `place` (m). folder: for its files; about: what these belong to,
+    as in `files.checkpoint`."""
+
+    plan: Plan
+    i: int
+    bodies: BodiesState
+    place: Point
+    folder: Path
+    about: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class TaskResult:
+    """bodies: with the splat, at rest; None of an undecided impact and of a last one whose splat is not asked for. record: of the
+    impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in its files."""
+
+    bodies: BodiesState | None
+    record: ImpactRecord
+    prepared: dict[str, float]
+    joined: Values
+    store: StoreState
+
+
+@dataclass(frozen=True)
+class TaskState:
+    """What a checkpoint of a task holds: the impact on its way, where it may go on; the result, once there is one."""
+
+    running: RunningState | None
+    prepared: dict[str, float]
+    store: StoreState
+    result: TaskResult | None
+
+
+def run_task(task: Task, options: RunOptions) -> TaskResult:
+    """Compute a task, or return the result that its folder holds. Raises what `run_impact` and `join` raise."""
+    plan, i, log = task.plan, task.i, options.progress.log
+    kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
+    if kept is not None and kept.result is not None and (options.until is None or kept.running is None):
+        return kept.result
+    running = kept.running if kept is not None else None
+    with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
+        if kept is not None:
+            store.go_on(kept.store, log)
+        bodies = restored_target(plan, running.impact.bodies if running is not None else task.bodies)
+        prepared = prepare(plan, i, bodies) if running is None or kept is None else kept.prepared
+        last = running
+
+        def save(state: RunningState | None, result: TaskResult | None = None) -> None:
+            nonlocal last
+            last = state
+            checkpoint.write(task.folder, TaskState(state, prepared, store.state(), result), task.about)
+
+        outcome = run_impact(plan, i, bodies, store, 0.0, options, save, running)
+        try:
+            record, new = outcome.record, None
+            joined: Values = {}
+            undecided = record.values["undecided"] is not None
+            if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
+                after, joined = join(plan, i, outcome.domains, options.progress, outcome.hold, task.place)
+                new = after.state()
+        finally:
+            outcome.domains.particle.close()
+        result = TaskResult(new, record, prepared, joined, store.state())
+        save(last if undecided or record.values["verdict"] == UNDECIDED else None, result)
+    return result
+
+
+def run_alone(
+    task: Task, numerics: Mapping[str, float], every: float, until: float | None
+) -> TaskResult | ColdsprayError:
+    """`run_task` in a process of an executor, on one core; the error of an impact that fails."""
+    stop = task.folder.parent / STOP
+
+    def look(_: object) -> None:
+        if stop.exists():
+            signal.raise_signal(signal.SIGTERM)  # the impact writes a checkpoint and ends with `Stopped`
+
+    options = RunOptions(
+        Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
+        until=until,
+    )  # fmt: skip
+    try:
+        return run_task(task, options)
+    except (SolverError, SplatError, NoContactError) as error:
+        return error

@@ -1,0 +1,94 @@
+"""An impact on its own cut of the target, and impacts side by side."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scenes
+from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
+from test_sequence import block, substrate
+
+from coupler import Scene, run
+from coupler.deposition.cut import cut_out, put_back
+from coupler.deposition.run import resume
+from coupler.impact.bodies import Bodies
+from coupler.physics.adhesion import Adhesion
+from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
+from coupler.plan.batches import batches
+from coupler.plan.planning import plan
+from coupler.state.records import rows_of
+
+
+@pytest.fixture(scope="module")
+def whole() -> Bodies:
+    """Two cubes on a block, bonded; with a history of friction."""
+    law = law_record(material("Ni"))
+    cubes = [block((-25e-6 + 30e-6 * i, -10e-6, 0.0), 1e8, 1.0, law) for i in range(2)]
+    bodies = substrate().joined(cubes, Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), None)
+    assert bodies.contact is not None
+    springs = bodies.contact.history()
+    springs[:, :3] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
+    bodies.contact.begin(springs, 0.0, 2e-9, 0.0, 0)
+    return bodies
+
+
+def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
+    part, cut = cut_out(whole, (-20e-6, 0.0, 10e-6), 12e-6)
+    assert part.count == 2
+    assert 0 < len(cut.elements) < len(part.target.mesh.conn) < len(whole.target.mesh.conn)
+    same = put_back(whole, cut, part)
+    for name in ("nodes", "elements"):
+        before, after = getattr(whole.target.state(), name), getattr(same.target.state(), name)
+        for row in rows_of(before):
+            if "number" not in row:
+                np.testing.assert_array_equal(getattr(after, row), getattr(before, row), err_msg=row)
+    assert whole.bond is not None
+    assert same.bond is not None
+    assert same.contact is not None
+    assert whole.contact is not None
+    assert {(a, *b) for a, b in zip(same.bond.nodes, same.bond.triangles.tolist(), strict=True)} == {
+        (a, *b) for a, b in zip(whole.bond.nodes, whole.bond.triangles.tolist(), strict=True)
+    }
+    np.testing.assert_array_equal(same.contact.history(), whole.contact.history())
+    np.testing.assert_array_equal(same.buried, whole.buried)
+    assert same.energy == pytest.approx(whole.energy, rel=1e-12)
+
+
+def three(*offsets: float) -> str:
+    """200-point particles for 10 ns, windows of 32 um, at these places (um) along x."""
+    head, *particles = scenes.scene(
+        ("Ni", 20, 550), ("Ni", 20, 550), ("Ti", 20, 500), spacing=2.7, element_size=5.0, diameter=180, height=50, end=10,
+        of_substrate='window = "32 um"\n',
+    ).split("[[particle]]\n")  # fmt: skip
+    placed = [f'[[particle]]\noffset = ["{x} um", "0 um"]\n{p}' for x, p in zip(offsets, particles, strict=True)]
+    return head + "".join(placed)
+
+
+SIDE = three(-42, 42, -36)  # two side by side, then one on the first splat
+
+
+@pytest.mark.parametrize(
+    ("offsets", "sizes"), [((-42, 42, -36), [2, 1]), ((-42, -36, 42), [1, 2]), ((0, 42, -36), [1, 2])]
+)
+def test_batches_lie_apart_and_keep_the_order_of_arrival(offsets: tuple[int, ...], sizes: list[int]) -> None:
+    """Windows of 32 um and half a diameter between them: 74 um from centre to centre."""
+    ranges = batches(plan(Scene.from_text(three(*offsets), "x")).impacts)
+    assert [len(r) for r in ranges] == sizes
+    assert [i for r in ranges for i in r] == [0, 1, 2]
+
+
+def test_two_processes_make_the_same_coating(shared_run: SharedRuns, tmp_path: Path) -> None:
+    one = shared_run(SIDE)
+    assert [join["bodies"] for join in one.summary["joins"]] == [1, 1]
+    two = run(Scene.from_text(SIDE, "shared"), tmp_path / "two", jobs=2)
+    assert_same_numbers(one.summary, two.summary, rel=0.0)
+    assert_same_files(one, two)
+
+
+def test_a_batch_goes_on_where_it_was_broken_off(shared_run: SharedRuns, tmp_path: Path) -> None:
+    """In its first impact; the rest by two processes."""
+    break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9)
+    result = resume(tmp_path / "out", jobs=2)
+    assert_same_numbers(shared_run(SIDE).summary, result.summary, rel=0.0)
+    assert_same_files(shared_run(SIDE), result)
