@@ -310,9 +310,9 @@ class Deposition:
             assert isinstance(result, TaskResult)
             replay(self.store, task, result, whole, simulated(self.records))
             self.records.append(result.record)
-            if self.undecided or result.bodies is None:
-                return whole
             whole = put_back(whole, cut, restored_target(plan, result.bodies))
+            if not result.joined:
+                return whole
             joined = {**result.joined, "elements": len(whole.target.mesh.conn), "mass_scaling": result.prepared}
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")

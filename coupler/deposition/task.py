@@ -38,10 +38,10 @@ class Task:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """bodies: with the splat, at rest; None of an undecided impact and of a last one whose splat is not asked for. record: of the
-    impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in its files."""
+    """bodies: with the splat, at rest; as the impact has left them where it is undecided, or the last and its splat is not asked for:
+    `joined` is empty then. record: of the impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in its files."""
 
-    bodies: BodiesState | None
+    bodies: BodiesState
     record: ImpactRecord
     prepared: dict[str, float]
     joined: Values
@@ -79,15 +79,14 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
 
         outcome = run_impact(plan, i, bodies, store, 0.0, options, save, running)
         try:
-            record, new = outcome.record, None
+            record, after = outcome.record, outcome.domains.bodies
             joined: Values = {}
             undecided = record.values["undecided"] is not None
             if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
                 after, joined = join(plan, i, outcome.domains, options.progress, outcome.hold, task.place)
-                new = after.state()
         finally:
             outcome.domains.particle.close()
-        result = TaskResult(new, record, prepared, joined, store.state())
+        result = TaskResult(after.state(), record, prepared, joined, store.state())
         save(last if undecided or record.values["verdict"] == UNDECIDED else None, result)
     return result
 
