@@ -25,7 +25,7 @@ def whole() -> Bodies:
     """Two cubes on a block, bonded; with a history of friction."""
     law = law_record(material("Ni"))
     cubes = [block((-25e-6 + 30e-6 * i, -10e-6, 0.0), 1e8, 1.0, law) for i in range(2)]
-    bodies = substrate().joined(cubes, Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), None)
+    bodies = substrate().joined(cubes, Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), None, 1)
     assert bodies.contact is not None
     springs = bodies.contact.history()
     springs[:, :3] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9

@@ -105,8 +105,9 @@ class Interface:
 
 
 def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tuple[int, ...]:
-    """Bodies before `body` whose boxes low, high (bodies,3) m come within `reach` m of its own."""
-    near = (low[:body] <= high[body] + reach).all(axis=1) & (high[:body] >= low[body] - reach).all(axis=1)
+    """Other bodies whose boxes low, high (bodies,3) m come within `reach` m of its own."""
+    near = (low <= high[body] + reach).all(axis=1) & (high >= low[body] - reach).all(axis=1)
+    near[body] = False
     return tuple(np.flatnonzero(near).tolist())
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..contact.bond import Bond, BondRows, BondState
-from ..fe.assemble import Point, Selection, domain_now, merge, select
+from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
 from ..fe.state import ElementState, NodeState
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import edges
@@ -56,6 +56,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     selected = select(domain, chosen)
     numbered, rank = merge([selected.domain], place)
     part = whole.remade(numbered)
+    part.impact = whole.impact[selected.bodies]
     part.buried = np.flatnonzero(np.isin(selected.facets, whole.buried))
     number = np.full(len(x), -1)
     number[selected.nodes] = rank
@@ -97,11 +98,12 @@ def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
     if part.count > first:
         splats = select(now, part.body >= first)
         mesh = splats.domain.mesh
-        sets = {f"splat{whole.count + k}": mesh.sets[f"splat{k}"] for k in range(part.count - first)}
+        sets = {f"{SPLAT}{whole.count + k}": mesh.sets[f"{SPLAT}{k}"] for k in range(part.count - first)}
         domains.append(replace(splats.domain, mesh=replace(mesh, sets=sets)))
         node[splats.nodes] = n + np.arange(len(splats.nodes))
         facet[splats.facets] = len(domain.mesh.facets) + np.arange(len(splats.facets))
     new = whole.remade(merge(domains, None)[0])
+    new.impact = np.append(whole.impact, part.impact[first:])
     buried = facet[part.buried]
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
     after = _ledgers(part)

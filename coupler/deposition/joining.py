@@ -52,7 +52,9 @@ def join(
     if left:
         progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
         progress.stage("bringing the target to rest")
-        new, report["detached"] = _held_bodies(plan, bodies.renumbered(origin), i, place)
+        new, report["detached"] = bodies.renumbered(origin), []
+        if place is None:
+            new, report["detached"] = without_detached(plan, new, i + 1, "impact")
         new.target.window(radius)
         report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
         return (new if place else _ready(plan, i, new, origin, kinetic_0, report)), report
@@ -76,7 +78,9 @@ def join(
     report["meshing_s"] = clock.perf_counter() - started
     held = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
     new = bodies.joined(states, plan.adhesion, plan.splat_element_size, origin, ratio, i + 1, held)
-    new, report["detached"] = without_detached(plan, new, i + 1, "impact")
+    report["detached"] = []
+    if place is None:  # on a cut it is not known what is held: see `rest`
+        new, report["detached"] = without_detached(plan, new, i + 1, "impact")
     report |= {
         "bonds": len(new.bond) if new.bond is not None else 0,
         "elements": len(new.target.mesh.conn), "before": _held(new),
@@ -131,13 +135,19 @@ def _ready(plan: Plan, i: int, bodies: Bodies, origin: Point, kinetic_0: float, 
     return bodies
 
 
-def rest(plan: Plan, impacts: range, bodies: Bodies, kinetic_0: float) -> Values:
-    """Let heat flow after a batch of impacts for all the time until the next, and all bodies come to equilibrium. kinetic_0: J, of the
-    last. Returns the report."""
+def rest(plan: Plan, impacts: range, bodies: Bodies, kinetic_0: float, report: Values) -> Bodies:
+    """The bodies after a batch of impacts and all the time until the next: heat has flowed, all is in equilibrium, and splats that are
+    not held have left. kinetic_0: J, of the last; report: of its joining, to which this is added."""
+    bodies, report["detached"] = without_detached(plan, bodies, impacts.stop, "impact")
     time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))
     if time > 0.0 and plan.effects.cooling:
-        return {"cooling": pause(plan, time, bodies, kinetic_0)}
-    return {f"whole_{name}": value for name, value in settle(bodies, kinetic_0, release_time(plan)).items()}
+        report["cooling"] = pause(plan, time, bodies, kinetic_0)
+    else:
+        settled = settle(bodies, kinetic_0, release_time(plan))
+        report |= {f"whole_{name}": value for name, value in settled.items()}
+    bodies, lost = held_at_rest(plan, bodies, impacts.stop, "pause" if time > 0.0 else "rest", kinetic_0)
+    report["detached"] += lost
+    return bodies
 
 
 def cloud_of(domains: Domains) -> Cloud:

@@ -121,7 +121,7 @@ def _links(bodies: Bodies, size: float) -> list[Links]:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
     surfaces, x = bodies.surfaces, bodies.target.x
     boxes, reach = surfaces.boxes(x), NEAR * size
-    before = [neighbours(*boxes, body, reach) for body in range(bodies.count)]
+    before = [tuple(b for b in neighbours(*boxes, body, reach) if b < body) for body in range(bodies.count)]
     contacts = [interface(surfaces, x, body, reach, before[body]) for body in range(1, bodies.count) if before[body]]
     return [Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts if len(c.nodes)]
 

@@ -4,13 +4,10 @@ import hashlib
 import math
 import os
 import time as clock
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-from numba.core import event
 
 from .. import __version__, report
 from ..errors import CheckpointError, ColdsprayError, NoContactError, SolverError, SplatError, is_first_rank
@@ -37,6 +34,7 @@ from .batches import clear, compute, replay, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
+from .log import logged
 from .pause import cool_to_ambient
 from .summary import simulated, summary
 from .task import TaskResult
@@ -231,7 +229,7 @@ class Deposition:
         with (
             parallel.leading(ranks),
             create() if create is not None else Store.reopen(self.folder) as self.store,
-            _logged(options.progress, self.store),
+            logged(options.progress, self.store),
             workers(plan, options, self.folder) as pool,
         ):
             options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
@@ -302,8 +300,15 @@ class Deposition:
         tasks = tasks_of(plan, first, whole, self.folder, self._belongs_to)
         results = compute([task for task, _ in tasks], options, pool)
         for i, result in enumerate(results, first):
-            if isinstance(result, ColdsprayError):
-                self._skip(i, result)
+            error = result if isinstance(result, ColdsprayError) else None
+            if (
+                isinstance(result, TaskResult)
+                and self._may_skip
+                and (text := result.record.values["undecided"]) is not None
+            ):
+                error = SolverError(str(text))
+            if error is not None:
+                self._skip(i, error)
                 clear(self.folder)
                 return whole
         for (task, cut), result in zip(tasks, results, strict=True):
@@ -311,14 +316,17 @@ class Deposition:
             replay(self.store, task, result, whole, simulated(self.records))
             self.records.append(result.record)
             whole = put_back(whole, cut, restored_target(plan, result.bodies))
-            if not result.joined:
+            if self.undecided:
                 return whole
+            if not result.joined:  # the last, whose particle stays one of points
+                left, gone = without_detached(plan, whole, len(self.records), "impact")
+                self.joins += [{"impact": len(self.records), "detached": gone}] if gone else []
+                return left
             joined = {**result.joined, "elements": len(whole.target.mesh.conn), "mass_scaling": result.prepared}
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")
-        self.joins[-1] |= rest(
-            plan, range(first, len(self.records)), whole, self.records[-1].values["kinetic_energy_0_J"]
-        )
+        kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]
+        whole = rest(plan, range(first, len(self.records)), whole, kinetic_0, self.joins[-1])
         if self.records[-1].values["verdict"] != UNDECIDED:
             clear(self.folder)
         return whole
@@ -414,37 +422,6 @@ class Deposition:
         pristine = self._pristine if running is not None else None
         state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall, pristine)
         checkpoint.write(self.folder, state, self._belongs_to)
-
-
-@contextmanager
-def _logged(progress: Progress, store: Store) -> Iterator[None]:
-    """Within it, the run's log file takes what the progress shows, and the error that ends the run; kernels that are compiled are a
-    stage of the progress."""
-    compiling = _Compiling(progress)
-    progress.record = store.log
-    event.register("numba:compile", compiling)
-    try:
-        yield
-    except BaseException as error:
-        progress.record(f"{type(error).__name__}: {error}")
-        raise
-    finally:
-        event.unregister("numba:compile", compiling)
-        progress.stop()
-        progress.record = lambda text: None
-
-
-class _Compiling(event.Listener):
-    """Shows that kernels are compiled, where the cache does not have them."""
-
-    def __init__(self, progress: Progress):
-        self.progress = progress
-
-    def on_start(self, event: event.Event) -> None:
-        self.progress.stage("compiling the kernels, once on this machine")
-
-    def on_end(self, event: event.Event) -> None:
-        pass
 
 
 def cores() -> int:

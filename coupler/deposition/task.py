@@ -39,7 +39,8 @@ class Task:
 @dataclass(frozen=True)
 class TaskResult:
     """bodies: with the splat, at rest; as the impact has left them where it is undecided, or the last and its splat is not asked for:
-    `joined` is empty then. record: of the impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in its files."""
+    `joined` is empty then. record: of the impact; prepared, joined: reports of `mass_scaling.prepare` and of `join`; store: what is in
+    its files."""
 
     bodies: BodiesState
     record: ImpactRecord

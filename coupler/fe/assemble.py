@@ -126,31 +126,19 @@ def only(domain: Domain, kept: np.ndarray) -> tuple[Domain, np.ndarray, np.ndarr
 
     Returns them and the new number of each node (n,) and facet (f,) of before, -1 where it is gone.
     """
-    mesh = domain.mesh
-    elements = kept[domain.body]
-    in_kept = np.zeros(len(mesh.points), bool)
-    in_kept[mesh.conn[elements]] = True
-    facets = elements[mesh.facet_element]
-    body, node, element, facet = (_new_numbers(mask) for mask in (kept, in_kept, elements, facets))
-    sets = {}
-    for name, ids in mesh.sets.items():
-        if not name.startswith(SPLAT):
-            sets[name] = facet[ids]
-        elif kept[number := int(name.removeprefix(SPLAT))]:
-            sets[f"{SPLAT}{body[number]}"] = facet[ids]
-    smaller = TetMesh(
-        points=mesh.points[in_kept], conn=node[mesh.conn[elements]].astype(np.int32), B=mesh.B[elements], V0=mesh.V0[elements],
-        node_volume=mesh.node_volume[in_kept], facets=node[mesh.facets[facets]].astype(np.int32),
-        facet_element=element[mesh.facet_element[facets]].astype(np.int32), sets=sets, reach_node=mesh.reach_node[in_kept],
-        reach_element=mesh.reach_element[elements],
-    )  # fmt: skip
-    states = take(domain.nodes, in_kept), take(domain.elements, elements)
-    return Domain(smaller, *states, body[domain.body[elements]].astype(np.int32), domain.laws[kept]), node, facet
+    part = select(domain, kept[domain.body])
+    return (
+        part.domain,
+        _new_numbers(part.nodes, len(domain.mesh.points)),
+        _new_numbers(part.facets, len(domain.mesh.facets)),
+    )
 
 
-def _new_numbers(kept: np.ndarray) -> np.ndarray:
-    """Number (n,) of each row of a mask among those kept, -1 where it is not."""
-    return np.where(kept, np.cumsum(kept) - 1, -1)
+def _new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
+    """Number (n,) of each of n rows among those kept, -1 where it is not."""
+    number = np.full(n, -1)
+    number[kept] = np.arange(len(kept))
+    return number
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
@@ -179,26 +167,22 @@ def select(domain: Domain, chosen: np.ndarray) -> Selection:
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
     nodes, bodies = np.unique(mesh.conn[elements]), np.unique(body[elements])
 
-    def place(ids: np.ndarray, n: int) -> np.ndarray:
-        number = np.full(n, -1)
-        number[ids] = np.arange(len(ids))
-        return number
-
-    node, element = place(nodes, len(mesh.points)), place(elements, len(mesh.conn))
-    facet, of_body = place(facets, len(mesh.facets)), place(bodies, len(domain.laws))
-    names = {f"splat{b}": of_body[b] for b in range(1, len(domain.laws))}
+    node, element = _new_numbers(nodes, len(mesh.points)), _new_numbers(elements, len(mesh.conn))
+    facet, of_body = _new_numbers(facets, len(mesh.facets)), _new_numbers(bodies, len(domain.laws))
+    names = {f"{SPLAT}{b}": of_body[b] for b in range(1, len(domain.laws))}
     kept = {name: facet[ids][facet[ids] >= 0] for name, ids in mesh.sets.items()}
     conn = node[mesh.conn[elements]]
     faces, behind = boundary_faces(conn)
     own = node[mesh.facets[facets]]
     key = np.sort(np.concatenate([own, faces]), axis=1) @ np.array([len(nodes) ** 2, len(nodes), 1])
     new = ~np.isin(key[len(own) :], key[: len(own)])
-    kept["cut"] = len(own) + np.arange(int(new.sum()))
+    if new.any():
+        kept["cut"] = len(own) + np.arange(int(new.sum()))
     new_mesh = TetMesh(
         points=mesh.points[nodes], conn=conn.astype(np.int32), B=mesh.B[elements], V0=mesh.V0[elements],
         node_volume=mesh.node_volume[nodes], facets=np.concatenate([own, faces[new]]).astype(np.int32),
         facet_element=np.concatenate([element[mesh.facet_element[facets]], behind[new]]).astype(np.int32),
-        sets={(f"splat{names[n]}" if n in names else n): ids for n, ids in kept.items() if names.get(n, 0) >= 0},
+        sets={(f"{SPLAT}{names[n]}" if n in names else n): ids for n, ids in kept.items() if names.get(n, 0) >= 0},
         reach_node=mesh.reach_node[nodes], reach_element=mesh.reach_element[elements],
     )  # fmt: skip
     part = Domain(

@@ -1,0 +1,40 @@
+"""The log file of a run."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from numba.core import event
+
+from ..files.store import Store
+from ..progress import Progress
+
+
+@contextmanager
+def logged(progress: Progress, store: Store) -> Iterator[None]:
+    """Within it, the run's log file takes what the progress shows, and the error that ends the run; kernels that are compiled are a
+    stage of the progress."""
+    compiling = _Compiling(progress)
+    progress.record = store.log
+    event.register("numba:compile", compiling)
+    try:
+        yield
+    except BaseException as error:
+        progress.record(f"{type(error).__name__}: {error}")
+        raise
+    finally:
+        event.unregister("numba:compile", compiling)
+        progress.stop()
+        progress.record = lambda text: None
+
+
+class _Compiling(event.Listener):
+    """Shows that kernels are compiled, where the cache does not have them."""
+
+    def __init__(self, progress: Progress):
+        self.progress = progress
+
+    def on_start(self, event: event.Event) -> None:
+        self.progress.stage("compiling the kernels, once on this machine")
+
+    def on_end(self, event: event.Event) -> None:
+        pass
