@@ -146,7 +146,7 @@ def test_a_good_result_has_no_fault_and_a_splat_of_another_volume_is_found(
 
 COLD_FAULTS: dict[str, tuple[Tamper, str]] = {
     "an inverted element": (field("cold", "Points", inside_out), "cold: an element is inverted"),
-    "warm metal": (field("cold", "CellData/T", lambda T: T + 5.0), "cold: K from ambient"),
+    "warm metal": (field("cold", "CellData/T", lambda T: T + 9.0), "cold: K from ambient"),
     "a splat of another size": (field("cold", "Points", about_centre(1.03)), "against its mass"),
     "a stress above the law": (field("cold", "CellData/von_mises", lambda s: 9.0 * s), "over the law's"),
     "residual stresses": (field("cold", "CellData/stress", lambda s: 1.01 * s), "cold: residual_stress_Pa is"),

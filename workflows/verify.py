@@ -38,7 +38,7 @@ FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and 
 SAME = 1e-3  # figures of the summary against those of the fields
 UNDERSHOOT = 0.005  # of the highest rise of temperature: an error of conduction in distorted linear elements
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
-AMBIENT = 1.0  # K from ambient after the closing stage: what flows as it comes to rest warms
+AMBIENT = 5.0  # K from ambient after the closing stage, of any element: what flows as it comes to rest warms
 DISSIPATION = 0.25  # both schemes together; more needs a warning
 STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
@@ -145,7 +145,7 @@ def thermoelastic_bound(metal: Material, states: list[tuple[Array, Array]], volu
 
 def heat(metal: Material, T_0: Array, T: Array, varies: bool) -> Array:
     """(n,) J/kg from T_0 to T (n,) K: Simpson's rule over c_p(T), which is linear between two temperatures, or constant."""
-    (low, first), (high, last) = metal.cp
+    (low, first), (high, last) = metal.cp[0], metal.cp[-1]  # the same of a metal with one value
     if not varies:
         return first * (T - T_0)
     cp = [np.interp(t, (low, high), (first, last)) for t in (T_0, 0.5 * (T_0 + T), T)]
