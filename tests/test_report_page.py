@@ -347,6 +347,9 @@ def test_many_impacts_fit(finished, tmp_path, count):
     assert f"{count} Ni of 25 µm on SS304 at 500 m/s" in front
     assert "offset (3, -4) µm" in front
     assert "0.551 ± 0.012" in front
+    assert ('<tr class="off"><td>Particle</td>' in front) == (
+        count == 6
+    )  # measures of particle and target have the same names
     with shown(path, tmp_path / "profile") as browser:
         fits(browser, tmp_path)
 

@@ -91,12 +91,13 @@ def several(entries: Sequence[Block], headings: Sequence[str]) -> str:
     """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
     numeric = {key for entry in entries for key, value in entry.items() if isinstance(value, int | float)}
     groups = table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries])
-    rows = [
-        [f"{line.label}, {line.unit}" if line.unit else line.label, *line.cells]
-        for lines in groups.values()
-        for line in lines
-    ]
-    return table(["", *headings], rows, range(1, len(entries) + 1), stack=True) if rows else ""
+    rows: list[list[str]] = []
+    heads = []  # of the groups, in grey
+    for group, lines in groups.items():
+        heads.append(len(rows))
+        rows.append([group.capitalize(), *[""] * len(entries)])
+        rows += [[f"{line.label}, {line.unit}" if line.unit else line.label, *line.cells] for line in lines]
+    return table(["", *headings], rows, range(1, len(entries) + 1), off=heads, stack=True) if rows else ""
 
 
 def each_impact(summary: Summary) -> str:
