@@ -481,10 +481,11 @@ def test_the_distribution_of_the_measures_is_the_result(tmp_path, capsys) -> Non
     for name in drawn.points:
         drawn.write(tmp_path / "out", name)
         v.append(Scene.load(tmp_path / "out" / f"{name}.toml").particle.velocity)
-        pretend(tmp_path / "out", name, flattening_ratio=v[-1] / 1000.0)
+        pretend(tmp_path / "out", name, flattening_ratio=v[-1] / 1000.0, T_mean_K=v[-1])
     assert cli.main(["sweep", str(file), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "24 points: 24 done" in said
+    assert "mean temperature" in said  # values, where bands are those of its rise
     line = next(line.split() for line in said.splitlines() if line.startswith("flattening"))
     assert line[-1] == "+1.00"
     with (tmp_path / "out" / "distribution.csv").open() as stream:

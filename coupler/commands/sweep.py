@@ -113,7 +113,7 @@ def _table(measures: "Sequence[Spread]") -> list[str]:
         low, middle, high = spread.quantiles[0], spread.quantiles[len(spread.quantiles) // 2], spread.quantiles[-1]
         numbers = (spread.values.mean(), spread.values.std(ddof=1), low, middle, high)
         cells.append(
-            (m.short, str(len(spread.values)), *(f"{m.factor * x:.4g}" for x in numbers), m.unit, spread.strongest)
+            (m.label, str(len(spread.values)), *(f"{m.factor * x:.4g}" for x in numbers), m.unit, spread.strongest)
         )
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     return [
