@@ -34,6 +34,14 @@ def test_rest_needs_a_turn_and_a_silent_contact():
     assert ending.undecided(36e-9, -30.0) is None
 
 
+def test_a_particle_that_glances_off_a_flank_has_left():
+    """It still sinks, slowly, and touches nothing; one that falls on towards the next splat, or still touches, has not."""
+    for sinking, force, met in ((9.0, 0.0, True), (11.0, 0.0, False), (9.0, 1.0, False)):
+        ending = observed(EndCriterion(200e-9, "rest", 50e-9, 500.0, 2.5), (10, 300.0, 3.0), (20, sinking, 3.0))
+        observed(ending, *((time, sinking, force) for time in range(21, 60)))
+        assert ending.met(59e-9) == met
+
+
 def test_a_bonded_particle_is_at_rest_when_it_swings_little_for_a_period():
     """2 % of 500 m/s for half of D / v = 50 ns; one that is not bonded, or may come off, needs a silent contact."""
     swings = [(30, -20.0, 2.0), (40, 9.0, -1.0), (50, -8.0, 1.0), (56, 7.0, -1.0)]

@@ -32,7 +32,8 @@ class EndState:
 class EndCriterion:
     """Decides when an impact has reached its greatest deformation and when it is over.
 
-    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`. Over: at "rest", the contact force
+    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`, or than HELD_STILL of the impact speed
+    with a contact that has been silent for `held_quiet` s: it has glanced off the flank of a splat. Over: at "rest", the contact force
     has then stayed below QUIET_FORCE of its peak for `quiet` seconds (the particle has left, or rests); at "greatest", at once; at
     "time", and in any case, at end_time. A particle that has slid over the rim of the target has left it: no criterion is met.
     """
@@ -49,7 +50,10 @@ class EndCriterion:
         whether its centre is above the target."""
         s = self._state
         s = replace(s, peak=max(s.peak, force))
-        if s.turned is None and s.peak > 0.0 and sinking <= self.slow:
+        glanced_off = (
+            time - s.loud > self.held_quiet and abs(force) <= QUIET_FORCE * s.peak and sinking <= self.held_slow
+        )
+        if s.turned is None and s.peak > 0.0 and (sinking <= self.slow or glanced_off):
             s = replace(s, turned=time)
         if s.turned is not None and sinking < 0.0:
             s = replace(s, risen=True)
