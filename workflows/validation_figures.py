@@ -143,7 +143,7 @@ def draw_trends(rows: Sequence[Row], path: Path) -> None:
     x, y = (column(runs["similar"], name) for name in ("diameter_um", "flattening_end"))
     handle = axes[0, 0].plot(x, y, "x", color=GREY, ms=7, mew=1.6, label="target in proportion")
     axes[1, 0].legend(fontsize=8, loc="center right")
-    axes[0, 0].legend(handles=handle, fontsize=8, loc="center left", bbox_to_anchor=(0.0, 0.67), frameon=False)
+    axes[0, 0].legend(handles=handle, fontsize=8, loc="lower left", frameon=False)
     for down, (label, _, words, room) in enumerate(kinds.values()):
         axes[down, 0].set_ylabel(label)
         axes[down, 2].text(0.98, 0.03, words, transform=axes[down, 2].transAxes, ha="right", fontsize=8)
