@@ -10,6 +10,7 @@ QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
 # A bonded particle swings on its bonds: it is at rest when it has swung more slowly than this part of the impact speed ...
 HELD_STILL = 0.02
 HELD_TIME = 0.5  # ... for this part of D / v, about a period
+GLANCING = 0.1  # of the impact speed: a particle that touches nothing and sinks more slowly deforms and bonds no more
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class EndState:
 class EndCriterion:
     """Decides when an impact has reached its greatest deformation and when it is over.
 
-    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`, or than HELD_STILL of the impact speed
+    Greatest deformation: the centre of mass stops sinking, or sinks more slowly than `slow`, or than GLANCING of the impact speed
     with a contact that has been silent for `held_quiet` s: it has glanced off the flank of a splat. Over: at "rest", the contact force
     has then stayed below QUIET_FORCE of its peak for `quiet` seconds (the particle has left, or rests); at "greatest", at once; at
     "time", and in any case, at end_time. A particle that has slid over the rim of the target has left it: no criterion is met.
@@ -42,6 +43,7 @@ class EndCriterion:
         """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"."""
         self.end_time, self.at, self.slow = end_time, at, slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
+        self.glancing = GLANCING * speed
         self._state = EndState()
 
     def observe(self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True) -> None:
@@ -51,7 +53,7 @@ class EndCriterion:
         s = self._state
         s = replace(s, peak=max(s.peak, force))
         glanced_off = (
-            time - s.loud > self.held_quiet and abs(force) <= QUIET_FORCE * s.peak and sinking <= self.held_slow
+            time - s.loud > self.held_quiet and abs(force) <= QUIET_FORCE * s.peak and sinking <= self.glancing
         )
         if s.turned is None and s.peak > 0.0 and (sinking <= self.slow or glanced_off):
             s = replace(s, turned=time)
