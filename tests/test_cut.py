@@ -8,7 +8,7 @@ import scenes
 from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
 from test_sequence import block, substrate
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.run import resume
 from coupler.impact.bodies import Bodies
@@ -78,17 +78,12 @@ def test_batches_lie_apart_and_keep_the_order_of_arrival(offsets: tuple[int, ...
     assert [i for r in ranges for i in r] == [0, 1, 2]
 
 
-def test_two_processes_make_the_same_coating(shared_run: SharedRuns, tmp_path: Path) -> None:
-    one = shared_run(SIDE)
-    assert [join["bodies"] for join in one.summary["joins"]] == [1, 1]
-    two = run(Scene.from_text(SIDE, "shared"), tmp_path / "two", jobs=2)
-    assert_same_numbers(one.summary, two.summary, rel=0.0)
-    assert_same_files(one, two)
-
-
-def test_a_batch_goes_on_where_it_was_broken_off(shared_run: SharedRuns, tmp_path: Path) -> None:
-    """In its first impact; the rest by two processes."""
+def test_one_process_and_two_make_the_same_coating_over_a_stop(shared_run: SharedRuns, tmp_path: Path) -> None:
+    """Broken off in the first impact of a batch; then two processes, one of which goes on with it: equal to the last bit."""
+    whole = shared_run(SIDE)
+    assert [join["bodies"] for join in whole.summary["joins"]] == [1, 1]
     break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9)
+    assert [path.name for path in (tmp_path / "out" / "impacts").iterdir()] == ["00001"]
     result = resume(tmp_path / "out", jobs=2)
-    assert_same_numbers(shared_run(SIDE).summary, result.summary, rel=0.0)
-    assert_same_files(shared_run(SIDE), result)
+    assert_same_numbers(whole.summary, result.summary, rel=0.0)
+    assert_same_files(whole, result)

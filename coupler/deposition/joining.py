@@ -143,8 +143,8 @@ def rest(plan: Plan, impacts: range, bodies: Bodies, kinetic_0: float, report: V
     if time > 0.0 and plan.effects.cooling:
         report["cooling"] = pause(plan, time, bodies, kinetic_0)
     else:
-        settled = settle(bodies, kinetic_0, release_time(plan))
-        report |= {f"whole_{name}": value for name, value in settled.items()}
+        settled = settle(bodies, kinetic_0, 0.0)
+        report |= {f"whole_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
     bodies, lost = held_at_rest(plan, bodies, impacts.stop, "pause" if time > 0.0 else "rest", kinetic_0)
     report["detached"] += lost
     return bodies
