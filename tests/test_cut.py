@@ -10,8 +10,13 @@ from test_sequence import block, substrate
 
 from coupler import Scene
 from coupler.deposition.cut import cut_out, put_back
+from coupler.deposition.joining import point_of_impact
+from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.run import resume
 from coupler.impact.bodies import Bodies
+from coupler.impact.domains import build_domains, build_target
+from coupler.impact.exchange import Impact
+from coupler.impact.loop import advance_window
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -76,6 +81,28 @@ def test_batches_lie_apart_and_keep_the_order_of_arrival(offsets: tuple[int, ...
     ranges = batches(plan(Scene.from_text(three(*offsets), "x")).impacts)
     assert [len(r) for r in ranges] == sizes
     assert [i for r in ranges for i in r] == [0, 1, 2]
+
+
+def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
+    """With the same window, to the last bit."""
+    planned = plan(Scene.from_text(SIDE, "x"))
+    whole = build_target(planned).renumbered((0.0, 0.0, 0.0))
+    place = point_of_impact(whole, planned.impacts[0].offset)
+    positions = []
+    for bodies in (whole.renumbered(place), cut_out(whole, place, planned.impacts[0].window)[0]):
+        prepare(planned, 0, bodies)
+        domains = build_domains(planned, 0, bodies)
+        impact = Impact(domains)
+        try:
+            for _ in range(6):
+                advance_window(impact)
+            assert impact.force[2] != 0.0
+            positions.append((np.array(domains.particle.x), bodies.target.x[: bodies.target.active_nodes].copy()))
+        finally:
+            impact.close()
+            domains.particle.close()
+    for on_whole, on_cut in zip(*positions, strict=True):
+        np.testing.assert_array_equal(on_cut, on_whole)
 
 
 def test_one_process_and_two_make_the_same_coating_over_a_stop(shared_run: SharedRuns, tmp_path: Path) -> None:

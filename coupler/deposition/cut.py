@@ -43,10 +43,10 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     conn, x = t.mesh.conn, t.x
     reach = np.linalg.norm(x - np.asarray(place), axis=1)[conn].min(axis=1)
     inside = reach < radius
-    # an element, a bond or a contact that has a node inside has all others within the rim
-    near = conn[reach < 1.5 * radius]
+    # an element, a bond or a contact that has a node inside has all others within the rim; elements grow outwards
+    near = conn[inside]
     rim = max(float(np.linalg.norm(x[near[:, a]] - x[near[:, b]], axis=1).max()) for a in range(4) for b in range(a))
-    chosen = reach < radius + rim
+    chosen = reach < radius + 1.5 * rim
     splats = np.unique(whole.body[chosen])
     chosen |= np.isin(whole.body, splats[splats > 0])  # the stiffness of a splat's contact is that of its whole surface
     chosen = _without_pinches(conn, chosen)
