@@ -110,9 +110,7 @@ def critical_page(lines: list[dict[str, object]]) -> list[str]:
     """Critical velocities as a table."""
 
     def words(r: dict[str, object]) -> object:
-        none = (
-            f"none, rebounds up to {r['rebounds_to_m_s']}" if r["rebounds_to_m_s"] else f"below {r['sticks_from_m_s']}"
-        )
+        none = f"none up to {r['rebounds_to_m_s']:g}" if r["rebounds_to_m_s"] else f"at most {r['sticks_from_m_s']:g}"
         return r["critical_m_s"] or none
 
     rows = [
