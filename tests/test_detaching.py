@@ -11,7 +11,7 @@ from test_sequence import assert_goes_on, block, substrate
 from coupler import Result, Scene
 from coupler.deposition import detaching
 from coupler.impact.bodies import Bodies
-from coupler.physics.adhesion import Adhesion, Kind
+from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import Plan, plan
@@ -108,13 +108,23 @@ def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) 
     np.testing.assert_array_equal(again.impact, left.impact)
 
 
-@pytest.mark.parametrize("kind", ["tied", "none"])
-def test_only_bonds_that_can_break_are_judged(column: Bodies, planned: Plan, kind: Kind) -> None:
+def test_without_adhesion_splats_lie_where_they_are(column: Bodies, planned: Plan) -> None:
     part(column, 1)
-    other = replace(planned, adhesion=Adhesion(kind))
+    other = replace(planned, adhesion=Adhesion("none"))
     same, records = detaching.without_detached(other, column, 5, "rest")
     assert same is column
     assert records == []
+
+
+def test_a_tied_particle_that_has_glanced_off_leaves(column: Bodies, planned: Plan) -> None:
+    """It lies 20 um beside the column and has no bond; what is tied stays."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    tied = replace(planned, adhesion=Adhesion("tied"))
+    assert detaching.without_detached(tied, column, 4, "rest")[0] is column
+    beside = column.joined([block((30e-6, 0.0, 5e-6), 0.0, 1.0, law)], Adhesion("tied"), SIZE, ORIGIN, 1.0, 5)
+    left, records = detaching.without_detached(tied, beside, 5, "rest")
+    assert [r["splat"] for r in records] == [5]
+    np.testing.assert_array_equal(left.impact, [0, 1, 2, 4])
 
 
 @pytest.fixture

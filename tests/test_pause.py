@@ -54,7 +54,7 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
 def planned(metal: Material, base: Material) -> Any:
     impact = SimpleNamespace(material=metal, temperature=CAME, diameter=25e-6)
     target = SimpleNamespace(material=base, temperature=AMBIENT)
-    return SimpleNamespace(ambient=AMBIENT, impacts=[impact], target=target, adhesion=Adhesion("tied"))
+    return SimpleNamespace(ambient=AMBIENT, impacts=[impact], target=target, adhesion=Adhesion("none"))
 
 
 def stiff(metal: Material, alpha: float) -> Material:

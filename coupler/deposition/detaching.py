@@ -1,8 +1,8 @@
 """Mass that is lost later: splats whose bonds have broken leave the coating.
 
 A splat is held where a path of unbroken bonds leads from it to the substrate (`Bodies.held`). One that is not held, after an impact,
-at rest or in the closing stage, leaves with its state: in the spray nothing keeps it. Only bonds that can break are judged: with kind
-"tied" nothing comes off, with "none" splats lie where they are.
+at rest or in the closing stage, leaves with its state: in the spray nothing keeps it. With kind "tied" nothing comes off, and only a
+particle that has glanced off without a bond leaves; with "none" splats lie where they are.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
     number: of the last impact; stage: in which their bonds have broken. A record: splat and by_impact (numbers of impacts), stage,
     bodies and mass_kg that leave, their velocity_z_m_s, the reason. What is left is not in equilibrium.
     """
-    if plan.adhesion.kind != "cohesive" or (held := bodies.held()).all():
+    if plan.adhesion.kind == "none" or (held := bodies.held()).all():
         return bodies, []
     t = bodies.target
     mass = t.laws["rho"][t.law_of] * t.mesh.V0
