@@ -223,7 +223,7 @@ class Deposition:
         plan, options, ranks = self.plan, self.options, self.options.ranks
         if not ranks.is_root:
             parallel.follow(
-                ranks, lambda i, place: build_particle(plan, i, place, ranks, options.numerics, options.log_file)
+                ranks, lambda i, place, numerics: build_particle(plan, i, place, ranks, numerics, options.log_file)
             )
             return Result(self.folder)
         with (

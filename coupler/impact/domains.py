@@ -102,7 +102,7 @@ def build_domains(
             else 0.0
         )
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
-    parallel.begin_impact(ranks, i, place)
+    parallel.begin_impact(ranks, i, place, numerics or {})
     local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
     particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)

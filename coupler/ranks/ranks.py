@@ -12,7 +12,7 @@ import signal
 import sys
 import time as clock
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
@@ -89,10 +89,13 @@ class RemoteFailure(SolverError):
     """A step was given up because another rank failed."""
 
 
-def begin_impact(ranks: Ranks, i: int, place: np.ndarray) -> None:
-    """On the root rank: have the others build their parts of the particle of impact i, its centre at place (3,) m, too."""
+def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str, float]) -> None:
+    """On the root rank: have the others build their parts of the particle of impact i, its centre at place (3,) m, too.
+
+    numerics: of `sph.particle.Numerics`, which a retry changes: all ranks compute by the same.
+    """
     if ranks.size > 1:
-        ranks.comm.bcast(("impact", (i, place), None), root=ranks.root)
+        ranks.comm.bcast(("impact", (i, place, dict(numerics)), None), root=ranks.root)
 
 
 @contextmanager
@@ -117,10 +120,10 @@ def leading(ranks: Ranks) -> Iterator[None]:
             ranks.comm.bcast(("end", (ended,), None), root=ranks.root)
 
 
-def follow(ranks: Ranks, build: Callable[[int, np.ndarray], Particle]) -> None:
+def follow(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
     """What a rank without the target does: build its part of each particle and do as the root asks until it is dismissed.
 
-    build(i, place): this rank's part of the particle of impact i.
+    build(i, place, numerics): this rank's part of the particle of impact i.
 
     Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
     """
