@@ -121,6 +121,14 @@ def test_the_schema_finds_mistakes(wrong: dict[str, object]) -> None:
     assert not CHECKER(schema).is_valid({**right, **wrong})
 
 
+def test_the_schema_marks_the_wrong_key_alone() -> None:
+    """Not its table, as an editor would with `anyOf` over one particle and several."""
+    wrong = {"material": "Ni", "diameter": "25 m/s"}
+    for particle, path in ((wrong, ["particle", "diameter"]), ([wrong], ["particle", 0, "diameter"])):
+        scene = {"particle": particle, "substrate": {"material": "Al"}}
+        assert [list(error.path) for error in CHECKER(json.loads(new._schema())).iter_errors(scene)] == [path]
+
+
 def test_the_stored_schema_is_that_of_the_models() -> None:
     assert (WORKFLOWS / new.SCHEMA).read_text() == new._schema(), "coldspray schema --out workflows/scene.schema.json"
 

@@ -18,8 +18,7 @@ def scene_schema() -> dict[str, Any]:
     whole = SceneData.model_json_schema(ref_template="#/definitions/{model}")
     schema: dict[str, Any] = {"$schema": DRAFT, "title": "a scene of coldspray", "description": ""} | _draft_4(whole)
     properties, tables = schema["properties"], schema["definitions"]
-    particle = {"$ref": "#/definitions/Particle"}
-    properties["particle"] = {"anyOf": [particle, {"type": "array", "items": particle}]}
+    properties["particle"] = {}
     names = [sign + name for sign in ("", "+", "-") for name in NAMES]
     properties["effects"] = {
         "anyOf": [{"enum": [*WHOLE]}, {"type": "array", "items": {"enum": ["auto", "all", "none", *names]}}]
@@ -34,7 +33,12 @@ def scene_schema() -> dict[str, Any]:
             _described(f"{name}.{key}", of_key)
     # [coating] takes the place of the particles, [gas] gives their velocities
     schema["required"] = ["substrate"]
-    tables["Particle"]["required"].remove("velocity")
+    table = tables["Particle"]
+    table["required"].remove("velocity")
+    # the table itself beside its array, without anyOf: an editor then marks the wrong key alone
+    properties["particle"] |= {key: table[key] for key in ("properties", "required", "additionalProperties")} | {
+        "type": ["object", "array"], "minItems": 1, "items": {"$ref": "#/definitions/Particle"},
+    }  # fmt: skip
     return schema
 
 
