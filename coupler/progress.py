@@ -1,5 +1,6 @@
 """How far a command has come: a bar on a terminal, a line every few seconds elsewhere."""
 
+import math
 import sys
 import threading
 import time
@@ -14,6 +15,7 @@ _BAR_EVERY = 0.1  # s of wall time between two drawings of the bar
 _LINE_EVERY = 5.0  # between two log lines
 _FIRST_LINE = 0.5  # after the start
 _STAGE_AFTER = 2.0  # a stage that takes longer is shown where there is no terminal
+_TELLS_AFTER = 1.0  # s of wall time in the time loop, from which on time to go is told
 _OVERDUE = 0.1  # of the time that an impact has taken: at least so much is left, until it ends
 
 
@@ -21,24 +23,27 @@ class Progress:
     """Shows the stage of a command; of an impact simulated time, kinetic energy left, dt and time to go.
 
     An update costs little and may come at every step. stream: where it goes, standard error by default. quiet: show nothing.
-    `time` is the simulated time reached, over all impacts, s; nan before the first update. `record` takes every line too: a run
-    sets it to its log file.
+    `time` is the simulated time reached, over all impacts, s; nan before the first update. `compiling`: wall time that went into
+    the compilation of kernels, s, which time to go leaves out. `record` takes every line too: a run sets it to its log file.
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
         self.quiet = quiet
         self.stream = stream if stream is not None else sys.stderr
-        self.time = float("nan")
+        self.time, self.compiling = float("nan"), 0.0
         self.record: Callable[[str], None] = lambda text: None
         self._impact = ""
         self._before, self._expected, self._limit = 0.0, float("nan"), float("inf")  # s, simulated
+        self._dt_expected, self._dt_first = float("inf"), 0.0
         self._done, self._share = 0.0, 1.0  # parts of the whole: of the impacts before, and of this one
         self._running = False
         self._state = (float("nan"), float("nan"), 0)  # kinetic fraction, dt, step
         self._shown: tuple[float, int] | None = None  # simulated time and step that were shown last
         self._stage: tuple[str, float] | None = None  # and when it began
         self._bar: Bar | None = None
-        self._first: tuple[float, float] | None = None  # wall clock and share done at the first update
+        self._first: tuple[float, float] | None = (
+            None  # wall time without compilation and share done at the first update
+        )
         self._next = 0.0
         self._ticker: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -50,22 +55,25 @@ class Progress:
         i: int = 0,
         before: float = 0.0,
         shares: Sequence[tuple[float, float]] = ((0.0, 1.0),),
+        dt_expected: float = float("inf"),
     ) -> None:
         """Begin impact i. expected, limit: its expected and longest simulated time, s; before: that of the impacts before it, s;
-        shares: of each impact, the part of the expected wall time before it and its own."""
+        shares: of each impact, the part of the expected wall time before it and its own; dt_expected: its mean time step, s."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
         self._done, self._share = shares[i]
+        self._dt_expected, self._dt_first = dt_expected, 0.0
         self.time, self._running = before if i else float("nan"), True
         self._open()
 
     def update(self, time_: float, kinetic_fraction: float, dt: float, step: int) -> None:
         """Report the state of the impact. time_, dt: s, simulated; kinetic_fraction: of the initial kinetic energy."""
         self.time, self._stage = self._before + time_, None
+        self._dt_first = max(self._dt_first, dt)
         self._state = (kinetic_fraction, dt, step)
         now = time.monotonic()
-        if self._first is None:  # time to go is counted from here, without compilation and meshing
-            self._first = (now, self._fraction())
+        if self._first is None:  # time to go is counted from here, without meshing
+            self._first = (now - self.compiling, self._fraction())
         if now >= self._next:
             self._show_state(now)
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
@@ -121,17 +129,27 @@ class Progress:
         """The state as text. now: time.monotonic()."""
         kinetic, dt, step = self._state
         text = f"{self._impact}{self.time * 1e9:.1f} ns  kinetic energy left {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
+        left = self.time_to_go(now)
+        return text if math.isnan(left) else f"{text}  about {left:.0f} s to go"
+
+    def time_to_go(self, now: float) -> float:
+        """Wall time that is left, s; nan as long as too little is done to tell. now: time.monotonic()."""
         begun, at_first = self._first or (now, 0.0)
-        done = self._fraction()
-        if now - begun > 1.0 and done > at_first:
-            text += f"  about {(now - begun) * (1.0 - done) / (done - at_first):.0f} s to go"
-        return text
+        spent, done = now - self.compiling - begun, self._fraction()
+        return spent * (1.0 - done) / (done - at_first) if spent > _TELLS_AFTER and done > at_first else math.nan
 
     def _fraction(self) -> float:
-        """The part of all impacts that is done. An impact that takes longer than expected has a tenth of its time left."""
-        gone = self.time - self._before
+        """The part of all steps of all impacts that is done, as their expected wall time goes.
+
+        An impact that takes longer than expected has a tenth of its time left. 1 / dt rises about as kinetic energy is converted:
+        the mean over the rest of the impact is that of now, and of what is left of the energy that part by which the expected mean
+        of the impact lies above the first.
+        """
+        gone, (kinetic, dt, step) = self.time - self._before, self._state
         left = max(self._expected - gone, min(_OVERDUE * gone, self._limit - gone), 0.0)
-        return self._done + self._share * (gone / (gone + left) if gone > 0.0 else 0.0)
+        rise = max(1.0 / self._dt_expected - 1.0 / self._dt_first, 0.0)
+        steps_left = left * (1.0 / dt + min(kinetic, 1.0) * rise)
+        return self._done + self._share * (step / (step + steps_left) if gone > 0.0 else 0.0)
 
     def _open(self) -> None:
         """The bar, on a terminal."""

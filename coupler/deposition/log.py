@@ -27,14 +27,18 @@ def logged(progress: Progress, store: Store) -> Iterator[None]:
         progress.record = lambda text: None
 
 
-class _Compiling(event.Listener):
-    """Shows that kernels are compiled, where the cache does not have them."""
+class _Compiling(event.TimingListener):
+    """Shows that kernels are compiled, where the cache does not have them, and how long that took."""
 
     def __init__(self, progress: Progress):
+        super().__init__()
         self.progress = progress
 
     def on_start(self, event: event.Event) -> None:
         self.progress.stage("compiling the kernels, once on this machine")
+        super().on_start(event)
 
     def on_end(self, event: event.Event) -> None:
-        pass
+        super().on_end(event)
+        if self.done:
+            self.progress.compiling = self.duration

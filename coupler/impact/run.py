@@ -104,7 +104,7 @@ def run_impact(
     with StopSignals() as signals:
         while True:
             level = None if state is None else state.level
-            options.progress.start(p.expected, p.end_time, i, before, plan.shares)
+            options.progress.start(p.expected, p.end_time, i, before, plan.shares, p.dt_expected)
             options.progress.stage("building the particle")
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
             impact = Impact(domains, options.threads)

@@ -150,7 +150,8 @@ class Plan:
 
     @property
     def shares(self) -> tuple[tuple[float, float], ...]:
-        """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it."""
+        """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it. The whole
+        includes the files and pictures at the end."""
         elements = _met([each.splat_elements for each in self.impacts], self.target.elements_estimate)
         after = estimates.between_impacts(
             elements, [each.splat_elements for each in self.impacts], self.effects.cooling, self.ambient is not None
@@ -160,7 +161,8 @@ class Plan:
             steps = impact.expected / impact.dt_expected
             own.append(estimates.step_time(steps, met) + estimates.point_time(steps, impact.points, self.engine))
         ends = list(itertools.accumulate(a + b for a, b in zip(own, after, strict=True)))
-        return tuple((begin / ends[-1], time / ends[-1]) for begin, time in zip([0.0, *ends], own, strict=False))
+        whole = ends[-1] + estimates.SECONDS_PER_RUN
+        return tuple((begin / whole, time / whole) for begin, time in zip([0.0, *ends], own, strict=False))
 
     @property
     def impact(self) -> ImpactPlan:
