@@ -41,9 +41,10 @@ class Progress:
         self._shown: tuple[float, int] | None = None  # simulated time and step that were shown last
         self._stage: tuple[str, float] | None = None  # and when it began
         self._bar: Bar | None = None
-        self._first: tuple[float, float] | None = (
-            None  # wall time without compilation and share done at the first update
-        )
+        # clock without compilation, and part done, at the first update of an impact; clock at the last one
+        self._first: tuple[float, float] | None = None
+        self._clock = 0.0
+        self._looped, self._part = 0.0, 0.0  # wall time of the loops of the impacts before, and their part of the whole
         self._next = 0.0
         self._ticker: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -61,6 +62,13 @@ class Progress:
         shares: of each impact, the part of the expected wall time before it and its own; dt_expected: its mean time step, s."""
         self._impact = f"impact {i + 1} of {len(shares)}  " if len(shares) > 1 else ""
         self._before, self._expected, self._limit = before, expected, limit
+        if self._first is not None and shares[i] != (
+            self._done,
+            self._share,
+        ):  # else begun again: the failed attempt tells nothing
+            self._looped += self._clock - self._first[0]
+            self._part += self._done + self._share - self._first[1]
+        self._first = None
         self._done, self._share = shares[i]
         self._dt_expected, self._dt_first = dt_expected, 0.0
         self.time, self._running = before if i else float("nan"), True
@@ -72,15 +80,16 @@ class Progress:
         self._dt_first = max(self._dt_first, dt)
         self._state = (kinetic_fraction, dt, step)
         now = time.monotonic()
-        if self._first is None:  # time to go is counted from here, without meshing
-            self._first = (now - self.compiling, self._fraction())
+        self._clock = now - self.compiling
+        self._first = self._first or (self._clock, self._fraction())
         if now >= self._next:
             self._show_state(now)
             self._next = now + (_BAR_EVERY if self._bar else _LINE_EVERY)
 
-    def stage(self, text: str, of_impact: bool = True) -> None:
+    def stage(self, text: str, of_impact: bool = True, done: float | None = None) -> None:
         """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
-        is begun again. of_impact: it belongs to the impact that was started last."""
+        is begun again. of_impact: it belongs to the impact that was started last; done: part of the whole that lies before it."""
+        self._done = self._done if done is None else done
         if self._stage is not None and self._stage[0] == text:
             return
         self._show_last()
@@ -133,10 +142,14 @@ class Progress:
         return text if math.isnan(left) else f"{text}  about {left:.0f} s to go"
 
     def time_to_go(self, now: float) -> float:
-        """Wall time that is left, s; nan as long as too little is done to tell. now: time.monotonic()."""
-        begun, at_first = self._first or (now, 0.0)
-        spent, done = now - self.compiling - begun, self._fraction()
-        return spent * (1.0 - done) / (done - at_first) if spent > _TELLS_AFTER and done > at_first else math.nan
+        """Wall time that is left, s; nan as long as too little is done to tell. now: time.monotonic().
+
+        The pace is that of the time loops alone: between impacts the forecast knows less, as it takes each particle for a splat.
+        """
+        begun, at_first = self._first or (math.inf, 0.0)
+        done = self._fraction()
+        spent, part = self._looped + now - self.compiling - begun, self._part + done - at_first
+        return spent * (1.0 - done) / part if spent > _TELLS_AFTER and part > 0.0 else math.nan
 
     def _fraction(self) -> float:
         """The part of all steps of all impacts that is done, as their expected wall time goes.
@@ -146,10 +159,12 @@ class Progress:
         of the impact lies above the first.
         """
         gone, (kinetic, dt, step) = self.time - self._before, self._state
+        if not gone > 0.0:
+            return self._done
         left = max(self._expected - gone, min(_OVERDUE * gone, self._limit - gone), 0.0)
         rise = max(1.0 / self._dt_expected - 1.0 / self._dt_first, 0.0)
         steps_left = left * (1.0 / dt + min(kinetic, 1.0) * rise)
-        return self._done + self._share * (step / (step + steps_left) if gone > 0.0 else 0.0)
+        return self._done + self._share * step / (step + steps_left)
 
     def _open(self) -> None:
         """The bar, on a terminal."""

@@ -1,4 +1,5 @@
 import io
+import math
 import re
 import subprocess
 import sys
@@ -208,6 +209,41 @@ def test_progress_goes_on_over_impacts_and_time_to_go_does_not_end_before_them(m
     assert any("impact 2 of 2  120.0 ns" in line for line in recorded)
     assert "impact 1 of 2  joining" in recorded
     assert set(stream.getvalue().splitlines()) <= set(recorded)
+
+
+@pytest.mark.parametrize("slower", [2.0, 7.0])
+def test_time_to_go_follows_the_steps_that_are_left_while_dt_falls(monkeypatch, slower):
+    """1 / dt rises with the converted kinetic energy, as it does in impacts; 5 s of compilation on the way do not count."""
+    now, first, last = [0.0], 200e-12, 200e-12 / slower
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    rest, states, time, step = 50e-9, [], 0.0, 0
+    while time < rest:
+        kinetic = math.cos(0.5 * math.pi * min(time / (0.8 * rest), 1.0)) ** 2
+        dt = 1.0 / (1.0 / first + (1.0 - kinetic) * (1.0 / last - 1.0 / first))
+        time, step = time + dt, step + 1
+        states.append((time, kinetic, dt, step))
+    progress, begun = Progress(quiet=True), 0.0
+    progress.start(rest, 3 * rest, dt_expected=rest / step)
+    for state in states:
+        now[0] += 0.05
+        if state[3] == step // 2:
+            now[0], begun, progress.compiling = now[0] + 5.0, 5.0, 5.0
+        progress.update(*state)
+        gone, to_go = now[0] - begun, progress.time_to_go(now[0])
+        if gone > 0.2 * 0.05 * step:
+            assert 0.9 < (gone + to_go) / (0.05 * step) < 1.2
+
+
+def test_an_attempt_that_failed_does_not_count_for_time_to_go(monkeypatch):
+    """8 s for most of an impact that is then done anew in 10 s."""
+    now, progress = [0.0], Progress(quiet=True)
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    for steps in (80, 50):
+        progress.start(100e-9, dt_expected=1e-9)
+        for step in range(1, steps + 1):
+            now[0] += 0.1
+            progress.update(step * 1e-9, 0.5, 1e-9, step)
+    assert progress.time_to_go(now[0]) == pytest.approx(5.0)
 
 
 def test_a_state_is_printed_once(monkeypatch):

@@ -6,7 +6,9 @@ import re
 import runpy
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -123,8 +125,9 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
             Sweep.from_dict(data)
 
 
-def test_a_sweep_marks_what_fails_and_keeps_what_is_done(tmp_path) -> None:
-    """One point finished before, one that the program refuses (hotter than its metal stands): a real `coldspray run`."""
+def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(tmp_path, monkeypatch, capsys) -> None:
+    """One point finished before, one that the program refuses: hotter than its metal stands."""
+    monkeypatch.setattr(point_runs, "compute", lambda scene, status: pytest.fail(f"{scene.name} was run"))
     two = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"], temperature=["300 K", "1700 K"]))
     good, bad = two.points
     assert list(two.refused) == [bad]
@@ -137,8 +140,35 @@ def test_a_sweep_marks_what_fails_and_keeps_what_is_done(tmp_path) -> None:
     assert "must stay below 0.95 of the melting point of Ni" in rows[bad]["reason"]
     assert (rows[bad]["velocity_m_s"], rows[bad]["temperature_K"]) == (400.0, 1700.0)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"1/2 {bad}: failed: ")
+    assert said[1:] == ["1 of 2 points have ended before"]
     two.run(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")} == times
+
+
+def test_a_point_that_was_refused_before_is_run_when_it_no_longer_is(tmp_path, monkeypatch) -> None:
+    def end(scene: Path, status: Path) -> dict[str, object]:
+        status.write_text(json.dumps(ended := {"status": "done", "reason": "", "exit_code": 0}))
+        return ended
+
+    monkeypatch.setattr(point_runs, "compute", end)
+    few = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"]))
+    (name,) = few.points
+    scene = few.write(tmp_path, name)
+    scene.with_suffix(".json").write_text(json.dumps({"status": "failed", "reason": "", "exit_code": 2}))
+    few.run(tmp_path)
+    assert json.loads(scene.with_suffix(".json").read_text())["status"] == "done"
+
+
+def test_time_to_go_of_a_sweep_is_that_of_the_points_that_are_left(tmp_path, monkeypatch) -> None:
+    """Three points of 40 s each."""
+    done = {"status": "done", "reason": "", "exit_code": 0}
+    monkeypatch.setattr(point_runs, "run_point", lambda *_: done)
+    monkeypatch.setattr(point_runs, "time", SimpleNamespace(monotonic=iter([0.0, 40.0, 80.0, 120.0]).__next__))
+    said: list[str] = []
+    point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), ThreadPoolExecutor(1), said.append)
+    assert [line.partition("; ")[2] for line in said] == ["about 80 s to go", "about 40 s to go", ""]
 
 
 @pytest.mark.parametrize(("number", "verdict"), [("TERM", None), ("INT", None), ("KILL", "killed by SIGKILL")])

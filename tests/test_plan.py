@@ -112,8 +112,9 @@ def test_what_lies_between_impacts_costs_time():
         between = estimates.between_impacts((E, E + splat), (splat, splat), cooled, closed)
         assert made.cost.rest == pytest.approx(estimates.run_time(E) + sum(between))
         (first, own), (second, last) = made.shares
-        whole = made.cost.steps + made.cost.points + sum(between)
-        assert (first, second + last + between[1] / whole) == (0.0, pytest.approx(1.0, rel=0.01))
+        whole = made.cost.steps + made.cost.points + sum(between) + estimates.SECONDS_PER_RUN
+        end = second + last + (between[1] + estimates.SECONDS_PER_RUN) / whole
+        assert (first, end) == (0.0, pytest.approx(1.0, rel=0.01))
         assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
         assert (between[1] > 0.0) == closed
         assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if cooled else 0.0)

@@ -107,11 +107,11 @@ def add_verbose(option: Option, text: str) -> None:
 
 
 @contextmanager
-def working(text: str) -> "Iterator[Progress]":
-    """Within it, the user sees that something goes on, and for how long. text: what."""
+def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
+    """Within it, the user sees that something goes on, and for how long. text: what; quiet: nothing is seen."""
     from ..progress import Progress
 
-    with Progress() as progress:
+    with Progress(quiet) as progress:
         progress.stage(text)
         yield progress
 

@@ -2,7 +2,8 @@
 
 import argparse
 import signal
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
@@ -11,6 +12,7 @@ from ..measures import UNDECIDED
 from .arguments import Commands, add_command, add_quiet, path, working
 
 if TYPE_CHECKING:
+    from ..progress import Progress
     from ..studies.distribution import Spread
     from ..studies.runs_table import Row
     from ..studies.sweep import Sweep
@@ -45,6 +47,7 @@ def _slurm_option(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_folder
+    from ..progress import Progress
     from ..ranks.executors import executor
     from ..studies.points import run_points
     from ..studies.sweep import Sweep
@@ -60,22 +63,35 @@ def run(arguments: argparse.Namespace) -> int:
     )
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
-        statuses = run_points(out, sweep.points, pool, (lambda text: None) if arguments.quiet else _say)
+        with Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
+            progress.stage(f"{len(sweep.points)} points")
+            tell = _teller(progress, len(sweep.points), arguments.quiet)
+            statuses = run_points(out, sweep.points, pool, tell, sweep.refused)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    with working("reading the runs"):
-        lines = summarise(sweep, out)
+    with working("reading the runs", arguments.quiet):
+        summary = summarise(sweep, out)
     if not arguments.quiet:
-        print("\n".join(lines))
+        print("\n".join(summary))
     stopped = sum(status == "stopped" for status in statuses.values())
     if stopped:
         print(f"{stopped} of {len(statuses)} runs have no end: the same command goes on with them")
     return 3 if stopped else 0
 
 
-def _say(text: str) -> None:
-    print(text, flush=True)
+def _teller(progress: "Progress", points: int, is_quiet: bool) -> Callable[[str], None]:
+    """Takes lines "k/n point: ...": on a terminal above a bar, else on standard output."""
+
+    def tell(text: str) -> None:
+        if not is_quiet and progress.quiet:
+            print(text, flush=True)
+        progress.log(text)
+        ended = text.partition("/")[0]
+        if ended.isdigit():
+            progress.stage(f"{ended} of {points} points", done=int(ended) / points)
+
+    return tell
 
 
 def summarise(sweep: "Sweep", out: Path) -> list[str]:

@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, as_completed
@@ -22,25 +23,47 @@ from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, read_json_object, read_text
 from ..files.outputs import claim_folder, write_text
 from ..plan.reading import Scene
+from ..plan.text import duration
 from ..ranks.executors import own_environment
 
 _STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+REFUSED = 2  # exit code of a run whose scene or folder is refused
 _STATUS = {0: "done", 4: "undecided"}  # by the exit code of a run; "failed" else
 _running: set[subprocess.Popen[str]] = set()  # of this process
 
 
 def run_points(
-    folder: Path, points: Mapping[str, str], pool: Executor, log: Callable[[str], None] = print
+    folder: Path,
+    points: Mapping[str, str],
+    pool: Executor,
+    log: Callable[[str], None] = print,
+    refused: Mapping[str, str] | None = None,
 ) -> dict[str, str]:
     """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
 
     A point that fails is marked and does not stop the others; "stopped": it has no end, the next call goes on with it. pool: is shut
-    down. log: told of each point as it ends.
+    down. log: told of each point as it ends. refused: points whose scene cannot be computed -> why: marked as failed without a run.
     """
     folder = folder.resolve()
     statuses: dict[str, str] = {}
+    for point, reason in (refused or {}).items():
+        verdict: dict[str, object] = {"status": "failed", "reason": " ".join(reason.split()), "exit_code": REFUSED}
+        path = write_scene(folder, point, points[point]).with_suffix(".json")
+        if how_ended(path) != verdict:
+            write_text(path, json.dumps(verdict, indent=1) + "\n")
+        statuses[point] = "failed"
+        log(f"{len(statuses)}/{len(points)} {point}: {status_text(verdict)}")
+    kept = {point: str(known["status"]) for point, text in points.items() if (known := _kept(folder, point, text))}
+    statuses = kept | statuses
+    if kept:
+        log(f"{len(kept)} of {len(points)} points have ended before")
+    begun, ended_before = time.monotonic(), len(statuses)
     try:
-        futures = {pool.submit(run_point, folder, point, text): point for point, text in points.items()}
+        futures = {
+            pool.submit(run_point, folder, point, text): point
+            for point, text in points.items()
+            if point not in statuses
+        }
         for future in as_completed(futures):
             point = futures[future]
             try:
@@ -50,7 +73,10 @@ def run_points(
             except Exception as error:  # the worker itself was lost
                 ended = {"status": "stopped", "reason": f"its worker was lost ({error or type(error).__name__})"}
             statuses[point] = str(ended["status"])
-            log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}")
+            left = len(points) - len(statuses)
+            to_go = left * (time.monotonic() - begun) / (len(statuses) - ended_before)
+            after = f"; about {duration(to_go)} to go" if left else ""
+            log(f"{len(statuses)}/{len(points)} {point}: {status_text(ended)}{after}")
     except BaseException:
         with contextlib.suppress(Exception), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that Parsl cannot cancel a run by itself: its jobs are cancelled
@@ -64,10 +90,16 @@ def run_points(
 
 def run_point(folder: Path, point: str, text: str, again: bool = False) -> dict[str, object]:
     """Run a scene (TOML) as a point of a folder, unless it has been; how it ended, as `compute`. again: go on with an undecided one."""
+    ended = None if again else _kept(folder, point, text)
+    return compute(write_scene(folder, point, text), folder / f"{point}.json") if ended is None else ended
+
+
+def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
+    """How a point of this scene has ended; None if it has not, or was refused, which takes no time to do again."""
     known, scene = folder / f"{point}.json", write_scene(folder, point, text)
     fresh = known.is_file() and known.stat().st_mtime_ns >= scene.stat().st_mtime_ns
-    ended = how_ended(known) if fresh and not again else None
-    return compute(scene, known) if ended is None else ended
+    ended = how_ended(known) if fresh else None
+    return None if ended is None or ended.get("exit_code") == REFUSED else ended
 
 
 def write_scene(folder: Path, point: str, text: str) -> Path:

@@ -119,7 +119,8 @@ class Sweep:
         jobs: at a time, as processes here, unless an executor is given as `pool`, which is shut down. Raises as `run_points`.
         """
         folder = Path(out) if out is not None else Path("runs") / self.name
-        run_points(folder, self.points, pool or executor("processes", max(jobs, 1), folder, starts_processes=True))
+        pool = pool or executor("processes", max(jobs, 1), folder, starts_processes=True)
+        run_points(folder, self.points, pool, refused=self.refused)
         return folder
 
 
