@@ -14,7 +14,7 @@ KINDS = {
     "single": "one particle on a flat target",
     "pair": "two particles, one onto the other",
     "coating": "particles drawn from a seed, with a gas and a nozzle",
-    "map": "a sweep over size and velocity",
+    "map": "a sweep over velocity and temperature",
     "ensemble": "a sweep over distributions of velocity, size, angle, place and hardness",
     "mesh": "a file of points that `coldspray mesh` turns into tetrahedra",
 }

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from ..studies.runs_table import Row
     from ..studies.sweep import Sweep
 
+_PLANNED = 20  # points whose plans stand for all in the forecast
+_START = 2.0  # s: start of a run's process
 OUTPUTS = ("sweep.csv", "distribution.csv", "distribution.png")
 
 
@@ -57,10 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
 
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
-    claim_folder(out, "sweep", OUTPUTS)
+    claim_folder(out, "sweep", OUTPUTS, force=None)
     pool = executor(
         arguments.executor, max(arguments.jobs, 1), out.resolve(), dict(arguments.slurm), starts_processes=True
     )
+    if not arguments.quiet:
+        print(_forecast(sweep, max(arguments.jobs, 1) if arguments.executor == "processes" else 0), flush=True)
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
@@ -78,6 +82,24 @@ def run(arguments: argparse.Namespace) -> int:
     if stopped:
         print(f"{stopped} of {len(statuses)} runs have no end: the same command goes on with them")
     return 3 if stopped else 0
+
+
+def _forecast(sweep: "Sweep", jobs: int) -> str:
+    """The number of points and the wall time of all, `jobs` at a time here; 0: elsewhere."""
+    from ..plan.planning import plan
+    from ..plan.reading import Scene
+    from ..plan.text import duration
+    from .accuracy import here
+
+    count = len(sweep.points)
+    if not jobs:
+        return f"{count} points"
+    names = [name for name in sweep.points if name not in sweep.refused]
+    some = names[:: -(-len(names) // _PLANNED)]
+    pace = here()
+    each = sum(pace.seconds(plan(Scene.from_text(sweep.points[name], name))) for name in some) / len(some)
+    seconds = len(names) * (each + _START) / jobs
+    return f"{count} points, about {duration(seconds)} for all with {jobs} at a time, after compilation"
 
 
 def _teller(progress: "Progress", points: int, is_quiet: bool) -> Callable[[str], None]:
@@ -114,7 +136,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     if measures:
         lines += ["", *_table(measures), _verdicts(rows), ""]
         distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
-        distribution.draw_spreads(out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs")
+        distribution.draw_spreads(out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %")
         return [*lines, f"tables in {out / OUTPUTS[0]} and {OUTPUTS[1]}, figure in {OUTPUTS[2]}"]
     axes = f" --axes {' '.join(keys)}" if keys else ""
     return [*lines, f"table in {out / OUTPUTS[0]}; maps: coldspray map {out}{axes}"]

@@ -17,6 +17,8 @@ RUN_FILES = (
     "scene.toml", "plan.json", "summary.json", "history.csv", "particle.vtkhdf", "surface.vtkhdf", "target.vtkhdf", "cold.vtkhdf",
     "section.png", "run.log", "log.lammps",
 )  # fmt: skip
+# how both a command and Python replace a folder's files, or take another one
+REPLACE, ELSEWHERE = "--force (Python: force=True)", "another folder with --out (Python: out=...)"
 _ENDS = 8192  # bytes at both ends of a file in which MARK is looked for
 
 
@@ -42,23 +44,23 @@ def claim_file(path: Path, suffixes: Sequence[str], inputs: Iterable[Path] = (),
 
 
 def claim_folder(
-    folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool = False
+    folder: Path, kind: str, names: Sequence[str], inputs: Iterable[Path] = (), force: bool | None = False
 ) -> None:
     """Whether a command may write files of these names into a folder; made if it is missing, and marked as of this kind.
 
     names: of the files that may be replaced there, "*" for any text in a name. inputs: files that are never replaced. force:
-    replace files of these names in a folder that is not marked so. Raises StoreError.
+    replace files of these names in a folder that is not marked so; None where nobody can ask for that. Raises StoreError.
     """
     check_folder(folder)
     present = [path for name in names for path in sorted(folder.glob(name))] if folder.is_dir() else []
     keep_inputs(folder, names, inputs)
     for path in present:
         if path.is_dir() and not path.is_symlink():
-            raise StoreError(f"cannot write {path}: there is a folder of this name; choose another folder with --out")
+            raise StoreError(f"cannot write {path}: there is a folder of this name; choose {ELSEWHERE}")
     if present and not force and kind_of(folder) != kind:
         raise StoreError(
             f"{folder} holds {present[0].name}, which was not {MARK} as part of a {kind}:"
-            " choose another folder with --out, or add --force to replace it"
+            f" choose {ELSEWHERE}" + ("" if force is None else f", or add {REPLACE} to replace it")
         )
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -33,7 +33,7 @@ from numpy.typing import ArrayLike
 from ..errors import CheckpointError, StoreError
 from ..state.records import Shape
 from . import checkpoint
-from .outputs import RUN_FILES, check_folder, claim_folder, write_text
+from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
 from .result import COLD, DOMAINS, Result
 from .vtkhdf import Data, VtkHdfWriter
 
@@ -76,12 +76,12 @@ class Store:
             check_folder(directory)
             if (directory / SUMMARY).exists() and not force:
                 raise StoreError(
-                    f"{directory} holds a finished run; add --force to replace it, or choose another folder with --out"
+                    f"{directory} holds a finished run; add {REPLACE} to replace it, or choose {ELSEWHERE}"
                 )
             if checkpoint.stored(directory) and not force:
                 raise StoreError(
-                    f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add --force to replace it,"
-                    " or choose another folder with --out"
+                    f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add {REPLACE} to replace it,"
+                    f" or choose {ELSEWHERE}"
                 )
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)
             store = cls(directory, _lock(directory))
@@ -253,7 +253,7 @@ def _lock(directory: Path) -> int | None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(descriptor)
-        raise StoreError(f"another run is writing to {directory}; choose another folder with --out") from None
+        raise StoreError(f"another run is writing to {directory}; choose {ELSEWHERE}") from None
     except OSError:  # a file system without locks is no reason to refuse a run
         os.close(descriptor)
         return None

@@ -106,7 +106,7 @@ def write_scene(folder: Path, point: str, text: str) -> Path:
     """The file of a point's scene, written unless it is there. Raises StoreError."""
     path = folder / f"{point}.toml"
     if not path.is_file() or read_text(path) != text:
-        claim_folder(folder, "sweep", [path.name])
+        claim_folder(folder, "sweep", [path.name], force=None)
         write_text(path, text)
     return path
 
