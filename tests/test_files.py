@@ -131,8 +131,11 @@ def test_an_output_is_claimed_before_the_work(tmp_path: Path) -> None:
 def test_force_replaces_only_files_of_a_run(tmp_path: Path) -> None:
     for name in ("scene.toml", "notes.txt", "checkpoint-000001.ckpt.old"):
         (tmp_path / name).write_text(MINE)
-    with pytest.raises(StoreError, match="add --force"):
+    with pytest.raises(StoreError, match=r"add --force \(Python: force=True\)"):
         Store.create(tmp_path, "a = 1\n")
+    with pytest.raises(StoreError) as nobody:
+        claim_folder(tmp_path, "sweep", ["notes.txt"], force=None)
+    assert "--force" not in str(nobody.value)
     Store.create(tmp_path, "a = 1\n", force=True).close()
     assert (tmp_path / "scene.toml").read_text() == "a = 1\n"
     assert (tmp_path / "notes.txt").read_text() == (tmp_path / "checkpoint-000001.ckpt.old").read_text() == MINE

@@ -13,6 +13,7 @@ from coupler.physics.shapes import SHAPES
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.spray.nozzles import library
+from coupler.studies.maps import FEWEST_VALUES
 from coupler.studies.sweep import Sweep
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
@@ -55,10 +56,18 @@ def test_a_new_scene_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert (tmp_path / "runs" / "first" / "summary.json").is_file()
 
 
-def test_a_new_map_is_a_sweep_and_new_points_become_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_map_is_a_sweep_with_values_enough_for_a_surface(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["new", "map", "sizes"]) == 0
-    assert len(Sweep.load("sizes.toml").points) == 9
+    assert main(["new", "map", "few"]) == 0
+    sweep = Sweep.load("few.toml")
+    scenes = [Scene.from_text(text, name).particle for name, text in sweep.points.items()]
+    for values in ({p.velocity for p in scenes}, {p.temperature for p in scenes}):
+        assert len(values) >= FEWEST_VALUES
+    assert not sweep.refused
+
+
+def test_new_points_become_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     assert main(["new", "mesh", "lens"]) == 0
     command = Path("lens.csv").read_text().splitlines()[0].removeprefix("# coldspray ").split()
     assert main([*command, "--size", "4um"]) == 0

@@ -136,7 +136,9 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     if measures:
         lines += ["", *_table(measures), _verdicts(rows), ""]
         distribution.write_spreads(out / OUTPUTS[1], measures, f"{MARK} distribution; SI units")
-        distribution.draw_spreads(out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %")
+        distribution.draw_spreads(
+            out / OUTPUTS[2], measures, f"{sweep.name}: {count['done']} runs; median, and shaded 5 % to 95 %"
+        )
         return [*lines, f"tables in {out / OUTPUTS[0]} and {OUTPUTS[1]}, figure in {OUTPUTS[2]}"]
     axes = f" --axes {' '.join(keys)}" if keys else ""
     return [*lines, f"table in {out / OUTPUTS[0]}; maps: coldspray map {out}{axes}"]
