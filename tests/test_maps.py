@@ -16,6 +16,7 @@ import pytest
 from made_up_run import summary_of, write
 
 from coupler.commands import main as cli
+from coupler.commands.map import _levels
 from coupler.errors import InterruptedRunError, SceneError, StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
@@ -302,7 +303,7 @@ def test_six_points_are_points_and_lines_and_no_surface(tmp_path, capsys) -> Non
 def test_one_axis_gives_a_curve_with_its_band(tmp_path, capsys) -> None:
     velocities = [f"{v} m/s" for v in (150, 250, 400, 650, 1100)]
     said = drawn(made(tmp_path, Sweep.from_dict(points(diameter=["25 um"], velocity=velocities))), capsys)
-    assert "rms error leaving one out" in said
+    assert "rms error leaving out one point" in said
     assert re.search(r"next point worth a run: velocity \S+ m/s \(band \+- \S+\)", said)
     fit = interpolate(table(tmp_path), "flattening_ratio")
     assert fit.axes == ("velocity_m_s",)
@@ -318,7 +319,7 @@ def test_a_length_below_the_distance_of_points_is_no_answer(tmp_path) -> None:
         row["flattening_ratio"] = 0.5 + 0.1 * (-1) ** number
     fit = interpolate(rows, "flattening_ratio")
     assert fit.warnings == (
-        "flattening_ratio changes along velocity within the distance of two points: more of them are needed",
+        "flattening, above surface changes along velocity within the distance of two points: more of them are needed",
     )
     assert fit(250.0)[1] > 0.02
 
@@ -333,7 +334,7 @@ def test_any_key_of_the_scene_is_an_axis(tmp_path, capsys) -> None:
         pretend(tmp_path, path.stem, flattening_ratio=0.5 - 0.1 * friction)
     assert "vary in none of the axes" in drawn(tmp_path, capsys)
     said = drawn(tmp_path, capsys, "--axes", "contact.friction")
-    assert "rms error leaving one out" in said
+    assert "rms error leaving out one point" in said
     assert "next point worth a run: contact.friction 0." in said
     with (tmp_path / "map.csv").open() as stream:
         rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
@@ -342,6 +343,14 @@ def test_any_key_of_the_scene_is_an_axis(tmp_path, capsys) -> None:
     assert "contact.friction" in capsys.readouterr().err
     assert cli.main(["map", str(tmp_path), "--axes", "contact.friction", "particle.velocity"]) == 2
     assert "--axes particle.velocity: all 4 points have the same value there" in capsys.readouterr().err
+
+
+def test_levels_of_a_band_are_those_of_its_own_values() -> None:
+    """Also of the ratio to the critical velocity, whose map has 1 in the middle."""
+    band, mean = np.array([0.0, 0.005]), np.array([0.6, 1.2])
+    assert _levels([band], "velocity_ratio", band=True).max() <= 0.01
+    levels = _levels([mean], "velocity_ratio", band=False)
+    assert levels[0] + levels[-1] == pytest.approx(2.0, abs=0.1)
 
 
 def test_refine_runs_the_point_that_tells_most(tmp_path, capsys, monkeypatch) -> None:
@@ -371,7 +380,7 @@ def test_the_command_draws_maps_with_their_points(finished, tmp_path, capsys) ->
     said = capsys.readouterr().out
     assert "24 points: 22 done, 0 undecided, 1 failed, 1 unfinished" in said
     assert "failed: an inverted element" in said
-    assert "leaving one out" in said
+    assert "leaving out one point" in said
     assert (tmp_path / "map.csv").is_file()
     picture = imread(tmp_path / "map_Ni_flattening_ratio.png")[..., :3]
     left = picture[:, : picture.shape[1] // 2]

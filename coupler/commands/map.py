@@ -146,9 +146,9 @@ def place(at: Mapping[str, float]) -> str:
 
 
 def _quality(fit: "Interpolation", factor: float, unit: str) -> str:
-    gaps = "".join(f", a whole {measure(axis).short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
+    gaps = "".join(f", all of one {measure(axis).short} {factor * rms:.3g}" for axis, rms in fit.gap_rms.items())
     return (
-        f"rms error leaving one out {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
+        f"rms error leaving out one point {factor * fit.loo_rms:.3g}{gaps} {unit}".rstrip()
         + f" (spread {factor * fit.spread:.3g}), {fit.loo_inside:.0%} inside their 95 % band"
     )
 
@@ -212,6 +212,8 @@ def _figure(path: Path, rows: "Sequence[Row]", axes: tuple[str, ...], quantity: 
             _points(at, here, x_axis, y_axis)
             at.set_xlabel(axis_label(x_axis))
             at.set_ylabel(axis_label(y_axis) if number == 0 else "")
+            if number == 0 and value == slices[0]:
+                figure.legend(loc="outside lower left", ncols=4, fontsize=8, frameon=False)
             heading = f"{axis_label(third[0])} {value:g}" if third else "95 % band, half width" if number else ""
             at.set_title(heading, fontsize=9)
     substrates = ", ".join(dict.fromkeys(row["substrate"] for row in done))
@@ -246,7 +248,7 @@ def _levels(fields: "Sequence[NDArray]", quantity: str, band: bool) -> "NDArray"
     low, high = min(float(np.min(f)) for f in fields), max(float(np.max(f)) for f in fields)
     if band:
         low = 0.0
-    if quantity == "velocity_ratio":
+    elif quantity == "velocity_ratio":
         reach = max(high - 1.0, 1.0 - low)
         low, high = 1.0 - reach, 1.0 + reach
     if high - low < 1e-12 * max(abs(high), 1e-12):
@@ -255,10 +257,14 @@ def _levels(fields: "Sequence[NDArray]", quantity: str, band: bool) -> "NDArray"
 
 
 def _panel(at: "Axes", field: "tuple[NDArray, NDArray, NDArray]", levels: "NDArray", band: bool, quantity: str) -> None:
+    from matplotlib.patheffects import withStroke
+
     x, y, values = field
     colours = at.contourf(x, y, values, levels, cmap="Greys" if band else COLOURS[quantity], extend="neither")
-    lines = at.contour(x, y, values, levels, colors="k" if band else "w", linewidths=0.5)
-    at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}")
+    is_light = band or quantity == "velocity_ratio"  # in the middle of the colours
+    lines = at.contour(x, y, values, levels, colors="k" if is_light else "w", linewidths=0.5)
+    for label in at.clabel(lines, fontsize=7, fmt=lambda v: f"{v:.4g}"):
+        label.set_path_effects([withStroke(linewidth=1.5, foreground="w" if is_light else "k")])
     if quantity == "velocity_ratio":
         at.contour(x, y, values, [1.0], colors="k", linewidths=2.0)
     bar = at.figure.colorbar(colours, ax=at)

@@ -105,7 +105,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
         model.fit(standard, y)
     lengths = np.atleast_1d(model.kernel_.k1.k2.length_scale)
     told = tuple(
-        f"{quantity} changes along {measure(name).short} within the distance of two points: more of them are needed"
+        f"{measure(quantity).label} changes along {measure(name).short} within the distance of two points: more of them are needed"
         for name, length, (low, _) in zip(names, lengths, bounds, strict=True)
         if length <= 1.01 * low
     )
