@@ -296,11 +296,16 @@ def test_quiet_progress_says_nothing():
         (["rnu", "x.toml"], "there is no command 'rnu' (did you mean \"run\"?)"),
         (["check", "many.toml"], "is the file of a sweep: coldspray sweep many.toml"),
         (["sweep", "one.toml"], "is a scene, not the file of a sweep: coldspray run one.toml"),
+        (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
+        (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),
+        (["report", "ressults"], 'is not a folder of results (did you mean "results"?)'),
+        (["report", "one.toml"], "is not a folder of results; a scene's results are in runs/NAME"),
     ],
 )
 def test_a_wrong_command_is_told_the_right_one(words, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("one.toml").write_text('[particle]\nmaterial = "Ni"\n')
+    Path("results").mkdir()
     Path("many.toml").write_text('[points]\nvelocity = ["500 m/s"]\n[scene]\npreset = "draft"\n')
     try:
         code = cli.main(words)

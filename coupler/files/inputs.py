@@ -3,6 +3,7 @@
 Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and held against the free memory.
 """
 
+import difflib
 import json
 import math
 import os
@@ -61,6 +62,15 @@ def check_regular(path: str | Path) -> int:
     if not stat.S_ISREG(status.st_mode):
         raise InputError(path, "cannot be read: it is a pipe or a device, a regular file is expected")
     return status.st_size
+
+
+def similar(path: str | Path, is_folder: bool = False) -> str:
+    """A hint such as ' (did you mean "first.toml"?)' for a file, or a folder, that is not there, else an empty text."""
+    try:
+        there = [p.name for p in Path(path).parent.iterdir() if p.is_dir() == is_folder and not os.path.exists(path)]
+    except (OSError, ValueError):
+        there = []
+    return "".join(f' (did you mean "{name}"?)' for name in difflib.get_close_matches(Path(path).name, there, 1))
 
 
 def open_input(path: str | Path, limit: int | None = None) -> BinaryIO:

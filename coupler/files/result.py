@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..errors import ColdsprayError, StoreError
 from ..measures import UNDECIDED
-from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory
+from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
 
 if TYPE_CHECKING:
@@ -68,7 +68,12 @@ class Result:
     def __init__(self, directory: str | Path):
         self.directory = Path(directory)
         if not self.directory.is_dir():
-            raise StoreError(f"{self.directory} is not a folder of results")
+            hint = (
+                "; a scene's results are in runs/NAME"
+                if self.directory.is_file()
+                else similar(self.directory, is_folder=True)
+            )
+            raise StoreError(f"{self.directory} is not a folder of results{hint}")
         known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")

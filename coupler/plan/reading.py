@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import SceneError
-from ..files.inputs import SCENE_LIMIT, InputError, parse_toml, read_text
+from ..files.inputs import SCENE_LIMIT, InputError, parse_toml, read_text, similar
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, safe_name
@@ -38,7 +38,7 @@ class Scene(SceneData):
         try:
             text = read_text(path, SCENE_LIMIT)
         except InputError as error:
-            raise SceneError([f"the file {error.reason}"], str(path)) from None
+            raise SceneError([f"the file {error.reason}{similar(path)}"], str(path)) from None
         return cls.from_text(text, str(path), settings)
 
     @classmethod

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ColdsprayError, SceneError
-from ..files.inputs import read_toml
+from ..files.inputs import read_toml, similar
 from ..plan.reading import Scene
 from ..ranks.executors import executor
 from ..scene.model import safe_name
@@ -53,7 +53,7 @@ class Sweep:
         try:
             data = read_toml(path)
         except ColdsprayError as error:
-            raise SceneError([f"the file {getattr(error, 'reason', error)}"], str(path)) from None
+            raise SceneError([f"the file {getattr(error, 'reason', error)}{similar(path)}"], str(path)) from None
         return cls.from_dict(data, str(path))
 
     @classmethod
