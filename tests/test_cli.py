@@ -12,6 +12,7 @@ import pytest
 from coupler import progress as progress_module
 from coupler.commands import main as cli
 from coupler.errors import SolverError
+from coupler.files.outputs import claim_folder
 from coupler.progress import Progress
 
 WORKFLOWS = Path(__file__).parents[1] / "workflows"
@@ -298,6 +299,9 @@ def test_quiet_progress_says_nothing():
         (["sweep", "one.toml"], "is a scene, not the file of a sweep: coldspray run one.toml"),
         (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
         (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),
+        (["run", "one.toml", "--jobs", "0"], "'0' is not a whole number above zero"),
+        (["run", "one.toml", "--threads", "3"], "invalid choice: 3 (choose from 1, 2)"),
+        (["map", "single"], "is the folder of a single run: name the folder that holds several"),
         (["report", "ressults"], 'is not a folder of results (did you mean "results"?)'),
         (["report", "one.toml"], "is not a folder of results; a scene's results are in runs/NAME"),
     ],
@@ -306,13 +310,14 @@ def test_a_wrong_command_is_told_the_right_one(words, says, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     Path("one.toml").write_text('[particle]\nmaterial = "Ni"\n')
     Path("results").mkdir()
+    claim_folder(Path("single"), "run", [])
     Path("many.toml").write_text('[points]\nvelocity = ["500 m/s"]\n[scene]\npreset = "draft"\n')
     try:
         code = cli.main(words)
     except SystemExit as error:  # argparse
         code = error.code
     said = capsys.readouterr().err
-    assert (code, said.startswith("coldspray: "), says in said) == (2, True, True)
+    assert (code, said.startswith(("coldspray: ", "usage: coldspray")), says in said) == (2, True, True)
 
 
 def test_no_command_is_help(capsys):

@@ -96,6 +96,13 @@ def _setting(text: str) -> tuple[str, str | None]:
     return key.strip(), value.strip() or None
 
 
+def at_least_one(text: str) -> int:
+    """A number of things that are at least one."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
+    return int(text)
+
+
 def add_quiet(option: Option) -> None:
     """The option that leaves nothing but errors."""
     option("-q", "--quiet", action="store_true", help="print errors only")

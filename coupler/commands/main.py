@@ -22,6 +22,7 @@ from .arguments import (
     add_quiet,
     add_scene,
     add_verbose,
+    at_least_one,
     path,
     quantity,
     scene_of,
@@ -146,9 +147,9 @@ def _add_running(option: Option) -> None:
     """The options of `run` and `resume`."""
     add_quiet(option)
     add_verbose(option, "all measures at the end, not only those that converge")
-    option("--threads", type=int, metavar="N",
+    option("--threads", type=int, choices=(1, 2), metavar="N",
            help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
-    option("--jobs", type=int, default=1, metavar="N",
+    option("--jobs", type=at_least_one, default=1, metavar="N",
            help="impacts of a batch at a time, each on one core; `check` prints the batches (default: 1)")  # fmt: skip
     option("--placement", metavar="HOW",
            help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"

@@ -45,9 +45,11 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import StoreError
-    from ..files.outputs import MARK, check_folder, claim_file
+    from ..files.outputs import MARK, check_folder, claim_file, kind_of
     from ..studies import maps, runs_table
 
+    if kind_of(arguments.folder) == "run":
+        raise StoreError(f"{arguments.folder} is the folder of a single run: name the folder that holds several")
     if arguments.refine < 0:
         raise StoreError(f"--refine {arguments.refine}: give the number of points to run, zero or more")
     rows, axes = _table(arguments)

@@ -9,7 +9,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from ..measures import UNDECIDED
-from .arguments import Commands, add_command, add_quiet, path, working
+from .arguments import Commands, add_command, add_quiet, at_least_one, path, working
 
 if TYPE_CHECKING:
     from ..progress import Progress
@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
         "sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
     )
     option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
-    option("--jobs", type=int, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
     option("--executor", default="processes", metavar="WHERE",
            help="processes (here; default), mpi (ranks of one allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep ...),"
            " or slurm (jobs that take one run after another)")  # fmt: skip
@@ -60,11 +60,9 @@ def run(arguments: argparse.Namespace) -> int:
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
     claim_folder(out, "sweep", OUTPUTS, force=None)
-    pool = executor(
-        arguments.executor, max(arguments.jobs, 1), out.resolve(), dict(arguments.slurm), starts_processes=True
-    )
+    pool = executor(arguments.executor, arguments.jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
-        print(_forecast(sweep, max(arguments.jobs, 1) if arguments.executor == "processes" else 0), flush=True)
+        print(_forecast(sweep, arguments.jobs if arguments.executor == "processes" else 0), flush=True)
     before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
