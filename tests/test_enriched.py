@@ -115,23 +115,52 @@ def test_momentum_and_energy_of_a_violent_spin(made: Build) -> None:
     assert p.kinetic() + p.elastic() + p.sums[0] == pytest.approx(start, rel=2e-3)
 
 
-def test_only_rigid_motions_cost_nothing(made: Build) -> None:
-    """Stiffness from the forces of each unit velocity in one step: six zero frequencies, and none near."""
-    p = made(*packing.sphere(D, 60), Q1=0.0)
-    fresh, dt = p.state(), 1e-14
+def stiffness(p: EnrichedParticle) -> np.ndarray:
+    """Stiffness (3n,3n) N/m of a particle as it is, from the forces of each unit velocity in one step."""
+    here, dt = p.state(), 1e-14
     rows = []
     for k in range(3 * p.n):
-        p.restore(fresh)
+        p.restore(here)
         velocity = np.zeros(3 * p.n)
         velocity[k] = 10.0
         move(p, velocity.reshape(-1, 3))
         p.run(1, dt, lambda: None)
         rows.append(p.f.ravel() / (10.0 * dt))
+    p.restore(here)
     K = -np.array(rows)
     assert np.abs(K - K.T).max() < 1e-4 * np.abs(K).max()
-    stiffness = np.linalg.eigvalsh(0.5 * (K + K.T))
-    assert np.abs(stiffness[:6]).max() < 1e-5 * stiffness[-1]
-    assert stiffness[6] > 0.01 * stiffness[-1]
+    return 0.5 * (K + K.T)
+
+
+def test_only_rigid_motions_cost_nothing(made: Build) -> None:
+    """Six zero frequencies, and none near."""
+    lowest = np.linalg.eigvalsh(stiffness(made(*packing.sphere(D, 60), Q1=0.0)))
+    assert np.abs(lowest[:6]).max() < 1e-5 * lowest[-1]
+    assert lowest[6] > 0.01 * lowest[-1]
+
+
+def test_the_step_follows_from_the_highest_frequency(made: Build) -> None:
+    """Power iteration against the eigenvalues of the forces: as it is built, and flattened to half its height at equal volume."""
+    p = made(*packing.sphere(D, 60), Q1=0.0)
+    flat = np.diag([2.0**0.5, 2.0**0.5, 0.5])
+    for A, near in ((np.eye(3), 0.01), (flat, 0.02), (flat[:, [2, 0, 1]], 0.02)):
+        p.x[:] = p.X @ A.T
+        move(p, np.zeros_like(p.x))
+        p.run(1, 1e-18, lambda: None)
+        exact = 2.0 / np.sqrt(np.linalg.eigvalsh(stiffness(p))[-1] / p.mass[0])
+        for _ in range(10):  # later calls start from the last vector
+            limit = p.stable_dt() / p.numerics.frequency
+        assert limit == pytest.approx(exact, rel=near)
+
+
+def test_a_body_steps_at_its_limit_and_not_beyond(made: Build) -> None:
+    """Free vibration: bounded just below the limit, growing without bound just above it."""
+    for share, steps, bounded in ((0.99, 100, True), (1.1, 15, False)):
+        p = made(*packing.sphere(D, 60), Q1=0.0)
+        move(p, 1e-3 * np.random.default_rng(3).normal(size=p.X.shape))
+        start, dt = np.abs(p.v).max(), share * p.stable_dt() / p.numerics.frequency
+        p.run(steps, dt, lambda: None)
+        assert (np.abs(p.v).max() < 3.0 * start) == bounded
 
 
 def test_a_restored_particle_goes_on_to_the_last_bit(made: Build) -> None:

@@ -27,7 +27,7 @@ SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at t
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _inverse(a: Matrix) -> tuple[Matrix, float]:
+def inverse(a: Matrix) -> tuple[Matrix, float]:
     """Inverse of a 3x3 matrix, row by row, and its determinant."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     c00, c01, c02 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
@@ -41,7 +41,7 @@ def _inverse(a: Matrix) -> tuple[Matrix, float]:
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _product(a: Matrix, b: Matrix) -> Matrix:
+def product(a: Matrix, b: Matrix) -> Matrix:
     """Product of two 3x3 matrices, row by row."""
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     b00, b01, b02, b10, b11, b12, b20, b21, b22 = b
@@ -53,7 +53,7 @@ def _product(a: Matrix, b: Matrix) -> Matrix:
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _transposed(a: Matrix) -> Matrix:
+def transposed(a: Matrix) -> Matrix:
     a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
     return a00, a10, a20, a01, a11, a21, a02, a12, a22
 
@@ -63,7 +63,7 @@ def _polar(F: Matrix) -> Matrix:
     """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
     R = F
     for _ in range(12):
-        (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = _inverse(R)
+        (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = inverse(R)
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = R
         R = (
             0.5 * (r00 + i00), 0.5 * (r01 + i10), 0.5 * (r02 + i20), 0.5 * (r10 + i01), 0.5 * (r11 + i11),
@@ -78,12 +78,12 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
 
     A = R^T F, S = sym A: (tr(S) 1 - S) omega is the axial vector of A, and R <- R Cayley(omega) until omega vanishes.
     """
-    A = _product(_transposed(R), F)
+    A = product(transposed(R), F)
     for sweep in range(30):
         a00, a01, a02, a10, a11, a12, a20, a21, a22 = A
         s01, s02, s12 = 0.5 * (a01 + a10), 0.5 * (a02 + a20), 0.5 * (a12 + a21)
         t0, t1, t2 = a21 - a12, a02 - a20, a10 - a01
-        W, _ = _inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
+        W, _ = inverse((a11 + a22, -s01, -s02, -s01, a00 + a22, -s12, -s02, -s12, a00 + a11))
         o0, o1, o2 = (
             W[0] * t0 + W[1] * t1 + W[2] * t2,
             W[3] * t0 + W[4] * t1 + W[5] * t2,
@@ -94,12 +94,12 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
             break
         if sweep == 0 and not square < FAR * FAR:
             R = _polar(F)
-            A = _product(_transposed(R), F)
+            A = product(transposed(R), F)
             continue
         c = 1.0 / (4.0 + square)  # Cayley: 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega
         x, y, z = 4.0 * c * o0, 4.0 * c * o1, 4.0 * c * o2
         c *= 2.0
-        R = _product(
+        R = product(
             R,
             (
                 1.0 - c * (o1 * o1 + o2 * o2), c * o0 * o1 - z, c * o0 * o2 + y,
@@ -107,7 +107,7 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
                 c * o0 * o2 - y, c * o1 * o2 + x, 1.0 - c * (o0 * o0 + o1 * o1),
             ),
         )  # fmt: skip
-        A = _product(_transposed(R), F)
+        A = product(transposed(R), F)
         if square < NEAR * NEAR:
             break
     return R, A
@@ -241,9 +241,9 @@ def stress_points(
         K1 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
         Fi, Fdot = (f00, f01, f02, f10, f11, f12, f20, f21, f22), (r00, r01, r02, r10, r11, r12, r20, r21, r22)
         if gradient is None:
-            Fi, Fdot = _product(Fi, K1), _product(Fdot, K1)
+            Fi, Fdot = product(Fi, K1), product(Fdot, K1)
         Ri, U = rotation(Fi, (R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]))
-        B, Ji = _inverse(U)
+        B, Ji = inverse(U)
         if not J_MIN <= Ji <= J_MAX and failed < 0:
             failed = i
         for k in range(9):
@@ -251,7 +251,7 @@ def stress_points(
             R[i, k] = Ri[k]
 
         # rate of deformation in the unrotated frame, D = sym(R^T Fdot B), and the trial deviator
-        L = _product(_product(_transposed(Ri), Fdot), B)
+        L = product(product(transposed(Ri), Fdot), B)
         mean_rate = (L[0] + L[4] + L[8]) / 3.0
         mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
         c = 2.0 * law.G * dt
@@ -298,13 +298,13 @@ def stress_points(
                 i, start[i], start[i + 1], back, stiffness, neighbour, w, X, Ri, plastic, residual
             )
             t0, t1, t2 = 0.5 * t0 / c, 0.5 * t1 / c, 0.5 * t2 / c  # a skew stress that balances their moment
-            P = _product(Ri, (sxx, sxy - t2, sxz + t1, sxy + t2, syy, syz - t0, sxz - t1, syz + t0, szz))
-            P = _product(P, B)
+            P = product(Ri, (sxx, sxy - t2, sxz + t1, sxy + t2, syy, syz - t0, sxz - t1, syz + t0, szz))
+            P = product(P, B)
             for k in range(9):
                 Q[i, k] = c * P[k] + balance[k]
         else:
-            P = _product(_product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
-            P = _product(P, K1)
+            P = product(product(Ri, (sxx, sxy, sxz, sxy, syy, syz, sxz, syz, szz)), B)
+            P = product(P, K1)
             for k in range(9):
                 Q[i, k] = c * P[k]
     return failed

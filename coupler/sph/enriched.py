@@ -24,6 +24,7 @@ from scipy.spatial import cKDTree
 from ..errors import SolverError
 from ..state.records import Rows, take
 from .compiled import CompiledParticle, CompiledPoints
+from .frequency import LONGEST, PointFrequency, Sides
 from .particle import LocalState
 
 MOST_SIDES = 18  # neighbours of a point at the most: the two nearest layers of a face-centred cubic lattice
@@ -36,10 +37,11 @@ SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is th
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
     """unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their plastic parts, neighbours in the order
-    of their numbers."""
+    of their numbers. mode (n,3): motion of the highest frequency, of any size."""
 
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
+    mode: Annotated[np.ndarray, Rows(3)]
 
 
 class EnrichedParticle(CompiledParticle):
@@ -48,6 +50,7 @@ class EnrichedParticle(CompiledParticle):
     POINTS = EnrichedPoints
     unseen: np.ndarray
     bend: np.ndarray
+    mode: np.ndarray
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -72,6 +75,14 @@ class EnrichedParticle(CompiledParticle):
         self._swap(self._side_sends, self._side_receives, gradient)
         self._of_points = gradient[:sides], self._plastic, self._residual, self.unseen
         self._of_pairs = gradient[pair_rows].reshape(-1, 6), self._residual, pair_rows.astype(np.uint32)
+        lists = Sides(
+            self._first, self._neighbour, self._w_of, self._of_points[0], self._X, self._pairs, self._signed,
+            self._of_pairs[0], self._of_pairs[2], len(gradient),
+        )  # fmt: skip
+        random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
+        self._frequency = PointFrequency(
+            self.law, self.volume_of_point, lists, random, self.comm.allgather, self._fetch
+        )
 
     def _list_sides(self, pair_rows: np.ndarray, sides: int) -> tuple[np.ndarray, int]:
         """Rows (m,2) of both sides of each pair, those of other ranks' points after the own; how many these are."""
@@ -119,6 +130,21 @@ class EnrichedParticle(CompiledParticle):
     def _skip_step(self) -> None:
         super()._skip_step()
         self._swap(self._side_sends, self._side_receives, self._residual)
+
+    def _fetch(self, points: np.ndarray, sides: np.ndarray | None = None) -> None:
+        self._swap(self._sends, self._receives, points)
+        if sides is not None:
+            self._swap(self._side_sends, self._side_receives, sides)
+
+    def stable_dt(self) -> float:
+        """Largest stable time step in s, by the highest frequency of the points (`sph.frequency`).
+
+        Raises SolverError as that of the other schemes does.
+        """
+        # of all ranks together, before one of them raises
+        longest = self._frequency.longest_step(self._all_F, self.J, self.mode)
+        bound = super().stable_dt()
+        return min(LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
 
     def elastic(self) -> float:
         return super().elastic() + self.volume_of_point * float(self.unseen.sum())

@@ -39,7 +39,8 @@ class Numerics:
 
     kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
     and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
-    courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch.
+    courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch. frequency: bound of the
+    enriched scheme, as a share of the step that its highest frequency allows.
     """
 
     kernel_radius: float = 0.75
@@ -49,6 +50,7 @@ class Numerics:
     control: float = 0.0
     courant: float = 0.4
     stretch: float = 0.9
+    frequency: float = 0.85
 
 
 @dataclass(frozen=True)

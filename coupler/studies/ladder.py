@@ -21,11 +21,11 @@ COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",
 )  # fmt: skip
-COURANT, STRETCH = 0.4, 0.9  # the defaults of `coupler.sph.particle.Numerics`: a dt factor multiplies both
+STEP = {"courant": 0.4, "stretch": 0.9, "frequency": 0.85}  # the defaults of `coupler.sph.particle.Numerics`
 # Parameters of the scheme, for each of KNOB_AXES: name in the table -> changed values.
 _TRIED: tuple[dict[str, dict[str, float]], ...] = (
     {"1.2 spacings": {"element": 1.2}, "2.5 spacings": {"element": 2.5}},
-    {f"{f:g} dt": {"courant": f * COURANT, "stretch": f * STRETCH} for f in (0.5, 1.25, 2.0)},
+    {f"{f:g} dt": {name: f * value for name, value in STEP.items()} for f in (0.5, 1.25, 2.0)},
     {"Q1 0": {"Q1": 0.0}, "Q1 0.2": {"Q1": 0.2}},
     {"hourglass 0.3": {"hourglass": 0.3}, "hourglass 3": {"hourglass": 3.0}},
     {"k 0.3": {"contact_stiffness": 0.3}, "k 3": {"contact_stiffness": 3.0}},
