@@ -45,11 +45,15 @@ class Stopped(Exception):
     """Raised by a probe to break a run off."""
 
 
-def break_off(scene: Scene | Path, out: Path, at: float, every: float = 0.0) -> None:
-    """Run to the time `at` s and stop there as a crash would; every: s of wall time between checkpoints."""
+def break_off(scene: Scene | Path, out: Path, at: float, every: float = 0.0, after: int = 0) -> None:
+    """Run to the time `at` s of the impact that comes after so many others, and stop there as a crash would; every: s of wall
+    time between checkpoints."""
+    seen: list[object] = []
 
     def probe(impact: Any) -> None:
-        if impact.time > at:
+        if not any(impact is other for other in seen):
+            seen.append(impact)
+        if len(seen) > after and impact.time > at:
             raise Stopped
 
     with pytest.raises(Stopped):

@@ -105,12 +105,16 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
         np.testing.assert_array_equal(on_cut, on_whole)
 
 
-def test_one_process_and_two_make_the_same_coating_over_a_stop(shared_run: SharedRuns, tmp_path: Path) -> None:
-    """Broken off in the first impact of a batch; then two processes, one of which goes on with it: equal to the last bit."""
+@pytest.mark.parametrize(("after", "jobs"), [(0, 2), (2, 1)])
+def test_one_process_and_two_make_the_same_coating_over_a_stop(
+    shared_run: SharedRuns, tmp_path: Path, after: int, jobs: int
+) -> None:
+    """Broken off in the first impact, then two processes, one of which goes on with it; or on a splat that a cut has put back: equal
+    to the last bit."""
     whole = shared_run(SIDE)
     assert [join["bodies"] for join in whole.summary["joins"]] == [1, 1]
-    break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9)
-    assert [path.name for path in (tmp_path / "out" / "impacts").iterdir()] == ["00001"]
-    result = resume(tmp_path / "out", jobs=2)
+    break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9, after=after)
+    assert max(path.name for path in (tmp_path / "out" / "impacts").iterdir()) == f"{after + 1:05d}"
+    result = resume(tmp_path / "out", jobs=jobs)
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)

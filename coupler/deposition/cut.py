@@ -124,7 +124,7 @@ def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
         new.touch(None, node)
         if new.contact is not None:
             new.contact.begin(history, *(
-                gain[name] + (getattr(before, name) if before is not None else 0.0) for name in _OF_CONTACT
+                gain[name] + (getattr(before, name) if before is not None else 0) for name in _OF_CONTACT
             ))  # fmt: skip
     return new
 
@@ -169,5 +169,5 @@ def _replace(
 def _ledgers(bodies: Bodies) -> Ledgers:
     t, c, b = bodies.target, bodies.contact, bodies.bond
     sums: Ledgers = {name: np.copy(getattr(t, name)) for name in _SUMS}
-    sums |= {name: getattr(c, name) if c is not None else 0.0 for name in _OF_CONTACT}
+    sums |= {name: getattr(c, name) if c is not None else 0 for name in _OF_CONTACT}
     return sums | {name: getattr(b, name) if b is not None else 0.0 for name in _OF_BOND}
