@@ -126,10 +126,12 @@ class BodyContact:
                 load[np.unique(self.surfaces.facets[side.near])] += 4.0 * side.contact.stiffness
         return load
 
-    def search(self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None) -> None:
+    def search(
+        self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None, v: np.ndarray | None = None
+    ) -> None:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
 
-        active: number of active nodes (default: all); a pair of inactive sides keeps its forces.
+        v (N,3) m/s: then slow surfaces move by their share of `travel` only. active: number of active nodes (default: all); a pair of inactive sides keeps its forces.
         Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
@@ -142,8 +144,11 @@ class BodyContact:
         changed = bool(np.any(held != self._held))
         before, self._held = self.penalty_energy, held
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._corners, self._low, self._high)
+        speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else None
+        whole = travel
         for side in self._sides:
             c, taken = side.contact, held[side.nodes]
+            travel = whole if speed is None else self._travel(side, x, whole, speed)
             c.spring[taken], c.depth[taken] = 0.0, 0.0
             side.near = self._around(side, x, travel)
             if active is not None and self._inactive(side, active):
@@ -160,6 +165,12 @@ class BodyContact:
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy())
             self.lost += given_up + before - self.penalty_energy
+
+    def _travel(self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray) -> float:
+        """How far a side and the facets near it move against each other, where the fastest node moves by half of `travel` m."""
+        near = self.surfaces.facets[self._around(side, x, travel)]
+        together = float(speed[side.nodes].max()) + float(speed[near].max(initial=0.0))
+        return travel * min(1.0, together / max(float(speed.max()), 1e-300))
 
     def _inactive(self, side: _Side, active: int) -> bool:
         """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones."""

@@ -7,6 +7,7 @@ from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Floats, Ints
+from .broad import facet_boxes
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -154,6 +155,52 @@ def closest_facets(
                 foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
         nearest[i] = face
         gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
+
+
+@njit(cache=True, nogil=True)
+def look(
+    rows: Ints, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints, x: Floats, start: Ints, boxes: Ints,
+    corners: Floats, low: Floats, high: Floats, searched: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats,
+    gap: Floats, depth: Floats, spring: Floats, lost: Floats,
+) -> None:  # fmt: skip
+    """Find the closest facet of those points `rows` that may touch; the others keep theirs, which they cannot touch.
+
+    searched (k,3,3): corners of the facets at the last search. A point that lies deeper than margin, or by more than jump deeper than
+    before, lies outside: nearer facets are only known to be among the candidates within the margin. It loses its contact: lost,
+    [points that had one, squares of their depths (m2) and of their springs (N2)], is added to. The rest as in `closest_facets`,
+    `due` and `note`.
+    """
+    facet_boxes(x, facets, facet_ids, corners, low, high)
+    count = len(facet_ids)
+    shift = moved(corners[:count], searched[:count])
+    rows = due(rows, xp, seen, room, shift)
+    closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap)
+    for q in range(len(rows)):
+        i = rows[q]
+        if gap[i] < -min(margin, depth[i] + jump):
+            nearest[i] = -1
+            stretch = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
+            if depth[i] > 0.0 or stretch > 0.0:
+                lost[0] += 1.0
+                lost[1] += depth[i] * depth[i]
+                lost[2] += stretch
+            depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
+    note(rows, xp, gap, shift, seen, room)
+
+
+@njit(cache=True, nogil=True)
+def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
+    """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these."""
+    place = np.full(count, -1)
+    for q in range(len(rows)):
+        for r in range(start[rows[q]], start[rows[q] + 1]):
+            place[boxes[r]] = 0
+    used = np.flatnonzero(place == 0)
+    for k in range(len(used)):
+        place[used[k]] = k
+    for r in range(len(boxes)):
+        boxes[r] = place[boxes[r]]
+    return used
 
 
 @njit(cache=True, nogil=True)

@@ -124,15 +124,20 @@ class PointContact:
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
         self._nearest[:], self._room[:] = -1, -np.inf
-        broad.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
-        self._searched[: len(self._ids)] = self._corners[: len(self._ids)]
-        self._look(xp, rows)
+        self._note_corners(x)
+        self._look(xp, x, rows)
         # a tenth of a spacing for what the surfaces gain in speed
         close = (self._nearest[rows] >= 0) & (self.gap[rows] < travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
+        self._ids = self._ids[k.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
+        self._note_corners(x)
         touched = self.depth[self.rows]
         self.depth[:] = 0.0
         self.depth[self.rows] = touched
+
+    def _note_corners(self, x: np.ndarray) -> None:
+        """Remember where the facets in question are at a search."""
+        broad.facet_boxes(x, self.facets, self._ids, self._searched, self._low, self._high)
 
     def touching(self, first: int, within: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,).
@@ -147,35 +152,23 @@ class PointContact:
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
-    def _look(self, xp: np.ndarray, rows: np.ndarray) -> None:
-        """Find the closest facet of those `rows` that may touch; the others keep theirs, which they cannot touch."""
-        count = len(self._ids)
-        shift = k.moved(self._corners[:count], self._searched[:count])
-        rows = k.due(rows, xp, self._seen, self._room, shift)
-        k.closest_facets(
-            xp, rows, self._start, self._boxes, self._corners, self._low, self._high, self._nearest, self._foot, self.gap
+    def _look(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
+        """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep (`kernels.look`)."""
+        lost = np.zeros(3)
+        k.look(
+            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._start, self._boxes, self._corners, self._low,
+            self._high, self._searched, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring, lost,
         )  # fmt: skip
-        # nearer facets than this one are only known to be among the candidates within the margin: what seems deeper lies outside
-        deepest = np.minimum(self._margin, self.depth[rows] + self._jump)
-        self._drop(rows[self.gap[rows] < -deepest])
-        k.note(rows, xp, self.gap, shift, self._seen, self._room)
-
-    def _drop(self, rows: np.ndarray) -> None:
-        """Take the contact from points that lie too deep, and note those that had one."""
-        self._nearest[rows] = -1
-        springs, depth = self.spring[rows], self.depth[rows]
-        stretch = np.einsum("ij,ij->i", springs, springs)
-        self.dropped += int(np.count_nonzero((depth > 0.0) | (stretch > 0.0)))
-        self.dropped_energy += 0.5 * float(self.stiffness * (depth @ depth) + stretch.sum() / self.tangential)
-        self.spring[rows], self.depth[rows] = 0.0, 0.0
+        if lost[0]:
+            self.dropped += int(lost[0])
+            self.dropped_energy += 0.5 * (self.stiffness * float(lost[1]) + float(lost[2]) / self.tangential)
 
     def forces(self, dt: float, xp: Floats, vp: Floats, x: Floats, v: Floats, f_point: Floats, f_node: Floats) -> None:
         """Add the contact forces of this instant to f_point (n,3) and f_node (N,3), N; friction moves on by dt s.
 
         Of xp, vp (n,3) only `rows` are read, of f_point only they are written.
         """
-        broad.facet_boxes(x, self.facets, self._ids, self._corners, self._low, self._high)
-        self._look(xp, self.rows)
+        self._look(xp, x, self.rows)
         k.contact_forces(
             dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
             self._boxes, self._ids, self._nearest, self._foot, self.gap, self.facets, x, v, f_point, f_node,

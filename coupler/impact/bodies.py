@@ -88,8 +88,9 @@ class Bodies:
 
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
-    def search(self, travel: float) -> None:
-        """Find what can touch before surfaces have moved `travel` m; give the heat of friction and fracture to the elements."""
+    def search(self, travel: float, by_speed: bool = False) -> None:
+        """Find what can touch before surfaces have moved `travel` m, slow ones less where that is by_speed; give the heat of friction
+        and fracture to the elements."""
         if self.bond is not None:
             heat = 0.5 * self.bond.heat()  # of each side
             if heat.any():
@@ -97,7 +98,8 @@ class Bodies:
                 self.target.warm_around(self.bond.triangles, np.repeat(heat / 3.0, 3))
         if self.contact is not None:
             self.target.warm(*self.contact.heat())
-            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes)
+            v = self.target.v if by_speed else None
+            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes, v)
 
     def forces(self, dt: float) -> None:
         """Add what bodies do to each other at this instant to the target's outer forces."""

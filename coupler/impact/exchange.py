@@ -32,6 +32,7 @@ from .ledger import Ledger, LedgerState
 
 # Steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable.
 WINDOW = 10
+APPROACH = 1.0  # spacings that a point may move in a window of steps, in which its stable step is not computed again
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 
@@ -120,8 +121,9 @@ class Impact:
 
     def stable_time_step(self) -> float:
         """The time step (s) that both domains and the contact can take; `limits` counts which of them sets it."""
+        nearer = APPROACH * self.particle.spacing / (WINDOW * max(self.particle.totals.fastest, 1e-9))
         bounds = {
-            "particle": self.particle.totals.dt,
+            "particle": min(self.particle.totals.dt, nearer),
             "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
         }
         if self.hold is not None:
@@ -134,7 +136,7 @@ class Impact:
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
-        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.totals.dt)
+        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.totals.dt, by_speed=True)
 
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""

@@ -14,7 +14,7 @@ DRIFT_BOUND = 0.01  # of the initial kinetic energy: a run that ends beyond it h
 DRIFT_ALARM = 4.0 * DRIFT_BOUND  # during the run, where part of the drift may come back
 MOMENTUM_BOUND = 1e-6  # of the initial momentum
 DISSIPATION_BOUND = -0.01  # numerical dissipation below it: the scheme generates energy and is unstable
-SOUND = 0.25  # of the bounds: a state beyond that is not kept for a retry
+SOUND = 0.4  # of the bounds: a state beyond that is not kept for a retry
 
 _STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
