@@ -123,19 +123,23 @@ def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator
     assert broad.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
 
 
-def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator) -> None:
-    x, facets = sheet(rng, bumps=0.05)
+@pytest.mark.parametrize("shift", [0.0, 0.2])
+def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator, shift: float) -> None:
+    """Also with boxes of a search from which the sheet has moved since."""
+    before, facets = sheet(rng, bumps=0.05)
+    x = before + shift * np.array([0.6, 0.0, 0.8]) * rng.uniform(0.0, 1.0, (len(before), 1))
     xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
     ids = np.arange(len(facets))
-    corners, low, high = np.zeros((len(ids), 3, 3)), np.zeros((len(ids), 3)), np.zeros((len(ids), 3))
-    broad.facet_boxes(x, facets, ids, corners, low, high)
-    assert np.array_equal(corners, x[facets])
+    corners, low, high = x[facets], np.zeros((len(ids), 3)), np.zeros((len(ids), 3))
+    broad.facet_boxes(before, facets, ids, low, high)
+    assert np.array_equal(low, before[facets].min(axis=1))
+    assert np.array_equal(high, before[facets].max(axis=1))
     start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
-    kernels.closest_facets(xp, ids[:0], start, boxes, corners, low, high, nearest, foot, gap)
+    kernels.closest_facets(xp, ids[:0], start, boxes, facets, ids, x, low, high, shift, nearest, foot, gap)
     assert np.all(nearest == -1)
     rows = np.arange(300)
-    kernels.closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap)
+    kernels.closest_facets(xp, rows, start, boxes, facets, ids, x, low, high, shift, nearest, foot, gap)
     brute = np.empty((300, len(ids)))
     for i in range(300):
         for j in range(len(ids)):
@@ -146,7 +150,7 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     assert np.linalg.norm(xp - place, axis=1) == pytest.approx(np.abs(gap), rel=1e-9)
     for _ in range(3):  # from any other guess the same
         again, where, far = start[:-1] + rng.integers(0, len(ids), 300), np.zeros((300, 3)), np.zeros(300)
-        kernels.closest_facets(xp, rows, start, boxes, corners, low, high, again, where, far)
+        kernels.closest_facets(xp, rows, start, boxes, facets, ids, x, low, high, shift, again, where, far)
         assert far == pytest.approx(gap, rel=1e-9)
 
 
@@ -185,7 +189,7 @@ def test_what_is_far_from_a_surface_is_not_looked_at_until_it_may_be_near() -> N
     assert kernels.due(rows, xp, seen, room, 0.03).tolist() == [0, 2]  # the surface has moved
     assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.0).tolist() == [0, 2]  # the points have
     assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.02).tolist() == [0, 1, 2]
-    assert kernels.moved(x[facets], x[facets] + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
+    assert kernels.farthest(x, np.unique(facets), x[np.unique(facets)] + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
 
 
 def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) -> None:

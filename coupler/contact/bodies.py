@@ -1,7 +1,7 @@
 """Contact between the bodies of one finite-element domain: unilateral, with friction, by the kernels of `PointContact`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -10,9 +10,11 @@ from ..errors import CheckpointError, SolverError
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
+from .kernels import farthest
 from .penalty import ContactState, PointContact
 from .surfaces import Surfaces, neighbours
 
+SKIN = 0.15  # spacings that a search looks farther than it must, so that it holds while surfaces move by that
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 
@@ -20,7 +22,8 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 class _Side:
     """The surface nodes of one body against facets of others.
 
-    facets: ids in `Surfaces`; near: those of them around the nodes at the last search; idle: none is.
+    facets: ids in `Surfaces`; near: those of them around the nodes at the last search; idle: none is. What was found then holds while
+    both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where these and the own nodes were.
     """
 
     nodes: np.ndarray
@@ -28,6 +31,21 @@ class _Side:
     contact: PointContact
     near: np.ndarray
     idle: bool = True
+    reach: float = -np.inf
+    corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    places: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3)), np.zeros((0, 3)))
+
+    def remember(self, x: np.ndarray, facets: np.ndarray, reach: float) -> None:
+        """Note a search at positions x (N,3) m; facets (k,3): all of `Surfaces`."""
+        self.reach, self.corners = reach, np.unique(facets[self.near])
+        self.places = x[self.nodes], x[self.corners]
+
+    def still_holds(self, x: np.ndarray, near: np.ndarray, travel: float) -> bool:
+        """Whether the last search holds for `travel` m more, with the facets `near` now (ascending)."""
+        if not self.reach > travel:
+            return False
+        moved = farthest(x, self.nodes, self.places[0]) + farthest(x, self.corners, self.places[1])
+        return moved + travel <= self.reach and bool(np.isin(near, self.near, assume_unique=True).all())
 
 
 @dataclass(frozen=True)
@@ -66,7 +84,7 @@ class BodyContact:
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
         self._held = np.zeros(len(x), bool)
         count = len(surfaces.facets)
-        self._all, self._corners = np.arange(count), np.zeros((count, 3, 3))
+        self._all = np.arange(count)
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
         low, high = surfaces.boxes(x)
         # bodies farther apart than half the size of the largest splat do not come together while they are here
@@ -131,7 +149,8 @@ class BodyContact:
     ) -> None:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
 
-        v (N,3) m/s: then slow surfaces move by their share of `travel` only. active: number of active nodes (default: all); a pair of inactive sides keeps its forces.
+        v (N,3) m/s: then slow surfaces move by their share of `travel` only. active: number of active nodes (default: all); a pair
+        of inactive sides keeps its forces.
         Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
@@ -142,29 +161,35 @@ class BodyContact:
         if bond is not None:
             held[bond.held] = True
         changed = bool(np.any(held != self._held))
-        before, self._held = self.penalty_energy, held
-        broad.facet_boxes(x, self.surfaces.facets, self._all, self._corners, self._low, self._high)
+        before, before_held, self._held = self.penalty_energy, self._held, held
+        broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
         speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else None
-        whole = travel
         for side in self._sides:
-            c, taken = side.contact, held[side.nodes]
-            travel = whole if speed is None else self._travel(side, x, whole, speed)
-            c.spring[taken], c.depth[taken] = 0.0, 0.0
-            side.near = self._around(side, x, travel)
-            if active is not None and self._inactive(side, active):
-                side.idle = True
-                continue
-            side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
-            if not side.idle:
-                c.search(x[side.nodes], x, travel, np.searchsorted(side.facets, side.near))
-                c.rows = c.rows[~taken[c.rows]]
-                side.idle = len(c.rows) == 0
-            if side.idle:
-                c.sums[:], c.depth[:] = 0.0, 0.0
+            taken, own = held[side.nodes], travel if speed is None else self._travel(side, x, travel, speed)
+            same = np.array_equal(taken, before_held[side.nodes]) and not self._inactive(side, active)
+            if not (same and side.still_holds(x, self._around(side, x, own, 1.0), own)):
+                self._search_side(side, x, own + SKIN * side.contact.spacing, taken, active)
         if changed:  # a step of no time tells what the contact holds with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy())
             self.lost += given_up + before - self.penalty_energy
+
+    def _search_side(self, side: _Side, x: np.ndarray, travel: float, taken: np.ndarray, active: int | None) -> None:
+        """Find what one side can touch. taken (nodes,): its nodes that bonds hold; the rest as in `search`."""
+        c = side.contact
+        c.spring[taken], c.depth[taken] = 0.0, 0.0
+        side.near, side.reach = self._around(side, x, travel), -np.inf
+        if self._inactive(side, active):
+            side.idle = True
+            return
+        side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
+        if not side.idle:
+            c.search(x[side.nodes], x, travel, np.searchsorted(side.facets, side.near))
+            c.rows = c.rows[~taken[c.rows]]
+            side.idle = len(c.rows) == 0
+        side.remember(x, self.surfaces.facets, travel)
+        if side.idle:
+            c.sums[:], c.depth[:] = 0.0, 0.0
 
     def _travel(self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray) -> float:
         """How far a side and the facets near it move against each other, where the fastest node moves by half of `travel` m."""
@@ -172,14 +197,16 @@ class BodyContact:
         together = float(speed[side.nodes].max()) + float(speed[near].max(initial=0.0))
         return travel * min(1.0, together / max(float(speed.max()), 1e-300))
 
-    def _inactive(self, side: _Side, active: int) -> bool:
-        """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones."""
+    def _inactive(self, side: _Side, active: int | None) -> bool:
+        """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones, where not all are."""
+        if active is None:
+            return False
         facets = self.surfaces.facets[side.near]
         return bool(side.nodes.min() >= active) and (len(facets) == 0 or bool(facets.min() >= active))
 
-    def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
-        """Those of a side's facets whose boxes come within reach of the box around its nodes."""
-        margin = 2.0 * (0.5 * side.contact.spacing + travel)
+    def _around(self, side: _Side, x: np.ndarray, travel: float, times: float = 2.0) -> np.ndarray:
+        """Those of a side's facets whose boxes come within so many times the reach of the box around its nodes."""
+        margin = times * (0.5 * side.contact.spacing + travel)
         own = x[side.nodes]
         least, most = broad.bounds(own, own)
         return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)
@@ -216,6 +243,7 @@ class BodyContact:
         self._held, self.lost = state.held.copy(), state.lost
         for side, kept in zip(self._sides, state.sides, strict=True):
             side.contact.restore(kept)
+            side.reach = -np.inf
 
     def history(self) -> np.ndarray:
         """Friction springs and depths (N,4) m of all nodes."""
@@ -239,7 +267,7 @@ class BodyContact:
         for side in self._sides:
             side.contact.spring[:], side.contact.depth[:] = history[side.nodes, :3], history[side.nodes, 3]
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
-            side.contact.dropped = 0
+            side.contact.dropped, side.reach = 0, -np.inf
         if self._sides:
             first = self._sides[0].contact
             first.friction_heat, first.dropped_energy, first.dropped = friction_heat, dropped_energy, dropped

@@ -8,13 +8,12 @@ from ..state.arrays import Floats, Ints
 
 
 @njit(cache=True, nogil=True)
-def facet_boxes(x: Floats, facets: Ints, ids: Ints, corners: Floats, low: Floats, high: Floats) -> None:
-    """Corners (k,3,3) of the triangles `ids` and the boxes (k,3) around them."""
+def facet_boxes(x: Floats, facets: Ints, ids: Ints, low: Floats, high: Floats) -> None:
+    """Boxes, low and high (k,3), around the triangles `ids`."""
     for r in range(len(ids)):
         t = facets[ids[r]]
         for d in range(3):
             u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
-            corners[r, 0, d], corners[r, 1, d], corners[r, 2, d] = u, v, w
             low[r, d] = min(u, v, w)
             high[r, d] = max(u, v, w)
 

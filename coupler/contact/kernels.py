@@ -7,7 +7,6 @@ from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Floats, Ints
-from .broad import facet_boxes
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -72,14 +71,13 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def moved(corners: Floats, before: Floats) -> float:
-    """The farthest that any corner (k,3,3) is from where it was before, m."""
+def farthest(x: Floats, rows: Ints, before: Floats) -> float:
+    """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
     most = 0.0
-    for r in range(len(corners)):
-        for c in range(3):
-            a, b = corners[r, c], before[r, c]
-            u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-            most = max(most, u * u + v * v + w * w)
+    for q in range(len(rows)):
+        a, b = x[rows[q]], before[q]
+        u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+        most = max(most, u * u + v * v + w * w)
     return sqrt(most)
 
 
@@ -113,19 +111,20 @@ def note(rows: Ints, xp: Floats, gap: Floats, shift: float, seen: Floats, room: 
 
 @njit(cache=True, nogil=True)
 def closest_facets(
-    xp: Floats, rows: Ints, start: Ints, boxes: Ints, corners: Floats, low: Floats, high: Floats, nearest: Ints, foot: Floats,
-    gap: Floats,
+    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, x: Floats, low: Floats, high: Floats,
+    shift: float, nearest: Ints, foot: Floats, gap: Floats,
 ) -> None:  # fmt: skip
     """Which of its candidate triangles each point of `rows` is closest to, where, and how far away.
 
-    xp, start, boxes as in `contact_forces`; corners (k,3,3), low, high (k,3): the triangles now and the boxes around
-    them. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look first, then it is written. foot
-    (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative inside, m.
+    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; low, high (k,3): boxes around the triangles `facet_ids` at the last
+    search, from which these have moved by `shift` m at the most. nearest (n,): place in `boxes`, -1 for none; what it holds is where
+    to look first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative
+    inside, m.
     """
     for q in range(len(rows)):
         i = rows[q]
         p = xp[i]
-        best = 1e300
+        best, reach = 1e300, 1e300
         facing = side = -1.0
         face = -1
         first = nearest[i]
@@ -138,9 +137,10 @@ def closest_facets(
             elif look == first:
                 continue
             # no triangle is closer than the box around it: most are left out so, once one close by is known
-            if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > best * (1.0 + 4e-9):
+            if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
                 continue
-            A, B, C = corners[boxes[r], 0], corners[boxes[r], 1], corners[boxes[r], 2]
+            t = facets[facet_ids[boxes[r]]]
+            A, B, C = x[t[0]], x[t[1]], x[t[2]]
             a, b, c = closest_on_triangle(p, A, B, C)
             d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
             dd = d0 * d0 + d1 * d1 + d2 * d2
@@ -152,6 +152,7 @@ def closest_facets(
             # on a shared edge or corner the face that looks most towards the point decides inside or outside
             if dd < best * (1.0 - 1e-9) or align > facing:
                 best, facing, side, face = dd, align, dn, r
+                reach = (sqrt(best) + shift) ** 2 * (1.0 + 4e-9)
                 foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
         nearest[i] = face
         gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
@@ -159,22 +160,20 @@ def closest_facets(
 
 @njit(cache=True, nogil=True)
 def look(
-    rows: Ints, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints, x: Floats, start: Ints, boxes: Ints,
-    corners: Floats, low: Floats, high: Floats, searched: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats,
-    gap: Floats, depth: Floats, spring: Floats, lost: Floats,
+    rows: Ints, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints, x: Floats, nodes: Ints, places: Floats,
+    start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats,
+    depth: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """Find the closest facet of those points `rows` that may touch; the others keep theirs, which they cannot touch.
 
-    searched (k,3,3): corners of the facets at the last search. A point that lies deeper than margin, or by more than jump deeper than
-    before, lies outside: nearer facets are only known to be among the candidates within the margin. It loses its contact: lost,
-    [points that had one, squares of their depths (m2) and of their springs (N2)], is added to. The rest as in `closest_facets`,
-    `due` and `note`.
+    nodes (k,): those of the facets, places (k,3): where they were at the last search. A point that lies deeper than margin, or by
+    more than jump deeper than before, lies outside: nearer facets are only known to be among the candidates within the margin. It loses
+    its contact: lost, [points that had one, squares of their depths (m2) and of their springs (N2)], is added to. The rest as in
+    `closest_facets`, `due` and `note`.
     """
-    facet_boxes(x, facets, facet_ids, corners, low, high)
-    count = len(facet_ids)
-    shift = moved(corners[:count], searched[:count])
+    shift = farthest(x, nodes, places)
     rows = due(rows, xp, seen, room, shift)
-    closest_facets(xp, rows, start, boxes, corners, low, high, nearest, foot, gap)
+    closest_facets(xp, rows, start, boxes, facets, facet_ids, x, low, high, shift, nearest, foot, gap)
     for q in range(len(rows)):
         i = rows[q]
         if gap[i] < -min(margin, depth[i] + jump):

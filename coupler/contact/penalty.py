@@ -72,9 +72,8 @@ class PointContact:
         self.rows = np.zeros(0, np.int64)
         self._ids = np.arange(len(facets))
         self._start, self._boxes = np.zeros(points + 1, np.int64), np.zeros(0, np.int64)
-        self._corners = np.zeros((len(facets), 3, 3))
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
-        self._searched = self._corners.copy()
+        self._nodes, self._places = np.zeros(0, np.int64), np.zeros((0, 3))
         self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
         #: Signed distance of the points `rows` from the facets, m.
         self.gap: np.ndarray
@@ -114,7 +113,7 @@ class PointContact:
             raise SolverError("positions are no longer numbers: try a smaller time step or more points")
         margin = 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
         self._margin = margin
-        broad.facet_boxes(x, self.facets, ids, self._corners, self._low, self._high)
+        broad.facet_boxes(x, self.facets, ids, self._low, self._high)
         least, most = broad.bounds(xp, xp)
         near = broad.boxes_within(np.arange(len(ids)), self._low, self._high, least - margin, most + margin)
         self._ids = ids[near]
@@ -137,7 +136,9 @@ class PointContact:
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
-        broad.facet_boxes(x, self.facets, self._ids, self._searched, self._low, self._high)
+        broad.facet_boxes(x, self.facets, self._ids, self._low, self._high)
+        self._nodes = np.unique(self.facets[self._ids])
+        self._places = x[self._nodes]
 
     def touching(self, first: int, within: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,).
@@ -156,8 +157,8 @@ class PointContact:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep (`kernels.look`)."""
         lost = np.zeros(3)
         k.look(
-            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._start, self._boxes, self._corners, self._low,
-            self._high, self._searched, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring, lost,
+            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._nodes, self._places, self._start, self._boxes,
+            self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring, lost,
         )  # fmt: skip
         if lost[0]:
             self.dropped += int(lost[0])

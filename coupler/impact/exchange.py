@@ -32,7 +32,7 @@ from .ledger import Ledger, LedgerState
 
 # Steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable.
 WINDOW = 10
-APPROACH = 1.0  # spacings that a point may move in a window of steps, in which its stable step is not computed again
+APPROACH = 0.5  # spacings that a point may move in a window of steps, in which its stable step is not computed again
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 

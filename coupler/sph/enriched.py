@@ -37,7 +37,8 @@ SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is th
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
     """unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their plastic parts, neighbours in the order
-    of their numbers. mode (n,3): motion of the highest frequency, of any size."""
+    of their numbers. mode (n,3) s: motion of the highest frequency, as long as the
+    step at which it is unstable."""
 
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]

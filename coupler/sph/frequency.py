@@ -166,23 +166,27 @@ class PointFrequency:
     def longest_step(self, F: np.ndarray, J: np.ndarray, mode: np.ndarray) -> float:
         """The step in s at which the points of all ranks become unstable, NaN where there is none.
 
-        F (N,9), J (n,): deformation gradients and volume ratios. mode (n,3): the vector of the window before, zero at the
-        beginning; the new one is written.
+        F (N,9), J (n,): deformation gradients and volume ratios. mode (n,3) s: the vector of the window before, as long as its result,
+        zero at the beginning; the new one is written. While the step falls, that of the end of the next window is returned, as the last
+        two tell.
         """
         n, s = len(J), self._sides
         stiffness_points(0, n, s.first, s.gradient, F, self._stiffness)
         largest = max(self._gather(float(self._stiffness.max(initial=0.0))))
         stirred = (self._stiffness / largest)[:, None] ** 2 * self._random
         stirred *= STIRRED / self._size(stirred)
-        size = self._size(mode)
-        u = mode / size + stirred if size > 0.0 else self._random
+        before = self._size(mode)
+        u = mode / before + stirred if before > 0.0 else self._random
         omega2 = 0.0
-        for _ in range(NEXT if size > 0.0 else FIRST):
+        for _ in range(NEXT if before > 0.0 else FIRST):
             u = self._accelerations(F, J, u / self._size(u))
             omega2 = self._size(u)
-        mode[:] = u
-        dt = 2.0 / np.sqrt(omega2)
-        return float(2.0 ** (np.floor(GRID * np.log2(dt)) / GRID)) if dt > 0.0 else np.nan
+        limit = 2.0 / np.sqrt(omega2)
+        if not limit > 0.0:
+            return np.nan
+        mode[:] = u * (limit / omega2)
+        ahead = limit * min(1.0, limit / before) if before > 0.0 else limit
+        return float(2.0 ** (np.floor(GRID * np.log2(ahead)) / GRID))
 
     def _size(self, a: np.ndarray) -> float:
         """Root of the sum of squares over all points of all ranks."""
