@@ -85,8 +85,7 @@ class Sheet:
     def move(self, to: np.ndarray) -> np.ndarray:
         """Lead the points to `to` (n,3): their force in the plane and off it (3,), N. The work of the way is added up."""
         still, f, g = np.zeros_like(to), np.zeros_like(to), np.zeros_like(SQUARE)
-        self.contact.search(to, SQUARE, 1e-7)
-        self.contact.rows = np.arange(len(to))
+        self.contact.search(to, SQUARE, 1e-7, always=np.arange(len(to)))
         self.contact.forces(1e-12, to, still, SQUARE, still[:4], f, g)
         self.hold.forces(to, SQUARE, f, g, self.contact)
         np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-12 * (1e-30 + np.abs(f).max()))

@@ -137,7 +137,7 @@ def closest_facets(
             elif look == first:
                 continue
             # no triangle is closer than the box around it: most are left out so, once one close by is known
-            if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
+            if boxes[r] < 0 or _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
                 continue
             t = facets[facet_ids[boxes[r]]]
             A, B, C = x[t[0]], x[t[1]], x[t[2]]
@@ -189,7 +189,8 @@ def look(
 
 @njit(cache=True, nogil=True)
 def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
-    """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these."""
+    """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these, -1 for the
+    others."""
     place = np.full(count, -1)
     for q in range(len(rows)):
         for r in range(start[rows[q]], start[rows[q] + 1]):

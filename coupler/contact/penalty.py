@@ -68,7 +68,7 @@ class PointContact:
         self.sums = np.zeros(4)
         self.friction_heat = self.dropped_energy = 0.0
         self.dropped = 0
-        #: The points that may touch before the next search, ascending: `forces` reads and writes only these.
+        #: The points that may touch before the next search, ascending: `forces` reads and writes only these. Some may be taken out.
         self.rows = np.zeros(0, np.int64)
         self._ids = np.arange(len(facets))
         self._start, self._boxes = np.zeros(points + 1, np.int64), np.zeros(0, np.int64)
@@ -102,11 +102,13 @@ class PointContact:
         lightest = float(np.min(node_mass)) if len(node_mass) else np.inf
         return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
 
-    def search(self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None) -> None:
+    def search(
+        self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None, always: np.ndarray | None = None
+    ) -> None:  # fmt: skip
         """Find the pairs that can touch before the surfaces have moved `travel` m against each other.
 
-        xp (n,3) points, x (N,3) nodes. among: places in `facets` of those that come into question (default: all). Raises
-        SolverError when the positions are no longer numbers.
+        xp (n,3) points, x (N,3) nodes. among: places in `facets` of those that come into question (default: all). always: points that
+        `rows` has in any case. Raises SolverError when the positions are no longer numbers.
         """
         ids = np.arange(len(self.facets)) if among is None else among
         if not (np.isfinite(xp).all() and np.isfinite(x[self.facets[ids]]).all()):
@@ -121,6 +123,8 @@ class PointContact:
         self._start, self._boxes, self._capacity = broad.pairs_within(xp, low, high, self.spacing, self._capacity)
         # points that remember a contact are visited too, so that what they remember is settled
         held = np.einsum("ij,ij->i", self.spring, self.spring) > 0
+        if always is not None:
+            held[always] = True
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
         self._nearest[:], self._room[:] = -1, -np.inf
         self._note_corners(x)

@@ -141,9 +141,8 @@ class Impact:
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""
         travel = 1.5 * self._fastest() * time
-        self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel)
-        if self.hold is not None:
-            self.contact.rows = np.union1d(self.contact.rows, self.hold.rows)
+        bonded = self.hold.rows if self.hold is not None else None
+        self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel, always=bonded)
         self._forces[:] = 0.0
 
     def advance(self, steps: int, dt: float) -> None:
