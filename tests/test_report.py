@@ -413,3 +413,10 @@ def test_the_first_screen_has_verdict_measures_and_each_warning_once(tmp_path):
         whole = screen(Result(tmp_path / str(number)), verbose=True)
         assert ("highest von Mises stress" if number == 1 else "\n40  25 µm Ni") in whole.replace("\n ", "\n")
     assert "... and 30 more" in text
+
+
+def test_a_long_title_is_not_broken_at_the_width_of_the_table(tmp_path):
+    with Store.create(tmp_path, "") as store:
+        store.finish(summary_of({"verdict": "sticks", "diameter_m": 25e-6, "material": "N" * 90, "end": {}}))
+    result = Result(tmp_path)
+    assert title(result) in screen(result).splitlines()

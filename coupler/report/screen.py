@@ -32,13 +32,18 @@ def screen(result: Result, verbose: bool = False) -> str:
     stream = io.StringIO()
     width = shutil.get_terminal_size((_WIDTH, 30)).columns
     side_by_side = verbose and len(summary["impacts"]) <= _MOST_COLUMNS
-    Console(file=stream, width=width).print(summary_table(result) if side_by_side else _brief(result, verbose))
-    return "\n".join([*head, *(line.rstrip() for line in stream.getvalue().strip("\n").splitlines()), *tail])
+    if side_by_side:
+        Console(file=stream, width=width).print(summary_table(result))
+    else:
+        Console(file=stream, width=width, highlight=False).print(
+            Text(title(result)), _brief(result, verbose), Text(of_run(summary)), sep="\n"
+        )
+    return "\n".join([*head, *(line.rstrip() for line in stream.getvalue().strip().splitlines()), *tail])
 
 
 def _brief(result: Result, all_impacts: bool) -> Table:
     summary, count = result.summary, len(result.summary["impacts"])
-    table = Table(box=SIMPLE_HEAD, title=Text(title(result)), title_justify="left", title_style="bold", pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     head, *rows = brief(summary, None if all_impacts else _MOST_IMPACTS)
     for k, text in enumerate(head):
         table.add_column(text, justify="right" if 0 < k < len(head) - (count == 1) else "left")
@@ -46,5 +51,4 @@ def _brief(result: Result, all_impacts: bool) -> Table:
         table.add_row(*map(Text, row))
     if 1 < count > len(rows):
         table.add_row(f"... and {count - len(rows)} more")
-    table.caption, table.caption_justify = Text(of_run(summary)), "left"
     return table
