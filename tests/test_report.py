@@ -415,6 +415,16 @@ def test_the_first_screen_has_verdict_measures_and_each_warning_once(tmp_path):
     assert "... and 30 more" in text
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_particle_that_sticks_has_no_rebound_velocity(tmp_path, count):
+    """In tables for people; one that rebounds has."""
+    record = {"diameter_m": 25e-6, "material": "Ni", "rebound_velocity_m_s": 31.25, "end": {}}
+    for verdict, rebounded in (("sticks", False), ("rebounds", True)):
+        with Store.create(tmp_path, "", force=True) as store:
+            store.finish(summary_of(*[record | {"verdict": verdict, "rebounded": rebounded}] * count))
+        assert ("31.25" in screen(Result(tmp_path))) == rebounded
+
+
 def test_a_long_title_is_not_broken_at_the_width_of_the_table(tmp_path):
     with Store.create(tmp_path, "") as store:
         store.finish(summary_of({"verdict": "sticks", "diameter_m": 25e-6, "material": "N" * 90, "end": {}}))

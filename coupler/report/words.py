@@ -56,14 +56,18 @@ def columns(summary: Summary) -> dict[str, Block]:
 
 
 def plain(values: Block) -> Block:
-    """The values that fit into a table of measures: without lists of words, tables and lists of tables."""
+    """The values that fit into a table of measures: without lists of words, tables and lists of tables.
+
+    A particle that sticks has no rebound velocity: what was computed before its bonds is its mean velocity upwards.
+    """
 
     def is_nested(value: object) -> bool:
         return isinstance(value, Mapping) or (
             isinstance(value, list) and not (value and isinstance(value[0], int | float | str))
         )
 
-    return {key: value for key, value in values.items() if key not in _ABOVE and not is_nested(value)}
+    hidden = {*_ABOVE, *(("rebound_velocity_m_s",) if values.get("rebounded") is False else ())}
+    return {key: value for key, value in values.items() if key not in hidden and not is_nested(value)}
 
 
 def shown(key: str, value: object, band: float | None = None) -> str:
