@@ -142,7 +142,7 @@ def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(
     assert (rows[bad]["velocity_m_s"], rows[bad]["temperature_K"]) == (400.0, 1700.0)
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
     said = capsys.readouterr().out.splitlines()
-    assert said[0].startswith(f"1/2 {bad}: failed: ")
+    assert said[0].startswith(f"1/2 {bad}: failed: particle.temperature")
     assert said[1:] == ["1 of 2 points have ended before"]
     two.run(tmp_path)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")} == times

@@ -99,7 +99,7 @@ class Sweep:
                 scenes[label] = toml_text(scene := _with(base, point, ratios))
                 Scene.from_dict(scene, label)
             except SceneError as error:
-                refused[label], first = str(error), first or error
+                refused[label], first = "; ".join(error.problems), first or error
                 problems += [line for line in error.problems if _MISWRITTEN.match(line) and line not in problems]
             except ValueError as error:  # a key that leads nowhere
                 raise SceneError([str(error)], source) from None
