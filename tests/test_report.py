@@ -17,6 +17,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
 from coupler.report import screen, section_picture
+from coupler.report.compare import _change
 from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.page import report
 from coupler.report.picture import axes_at, blank, cut, label_log, stage, window
@@ -430,3 +431,8 @@ def test_a_long_title_is_not_broken_at_the_width_of_the_table(tmp_path):
         store.finish(summary_of({"verdict": "sticks", "diameter_m": 25e-6, "material": "N" * 90, "end": {}}))
     result = Result(tmp_path)
     assert title(result) in screen(result).splitlines()
+
+
+def test_a_change_below_its_digits_has_no_minus():
+    assert [_change(1000.0, after) for after in (999.9, 999.0, 1001.0)] == ["+0.0%", "-0.1%", "+0.1%"]
+    assert _change(True, 1.0) == _change(0.0, 1.0) == ""

@@ -175,7 +175,7 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture
 
 def _change(before: object, after: object) -> str:
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after))
-    return f"{(after - before) / abs(before):+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
+    return f"{round((after - before) / abs(before), 3) + 0.0:+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> dict[str, str]:
