@@ -31,13 +31,16 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float) -> Values:
     """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impact before. Returns the report.
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
-    insulated; bodies that lie on each other conduct as in perfect contact.
+    insulated; bodies that lie on each other conduct as in perfect contact. All come to equilibrium before it too: what the impact
+    has left out of balance, such as at the rim of its cut, is none of the cooling's.
     """
     started, t = clock.perf_counter(), bodies.target
+    balanced = settle(bodies, kinetic_0, 0.0, ramp=True)
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
-    return {**cooling, **_settled(bodies, kinetic_0), "wall_s": clock.perf_counter() - started}
+    report = {"balance_steps": balanced["settle_steps"], **cooling, **_settled(bodies, kinetic_0)}
+    return {**report, "wall_s": clock.perf_counter() - started}
 
 
 def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodies, Values]:
@@ -50,6 +53,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
+    settle(bodies, kinetic_0, 0.0, ramp=True)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
