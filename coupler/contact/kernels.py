@@ -82,18 +82,18 @@ def farthest(x: Floats, rows: Ints, before: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, shift: float) -> Ints:
+def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, way: float) -> Ints:
     """Those of `rows` that may have come within reach of the triangles since they were looked at.
 
-    seen (n,3): where each point was then; room (n,): how far it and the triangles could move before, m, less how far
-    the triangles had moved then; shift: how far they have moved now. Point and triangles come closer by no more than both move.
+    seen (n,3): where each point was then; room (n,): its gap, m, and the way that the triangles had gone till then; way: till now.
+    Point and triangles come closer by no more than both move.
     """
     due_rows = np.empty(len(rows), np.int64)
     count = 0
     for q in range(len(rows)):
         i = rows[q]
         u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
-        left = room[i] - shift
+        left = room[i] - way
         if left < 0.0 or u * u + v * v + w * w > left * left:
             due_rows[count] = i
             count += 1
@@ -101,12 +101,12 @@ def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, shift: float) -> Int
 
 
 @njit(cache=True, nogil=True)
-def note(rows: Ints, xp: Floats, gap: Floats, shift: float, seen: Floats, room: Floats) -> None:
-    """Store for `due` where the points of `rows` are, and their gaps less `shift`, m."""
+def note(rows: Ints, xp: Floats, gap: Floats, way: float, seen: Floats, room: Floats) -> None:
+    """Store for `due` where the points of `rows` are, and their gaps and the way of the triangles, m."""
     for q in range(len(rows)):
         i = rows[q]
         seen[i, 0], seen[i, 1], seen[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
-        room[i] = gap[i] - shift
+        room[i] = gap[i] + way
 
 
 @njit(cache=True, nogil=True)
@@ -161,18 +161,23 @@ def closest_facets(
 @njit(cache=True, nogil=True)
 def look(
     rows: Ints, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints, x: Floats, nodes: Ints, places: Floats,
-    start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats,
-    depth: Floats, spring: Floats, lost: Floats,
+    last: Floats, way: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints,
+    foot: Floats, gap: Floats, depth: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """Find the closest facet of those points `rows` that may touch; the others keep theirs, which they cannot touch.
 
-    nodes (k,): those of the facets, places (k,3): where they were at the last search. A point that lies deeper than margin, or by
+    nodes (k,): those of the facets; places, last (k,3): where they were at the last search and at the last look; way (1,) m: how far
+    they have gone since the search, step by step. A point that lies deeper than margin, or by
     more than jump deeper than before, lies outside: nearer facets are only known to be among the candidates within the margin. It loses
     its contact: lost, [points that had one, squares of their depths (m2) and of their springs (N2)], is added to. The rest as in
     `closest_facets`, `due` and `note`.
     """
     shift = farthest(x, nodes, places)
-    rows = due(rows, xp, seen, room, shift)
+    way[0] += farthest(x, nodes, last)
+    for q in range(len(nodes)):
+        for d in range(3):
+            last[q, d] = x[nodes[q], d]
+    rows = due(rows, xp, seen, room, way[0])
     closest_facets(xp, rows, start, boxes, facets, facet_ids, x, low, high, shift, nearest, foot, gap)
     for q in range(len(rows)):
         i = rows[q]
@@ -184,7 +189,7 @@ def look(
                 lost[1] += depth[i] * depth[i]
                 lost[2] += stretch
             depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
-    note(rows, xp, gap, shift, seen, room)
+    note(rows, xp, gap, way[0], seen, room)
 
 
 @njit(cache=True, nogil=True)

@@ -73,7 +73,8 @@ class PointContact:
         self._ids = np.arange(len(facets))
         self._start, self._boxes = np.zeros(points + 1, np.int64), np.zeros(0, np.int64)
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
-        self._nodes, self._places = np.zeros(0, np.int64), np.zeros((0, 3))
+        self._nodes, self._way = np.zeros(0, np.int64), np.zeros(1)
+        self._places, self._last = np.zeros((2, 0, 3))
         self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
         #: Signed distance of the points `rows` from the facets, m.
         self.gap: np.ndarray
@@ -143,6 +144,7 @@ class PointContact:
         broad.facet_boxes(x, self.facets, self._ids, self._low, self._high)
         self._nodes = np.unique(self.facets[self._ids])
         self._places = x[self._nodes]
+        self._last, self._way[0] = self._places.copy(), 0.0
 
     def touching(self, first: int, within: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,).
@@ -161,8 +163,9 @@ class PointContact:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep (`kernels.look`)."""
         lost = np.zeros(3)
         k.look(
-            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._nodes, self._places, self._start, self._boxes,
-            self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring, lost,
+            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._nodes, self._places, self._last, self._way,
+            self._start, self._boxes, self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth,
+            self.spring, lost,
         )  # fmt: skip
         if lost[0]:
             self.dropped += int(lost[0])
