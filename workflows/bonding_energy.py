@@ -33,7 +33,6 @@ CASES = (
     *(("ni", 10.0, 300.0, 1.94, "standard", v) for v in (665, 565)), ("cu", 14.0, 300.0, 2.0, "standard", 610),
     ("ni", 10.0, 300.0, 1.0, "draft", 565), ("ni", 10.0, 300.0, 1.0, "standard", 565), ("ni", 10.0, 300.0, 1.0, "fine", 665),
     ("ni", 10.0, 300.0, 1.0, "fine", 750), ("cu", 14.0, 300.0, 1.0, "standard", 610), ("ni", 10.0, 300.0, 1.0, "fine", 565),
-    ("cu", 14.0, 300.0, 1.0, "fine", 610),
 )  # fmt: skip
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
