@@ -145,13 +145,13 @@ def fit() -> None:
     print(f"{len(F)} impacts\nREST_FIT = {tuple(float(round(x, 3)) for x in k)}  # rms {np.std(rest - F @ k):.1%}")
 
     def model(k: np.ndarray) -> np.ndarray:
-        return -np.log(1.0 / cost.CFL_AT_REST + np.exp(np.clip(F @ k, -20.0, 20.0)))
+        return -np.log(1.0 / cost.CFL["enriched"][0] + np.exp(np.clip(F @ k, -20.0, 20.0)))
 
     start = np.array([0.0, 0.5, 0.0, 0.0, 0.0])
     # soft_l1: a few impacts defy any such law
     best = least_squares(lambda k: model(k) - cfl, start, loss="soft_l1", f_scale=0.1).x
     off = np.abs(cfl - model(best))
-    print(f"CFL_FIT = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
+    print(f"CFL, of enriched = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
           f"{np.percentile(off, 90):.1%}")  # fmt: skip
     rows = [row for name in LADDERS.values() for row in table_rows(f"accuracy_{name}") if not row["failed"]]
     N, E, n, loop, whole = (column(rows, c) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s"))

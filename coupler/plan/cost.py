@@ -27,12 +27,13 @@ ON_SPLATS = 2.0  # times that, where splats lie below: those that overhang bend 
 HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, accuracy): the
-# logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than 1 / CFL_AT_REST, are these coefficients times
+# logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than at rest, are these coefficients times
 # [1, ln d_p, ln d_t, ln(N / 1000), sin^2 angle]; d: `damage_numbers`, N: points in a sphere of the particle's diameter.
-REST_FIT = (-0.199, 0.13, 0.241, -0.048, 0.932)
-CFL_AT_REST = 0.41  # c dt / spacing as long as nothing is deformed
-CFL_FIT = (-1.242, 1.044, 0.343, 0.403, -0.68)
-STEP_ON_SPLAT = 0.75  # of an impact on a splat over that on a substrate: 0.58 to 0.88 in docs/tables/validation.csv
+REST_FIT = (-0.198, 0.133, 0.233, -0.046, 0.927)
+# By engine: c dt / spacing as long as nothing is deformed, and the fit. Those of the smallest stretch are of `compiled` and `machdyn`.
+_BY_STRETCH = 0.41, (-1.242, 1.044, 0.343, 0.403, -0.68)
+CFL = {"enriched": (0.54, (-0.562, 0.352, 0.733, 0.239, 0.001)), "compiled": _BY_STRETCH, "machdyn": _BY_STRETCH}
+STEP_ON_SPLAT = 0.69  # of an impact on a splat over that on a substrate: 0.58 to 0.78 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
 SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
 # wall time of one step, one core, by engine
@@ -149,12 +150,14 @@ def time_step(
     damage: tuple[float, float],
     points: float,
     angle: float,
+    engine: str,
     slenderness: float = 1.0,
 ) -> float:
     """Mean time step of an impact to rest, s: the spacing shrinks as the particle deforms. spacing m, wave_speed m/s;
     slenderness: height over the diameter of the sphere of equal volume; the rest as for `expected_time`."""
-    excess = _fitted(CFL_FIT, damage, points, angle) * max(slenderness, 1.0)
-    return spacing / wave_speed / (1.0 / CFL_AT_REST + excess)
+    at_rest, fit = CFL[engine]
+    excess = _fitted(fit, damage, points, angle) * max(slenderness, 1.0)
+    return spacing / wave_speed / (1.0 / at_rest + excess)
 
 
 def memory(points: float, n_elements: float) -> float:

@@ -284,7 +284,9 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
     points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
-    dt = estimates.time_step(scene.derived.spacing, material.wave_speed, damage, points, particle.angle, tall)
+    dt = estimates.time_step(
+        scene.derived.spacing, material.wave_speed, damage, points, particle.angle, scene.resolution.engine, tall
+    )
     return ImpactPlan(
         material=material,
         shape=particle.shape,
