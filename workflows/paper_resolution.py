@@ -1,7 +1,7 @@
 """The source paper's own resolution beside `standard`: python workflows/paper_resolution.py   # docs/tables/paper_resolution.csv
 
 Runs workflows/paper_resolution.toml (89,324 points, 189,228 elements) and single_ni.toml on two ranks, spread, and writes what
-both gave and what they cost. Finished runs that lie in runs/ are taken as they are; the finer one takes 17 minutes of two cores
+both gave and what they cost. Finished runs that lie in runs/ are taken as they are; the finer one takes 10 minutes of two cores
 and 13 GB.
 """
 
