@@ -86,7 +86,7 @@ def inside_out(x: np.ndarray) -> np.ndarray:
 
 
 FAULTS: dict[str, tuple[Tamper, str]] = {
-    "a temperature that is no number": (field("particle", "PointData/T", at(3, np.nan)), "T is not a number"),
+    "a temperature that is no number": (field("particle", "PointData/T", at(3, np.nan)), "particle, step 4: T is not a number"),
     "a history that is no number": (column("drift", lambda c: at(2, np.nan)(c)), "history: drift is not a number"),
     "a negative strain": (field("target", "CellData/eps_p", at(0, -0.1)), "a plastic strain is negative"),
     "a strain that falls": (field("particle", "PointData/eps_p", lambda e: 0.5 * e), "plastic strain of the particle fell"),
