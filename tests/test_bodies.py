@@ -238,6 +238,27 @@ def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
     assert contact.penalty_energy == pytest.approx(held, rel=1e-12)
 
 
+def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:
+    """Pressed and slid in small steps: the search is kept through some of them, done again after others, and misses nothing."""
+    b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((0.7, 0.7, 0.5), 0.3, (0.15, 0.15, 1.0)))
+    kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.x.copy()
+    up, still, done = b.nodes(1), np.zeros_like(x), []
+    for step in range(12):
+        x[up] += [0.006, 0.004, -0.001]
+        before = kept._sides[1].near
+        kept.search(x, 0.01)
+        done.append(kept._sides[1].near is not before)
+        for side in fresh._sides:
+            side.reach = -np.inf
+        fresh.search(x, 0.01)
+        f, g = np.zeros_like(x), np.zeros_like(x)
+        kept.forces(1e-9, x, still, f)
+        fresh.forces(1e-9, x, still, g)
+        assert np.abs(g).max() > 0.0, step
+        np.testing.assert_allclose(f, g, atol=1e-9 * np.abs(g).max())
+    assert 0 < sum(done) < len(done)
+
+
 def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     def start() -> tuple[Blocks, BodyContact]:
         b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
