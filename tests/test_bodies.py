@@ -243,8 +243,8 @@ def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((0.7, 0.7, 0.5), 0.3, (0.15, 0.15, 1.0)))
     kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.x.copy()
     up, still, done = b.nodes(1), np.zeros_like(x), []
-    for step in range(12):
-        x[up] += [0.006, 0.004, -0.001]
+    for step in range(24):
+        x[up] += [0.018, 0.004, -0.0005]
         before = kept._sides[1].near
         kept.search(x, 0.01)
         done.append(kept._sides[1].near is not before)
