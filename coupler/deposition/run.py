@@ -24,7 +24,7 @@ from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..measures import UNDECIDED
-from ..plan.planning import CONTACT_STIFFNESS, Plan, plan
+from ..plan.planning import Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
@@ -76,7 +76,7 @@ def run(
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
-    decided = plan(scene, knobs.pop("contact_stiffness", CONTACT_STIFFNESS))
+    decided = plan(scene, knobs.pop("contact_stiffness", None))
     options = _options(
         folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed, jobs
     )

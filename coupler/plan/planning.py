@@ -26,7 +26,9 @@ from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 BEYOND_FIT = "beyond the fitted range"
-CONTACT_STIFFNESS = 1.0  # factor on the penalty stiffness of the contact
+# factors on the penalty stiffness of the contact, whose springs give back half of the rebound's energy
+CONTACT_STIFFNESS = 1.0
+BONDED_STIFFNESS = 8.0  # where bonds act, which decide whether the particle leaves: a sixth, at the same time step
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 NEAR_MELTING = 0.9  # of the melting point
 
@@ -175,8 +177,9 @@ class Plan:
         return sum(impact.end_time for impact in self.impacts)
 
 
-def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
-    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness, for studies of the scheme.
+def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
+    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness, for studies of the scheme (None:
+    BONDED_STIFFNESS where bonds act in the impact, else CONTACT_STIFFNESS).
 
     Raises SceneError if the scene names a material that is not there.
     """
@@ -197,16 +200,17 @@ def plan(scene: Scene, contact_stiffness: float = CONTACT_STIFFNESS) -> Plan:
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
     loads = [estimates.target_load(points, n, scene.resolution.engine) for _, points, n in costs]
     between = estimates.between_impacts(elements, splats, decided.cooling, scene.derived.ambient is not None)
+    adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
         impacts=impacts,
         target=target,
-        adhesion=scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none"),
+        adhesion=adhesion,
         splat_method=scene.splat.method,
         splat_element_size=scene.derived.splat_element_size,
         mass_scaling=float(scene.splat.mass_scaling),
         friction=scene.contact.friction if decided.friction else 0.0,
-        contact_stiffness=contact_stiffness,
+        contact_stiffness=contact_stiffness or (BONDED_STIFFNESS if adhesion.in_impact else CONTACT_STIFFNESS),
         effects=decided,
         budget=budget,
         dt_estimate=min(dt),
