@@ -99,7 +99,6 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
             assert impact.force[2] != 0.0
             positions.append((np.array(domains.particle.x), bodies.target.x[: bodies.target.active_nodes].copy()))
         finally:
-            impact.close()
             domains.particle.close()
     for on_whole, on_cut in zip(*positions, strict=True):
         np.testing.assert_array_equal(on_cut, on_whole)

@@ -332,7 +332,6 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
             domains.target.mesh.conn
         )  # those that the waves have reached
         impact.particle.close()
-        impact.close()
 
 
 def test_a_summary_keeps_effects_and_names_limits_that_were_left(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics, Particle
-from coupler.sph.threads import SecondThread
+from coupler.threads import SecondThread, second_thread
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -202,11 +202,10 @@ def test_two_threads_give_the_same_bits(
     monkeypatch.setattr(compiled, "LEAST_POINTS", 100)
     monkeypatch.setattr(compiled, "LEAST_PAIRS", 500)
     (_, alone), (_, shared) = pair(), pair()
-    shared.second = SecondThread()
-    for p in (alone, shared):
+    for p, threads in ((alone, 1), (shared, 2)):
         set_velocity((4e7, 3e7, -7e7))(p)
-        p.run(100, DT, lambda: None)
-    shared.second.close()
+        with second_thread(threads):
+            p.run(100, DT, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "sums"):
         assert np.array_equal(getattr(alone, name), getattr(shared, name)), name
 
@@ -214,13 +213,20 @@ def test_two_threads_give_the_same_bits(
 def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
     second = SecondThread()
     blocked = Event()
-    second.submit(lambda: blocked.wait(10))  # it has work of its own: this thread does all parts
     done: list[int] = []
+
+    def task() -> None:
+        blocked.wait(10)
+        second.share(done.append, 5)
+
+    own = second.submit(task)  # it has work of its own: this thread does all parts
     second.share(done.append, 5)
     assert done == [0, 1, 2, 3, 4]
     blocked.set()
-    second.share(done.append, 5)
+    second.wait(own)
     assert sorted(done[5:]) == [0, 1, 2, 3, 4]
+    second.share(done.append, 5)
+    assert sorted(done[10:]) == [0, 1, 2, 3, 4]
 
     def fail(part: int) -> None:
         if part == 3:
@@ -228,6 +234,8 @@ def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
 
     with pytest.raises(SolverError, match="part 3"):
         second.share(fail, 5)
+    with pytest.raises(SolverError, match="part 3"):
+        second.wait(second.submit(lambda: second.share(fail, 5)))
     second.close()
 
 

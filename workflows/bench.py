@@ -25,7 +25,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.sph import packing
 from coupler.sph.engine import ENGINES
-from coupler.sph.threads import SecondThread
+from coupler.threads import second_thread
 
 STEPS, REPEATS = 40, 7
 
@@ -121,9 +121,8 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
             compiled._update_stress()
 
     one = fastest(passes, REPEATS, time.perf_counter)
-    compiled.second = SecondThread()
-    two = fastest(passes, REPEATS, time.perf_counter)
-    compiled.second.close()
+    with second_thread(2):
+        two = fastest(passes, REPEATS, time.perf_counter)
     rows.append((f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit))
     rows.append((f"one thread over two, {n} points", one / two, "of wall time"))
     compiled.close()
@@ -200,7 +199,7 @@ def laws(count: int, until: float = 20e-9, metal: str = "OFHC_Cu") -> list[dict[
         text = single_impact(
             metal, 25.0, 500.0, metal, spacing_of(count), f'[materials.{metal}]\nstrength = "{name}"\n'
         )
-        impacts[law] = Impact(build_domains(plan(Scene.from_text(text, "laws"))), 1)
+        impacts[law] = Impact(build_domains(plan(Scene.from_text(text, "laws"))))
     for impact in impacts.values():
         advance_window(impact)
     spent, steps = dict.fromkeys(impacts, 0.0), {law: -impact.particle.steps for law, impact in impacts.items()}

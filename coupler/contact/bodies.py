@@ -10,8 +10,7 @@ from ..errors import CheckpointError, SolverError
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
-from .kernels import farthest
-from .penalty import ContactState, PointContact
+from .penalty import ContactState, PointContact, SideBySide
 from .surfaces import Surfaces, neighbours
 
 SKIN = 0.15  # spacings that a search looks farther than it must, so that it holds while surfaces move by that
@@ -22,30 +21,20 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 class _Side:
     """The surface nodes of one body against facets of others.
 
-    facets: ids in `Surfaces`; near: those of them around the nodes at the last search; idle: none is. What was found then holds while
-    both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where these and the own nodes were.
+    facets: ids in `Surfaces`; near: those of them around the nodes at the last search, known: which these are; idle: none touches.
+    What was found then holds while both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where
+    the own nodes and these were.
     """
 
     nodes: np.ndarray
     facets: np.ndarray
     contact: PointContact
     near: np.ndarray
+    known: np.ndarray
     idle: bool = True
     reach: float = -np.inf
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     places: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3)), np.zeros((0, 3)))
-
-    def remember(self, x: np.ndarray, facets: np.ndarray, reach: float) -> None:
-        """Note a search at positions x (N,3) m; facets (k,3): all of `Surfaces`."""
-        self.reach, self.corners = reach, np.unique(facets[self.near])
-        self.places = x[self.nodes], x[self.corners]
-
-    def still_holds(self, x: np.ndarray, near: np.ndarray, travel: float) -> bool:
-        """Whether the last search holds for `travel` m more, with the facets `near` now (ascending)."""
-        if not self.reach > travel:
-            return False
-        moved = farthest(x, self.nodes, self.places[0]) + farthest(x, self.corners, self.places[1])
-        return moved + travel <= self.reach and bool(np.isin(near, self.near, assume_unique=True).all())
 
 
 @dataclass(frozen=True)
@@ -91,6 +80,7 @@ class BodyContact:
         reach = 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
         bodies = range(surfaces.bodies) if surfaces.bodies > 1 else ()
         self._sides = [self._side(body, x, factor, neighbours(low, high, body, reach)) for body in bodies]
+        self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
@@ -103,7 +93,7 @@ class BodyContact:
         contact = PointContact(
             len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=0.5 * factor, facet_ids=ids, jump=JUMP,
         )  # fmt: skip
-        return _Side(nodes, ids, contact, ids[:0])
+        return _Side(nodes, ids, contact, ids[:0], np.zeros(len(ids), bool))
 
     @property
     def penalty_energy(self) -> float:
@@ -131,7 +121,7 @@ class BodyContact:
         for side in self._sides:
             if not side.idle:
                 softness = 1.0 / float(mass[side.nodes].min())
-                springs = side.contact.stable_dt(softness, mass[self.surfaces.facets[side.near]].ravel())
+                springs = side.contact.stable_dt(softness, mass[side.corners])
                 step = min(step, float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / alone**2)))
         return step
 
@@ -141,7 +131,7 @@ class BodyContact:
         for side in self._sides:
             if not side.idle:
                 load[side.nodes] += 2.0 * side.contact.stiffness
-                load[np.unique(self.surfaces.facets[side.near])] += 4.0 * side.contact.stiffness
+                load[side.corners] += 4.0 * side.contact.stiffness
         return load
 
     def search(
@@ -163,12 +153,20 @@ class BodyContact:
         changed = bool(np.any(held != self._held))
         before, before_held, self._held = self.penalty_energy, self._held, held
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
-        speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else None
+        speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else np.zeros(0)
+        fastest, searched = float(speed.max(initial=0.0)), False
         for side in self._sides:
-            taken, own = held[side.nodes], travel if speed is None else self._travel(side, x, travel, speed)
-            same = np.array_equal(taken, before_held[side.nodes]) and not self._inactive(side, active)
-            if not (same and side.still_holds(x, self._around(side, x, own, 1.0), own)):
-                self._search_side(side, x, own + SKIN * side.contact.spacing, taken, active)
+            handed_over = changed and not np.array_equal(held[side.nodes], before_held[side.nodes])
+            own, moved, known = broad.since_search(
+                x, side.nodes, side.places[0], side.corners, side.places[1], speed, fastest, travel, 0.5 * side.contact.spacing,
+                self.surfaces.facets, side.facets, side.known, self._low, self._high,
+            )  # fmt: skip
+            holds = side.reach > own and moved + own <= side.reach and known and not self._inactive(side, active)
+            if handed_over or not holds:
+                self._search_side(side, x, own + SKIN * side.contact.spacing, held[side.nodes], active)
+                searched = True
+        if searched:
+            self._step.arrange([i for i, side in enumerate(self._sides) if not side.idle])
         if changed:  # a step of no time tells what the contact holds with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy())
@@ -179,6 +177,9 @@ class BodyContact:
         c = side.contact
         c.spring[taken], c.depth[taken] = 0.0, 0.0
         side.near, side.reach = self._around(side, x, travel), -np.inf
+        side.known[:] = False
+        side.known[np.searchsorted(side.facets, side.near)] = True
+        side.corners, side.places = np.unique(self.surfaces.facets[side.near]), (x[:0], x[:0])
         if self._inactive(side, active):
             side.idle = True
             return
@@ -187,46 +188,35 @@ class BodyContact:
             c.search(x[side.nodes], x, travel, np.searchsorted(side.facets, side.near))
             c.rows = c.rows[~taken[c.rows]]
             side.idle = len(c.rows) == 0
-        side.remember(x, self.surfaces.facets, travel)
+        side.reach, side.places = travel, (x[side.nodes], x[side.corners])
         if side.idle:
             c.sums[:], c.depth[:] = 0.0, 0.0
-
-    def _travel(self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray) -> float:
-        """How far a side and the facets near it move against each other, where the fastest node moves by half of `travel` m."""
-        near = self.surfaces.facets[self._around(side, x, travel)]
-        together = float(speed[side.nodes].max()) + float(speed[near].max(initial=0.0))
-        return travel * min(1.0, together / max(float(speed.max()), 1e-300))
 
     def _inactive(self, side: _Side, active: int | None) -> bool:
         """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones, where not all are."""
         if active is None:
             return False
-        facets = self.surfaces.facets[side.near]
-        return bool(side.nodes.min() >= active) and (len(facets) == 0 or bool(facets.min() >= active))
+        return bool(side.nodes[0] >= active) and (len(side.corners) == 0 or bool(side.corners[0] >= active))
 
-    def _around(self, side: _Side, x: np.ndarray, travel: float, times: float = 2.0) -> np.ndarray:
-        """Those of a side's facets whose boxes come within so many times the reach of the box around its nodes."""
-        margin = times * (0.5 * side.contact.spacing + travel)
+    def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
+        """Those of a side's facets whose boxes come within twice the reach of the box around its nodes."""
+        margin = 2.0 * (0.5 * side.contact.spacing + travel)
         own = x[side.nodes]
         least, most = broad.bounds(own, own)
         return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)
 
     def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
-        for side in self._sides:
-            if side.idle:
-                continue
-            on_nodes = np.zeros((len(side.nodes), 3))
-            side.contact.forces(dt, x[side.nodes], v[side.nodes], x, v, on_nodes, f)
-            f[side.nodes] += on_nodes
+        self._step.forces(dt, x, v, f)
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
         """Heat of friction since the last call, for `Target.warm`: (elements, J), those behind nodes and facets that rubbed."""
         of_node, of_facet = np.zeros(len(self._held)), np.zeros(len(self.surfaces.facets))
         for side in self._sides:
-            of_node[side.nodes] += side.contact.heat_point
-            of_facet[side.facets] += side.contact.heat_facet
-            side.contact.heat_point[:], side.contact.heat_facet[:] = 0.0, 0.0
+            if side.contact.heat_point.any():  # one of its points and one of its facets
+                of_node[side.nodes] += side.contact.heat_point
+                of_facet[side.facets] += side.contact.heat_facet
+                side.contact.heat_point[:], side.contact.heat_facet[:] = 0.0, 0.0
         of_pair = (of_node * self._share_of_node)[self._behind[0]]
         pairs, facets = np.flatnonzero(of_pair), np.flatnonzero(of_facet)
         elements = np.concatenate([self._behind[1][pairs], self.surfaces.element[facets]])

@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..state.arrays import Floats, Ints
+from ..state.arrays import Bools, Floats, Ints
 
 
 @njit(cache=True, nogil=True)
@@ -142,3 +142,59 @@ def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floa
             overlapping[count] = i
             count += 1
     return overlapping[:count]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _overlap(low: Floats, high: Floats, i: int, least: Floats, most: Floats, margin: float) -> bool:
+    """Whether box i of low, high (k,3) comes within `margin` of the box [least, most]."""
+    return (
+        low[i, 0] <= most[0] + margin and high[i, 0] >= least[0] - margin
+        and low[i, 1] <= most[1] + margin and high[i, 1] >= least[1] - margin
+        and low[i, 2] <= most[2] + margin and high[i, 2] >= least[2] - margin
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def farthest(x: Floats, rows: Ints, before: Floats) -> float:
+    """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
+    most = 0.0
+    for q in range(len(rows)):
+        a, b = x[rows[q]], before[q]
+        u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+        most = max(most, u * u + v * v + w * w)
+    return float(np.sqrt(most))
+
+
+@njit(cache=True, nogil=True)
+def since_search(
+    x: Floats, nodes: Ints, places: Floats, corners: Ints, corner_places: Floats, speed: Floats, fastest: float, travel: float,
+    half: float, facets: Ints, ids: Ints, known: Bools, low: Floats, high: Floats,
+) -> tuple[float, float, bool]:  # fmt: skip
+    """What has become of a search of nodes (k,) among the facets `ids`.
+
+    Returns the way (m) that both will go together, that they have gone since, and whether all facets near the nodes were known to it.
+    places, corner_places: where the nodes, and the corners (c,) of the facets found, were then; known (len(ids),): those facets. The
+    fastest node of all moves by half of `travel` m, others by as much less as their speed (N,) m/s is; all of them where fastest is 0.
+    Without places there was no search yet. half: m, half a spacing of the nodes' surface. low, high (f,3): boxes around all facets
+    (f,3) now.
+    """
+    least, most = np.full(3, np.inf), np.full(3, -np.inf)
+    own = 0.0
+    for a in nodes:
+        for d in range(3):
+            least[d] = min(least[d], x[a, d])
+            most[d] = max(most[d], x[a, d])
+        if fastest > 0.0:
+            own = max(own, speed[a])
+    if fastest > 0.0:
+        other = 0.0
+        for i in ids:
+            if _overlap(low, high, i, least, most, 2.0 * (half + travel)):
+                other = max(other, speed[facets[i, 0]], speed[facets[i, 1]], speed[facets[i, 2]])
+        travel *= min(1.0, (own + other) / fastest)
+    if len(places) < len(nodes):
+        return travel, np.inf, False
+    for k in range(len(ids)):
+        if not known[k] and _overlap(low, high, ids[k], least, most, half + travel):
+            return travel, np.inf, False
+    return travel, farthest(x, nodes, places) + farthest(x, corners, corner_places), True

@@ -7,6 +7,7 @@ from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Floats, Ints
+from .broad import farthest
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -68,17 +69,6 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
     v = max(low[1] - p[1], p[1] - high[1], 0.0)
     w = max(low[2] - p[2], p[2] - high[2], 0.0)
     return u * u + v * v + w * w
-
-
-@njit(cache=True, nogil=True)
-def farthest(x: Floats, rows: Ints, before: Floats) -> float:
-    """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
-    most = 0.0
-    for q in range(len(rows)):
-        a, b = x[rows[q]], before[q]
-        u, v, w = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-        most = max(most, u * u + v * v + w * w)
-    return sqrt(most)
 
 
 @njit(cache=True, nogil=True)
@@ -313,3 +303,44 @@ def contact_forces(
         add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
         add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
         add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
+
+
+@njit(cache=True, nogil=True)
+def look_of_sides(
+    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
+    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, seen: Floats, room:
+    Floats, nearest: Ints, foot: Floats, gap: Floats, depth: Floats, spring: Floats, lost: Floats,
+) -> None:  # fmt: skip
+    """`look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written for their rows."""
+    for s in range(lo, hi):
+        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
+        for row in rows[r:r1]:
+            for d in range(3):
+                xp[p + row, d] = x[node_of[p + row], d]
+        look(
+            rows[r:r1], numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], x, nodes[n:n1], places[n:n1], last[n:n1],
+            way[s : s + 1], start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1],
+            gap[p:p1], depth[p:p1], spring[p:p1], lost[s],
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def forces_of_sides(
+    dt: float, mu: float, share: float, spans: Ints, numbers: Floats, rows: Ints, boxes: Ints, ids: Ints, node_of: Ints, facets:
+    Ints, x: Floats, v: Floats, f: Floats, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats, depth:
+    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
+) -> None:  # fmt: skip
+    """`contact_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
+    for s in range(len(spans)):
+        r, r1, p, p1, _, _, b, b1, i, i1, _, _, t, t1 = spans[s]
+        for row in rows[r:r1]:
+            for d in range(3):
+                vp[p + row, d] = v[node_of[p + row], d]
+                fp[p + row, d] = 0.0
+        contact_forces(
+            dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1],
+            nearest[p:p1], foot[p:p1], gap[p:p1], facets[t:t1], x, v, fp[p:p1], f, spring[p:p1], heat_point[p:p1],
+            heat_facet[t:t1], share, sums[s], depth[p:p1],
+        )  # fmt: skip
+        for row in rows[r:r1]:
+            add(f, node_of[p + row], fp[p + row, 0], fp[p + row, 1], fp[p + row, 2])

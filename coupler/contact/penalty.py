@@ -1,13 +1,16 @@
 """Contact between the points of a particle and the facets of the target: search now and then, forces each step."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
 from ..state.arrays import Floats
 from ..state.records import Shape, assign, collect
+from ..threads import share
 from . import broad
 from . import kernels as k
 
@@ -167,6 +170,10 @@ class PointContact:
             self._start, self._boxes, self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth,
             self.spring, lost,
         )  # fmt: skip
+        self._drop(lost)
+
+    def _drop(self, lost: np.ndarray) -> None:
+        """Book what `kernels.look` has taken away."""
         if lost[0]:
             self.dropped += int(lost[0])
             self.dropped_energy += 0.5 * (self.stiffness * float(lost[1]) + float(lost[2]) / self.tangential)
@@ -183,3 +190,91 @@ class PointContact:
             self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
         self.friction_heat += float(self.sums[2])
+
+
+_OF_POINT = ("spring", "depth", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap")
+_OF_FACET = ("facets", "heat_facet")
+LEAST_SIDES = 3  # in a range of a shared loop
+
+
+class SideBySide:
+    """Several contacts whose points are nodes of one domain, of N nodes: one compiled pass computes the step of all of them.
+
+    Their arrays with a row for each point or facet lie one after the other in arrays of this; each contact keeps its own part.
+    """
+
+    def __init__(self, contacts: Sequence[PointContact], nodes: Sequence[np.ndarray]):
+        """nodes: of each contact, the nodes (n,) that its points are. All contacts have the same friction and share."""
+        self._contacts = list(contacts)
+        self._node_of = _joined(nodes, np.int64)
+        self._points, self._facets = _bounds(nodes), _bounds([c.facets for c in contacts])
+        self._whole: dict[str, np.ndarray] = {}
+        for names, bounds in ((_OF_POINT, self._points), (_OF_FACET, self._facets)):
+            for name in names:
+                self._whole[name] = _joined([getattr(c, name) for c in contacts])
+                for c, lo, hi in zip(contacts, bounds, bounds[1:], strict=False):
+                    setattr(c, name, self._whole[name][lo:hi])
+        self._x, self._v, self._f = np.zeros((3, len(self._node_of), 3))
+        self.arrange([])
+
+    def arrange(self, active: Sequence[int]) -> None:
+        """Note what the last searches of the contacts `active` have found: the others have no part in a step."""
+        chosen = [self._contacts[s] for s in active]
+        self._active = chosen
+        names = ("rows", "_start", "_boxes", "_ids", "_low", "_high", "_nodes", "_places", "_last", "_way")
+        found = {name: [getattr(c, name) for c in chosen] for name in names}
+        found["_low"], found["_high"] = (
+            [box[: len(c._ids)] for c, box in zip(chosen, found[n], strict=True)] for n in ("_low", "_high")
+        )
+        self._found = {name: _joined(parts) for name, parts in found.items()}
+        rows, start, boxes, ids, nodes = (
+            _bounds(found[name]) for name in ("rows", "_start", "_boxes", "_ids", "_nodes")
+        )
+        which = np.asarray(active, np.int64)
+        ends = [(b[:-1], b[1:]) for b in (rows, start, boxes, ids, nodes)]
+        ends.insert(1, (self._points[which], self._points[which + 1]))
+        ends.append((self._facets[which], self._facets[which + 1]))
+        self._spans = np.array(ends, np.int64).reshape(14, -1).T.copy()
+        self._numbers = np.array(
+            [(c._margin, c._jump, 1e-6 * c.spacing, c.stiffness, c.tangential) for c in chosen]
+        ).reshape(-1, 5)
+        self._sums, self._lost = np.zeros((len(chosen), 4)), np.zeros((len(chosen), 3))
+        for i, c in enumerate(chosen):  # what a step changes
+            c._last, c._way = self._found["_last"][nodes[i] : nodes[i + 1]], self._found["_way"][i : i + 1]
+            self._sums[i] = c.sums
+            c.sums = self._sums[i]
+
+    def forces(self, dt: float, x: Floats, v: Floats, f: Floats) -> None:
+        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
+        if not self._active:
+            return
+        w, found, own = self._whole, self._found, self._active[0]
+        rows, boxes, ids = found["rows"], found["_boxes"], found["_ids"]
+
+        def look(lo: int, hi: int) -> None:
+            k.look_of_sides(
+                lo, hi, self._spans, self._numbers, rows, found["_start"], boxes, ids, found["_low"], found["_high"], found["_nodes"],
+                found["_places"], found["_last"], found["_way"], self._node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
+                w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], self._lost,
+            )  # fmt: skip
+
+        self._lost[:] = 0.0
+        share(look, len(self._active), LEAST_SIDES)
+        for i in np.flatnonzero(self._lost[:, 0]):
+            self._active[i]._drop(self._lost[i])
+        k.forces_of_sides(
+            dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self._node_of, w["facets"], x, v, f,
+            self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], w["heat_point"],
+            w["heat_facet"], self._sums,
+        )  # fmt: skip
+        for c, slip in zip(self._active, self._sums[:, 2].tolist(), strict=True):
+            c.friction_heat += slip
+
+
+def _joined(parts: Sequence[np.ndarray], kind: DTypeLike = float) -> np.ndarray:
+    return np.concatenate(parts) if len(parts) else np.zeros(0, kind)
+
+
+def _bounds(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Where each part begins among all of them, and the end."""
+    return np.cumsum([0, *map(len, parts)])

@@ -12,6 +12,7 @@ import numpy as np
 from ..fe.explicit import Target
 from ..fe.stability import HighestFrequency, masses_for
 from ..impact.bodies import Bodies
+from ..physics import motion
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
 RELAX_SAFETY = 0.9
@@ -115,14 +116,13 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
 
 def _lowest(t: Target, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
     """Kinetic energy (J) in the masses of the relaxation, and the squared frequency (1/s2) of what moves now."""
-    twice = float(t.mass[free] @ np.einsum("ai,ai->a", t.v[free], t.v[free]))
-    stiffness = -float(np.einsum("ai,ai->", t.v[free], t.total[free] - before[free])) / dt
-    return 0.5 * twice, max(stiffness / twice, 0.0) if twice > 0.0 else 0.0
+    twice, power = motion.moving(free, t.mass, t.v, t.total, before)
+    return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0
 
 
 def _loose(t: Target, free: np.ndarray) -> float:
     """Sum of f^2 / 2 m over the forces that nothing balances; over omega^2 an energy, J."""
-    return 0.5 * float(np.einsum("ai,ai->a", t.total[free], t.total[free]) @ (1.0 / t.mass[free]))
+    return float(motion.unbalanced(free, t.mass, t.total))
 
 
 def _run_for(bodies: Bodies, time: float) -> float:

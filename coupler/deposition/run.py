@@ -30,6 +30,7 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
+from ..threads import second_thread
 from .batches import clear, compute, replay, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached
@@ -230,6 +231,7 @@ class Deposition:
             parallel.leading(ranks),
             create() if create is not None else Store.reopen(self.folder) as self.store,
             logged(options.progress, self.store),
+            second_thread(options.threads),
             workers(plan, options, self.folder) as pool,
         ):
             options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")

@@ -17,6 +17,7 @@ from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from ..state.records import assign, collect, fill_rows
+from ..threads import share
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, take_heat
@@ -29,6 +30,8 @@ LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
 COURANT = 0.85
 AHEAD = 1.5  # speed of the front of what is computed over that of sound
+# in a range of a shared loop at the least: a tenth of a millisecond of work
+LEAST_ELEMENTS, LEAST_NODES = 1000, 2000
 
 
 class Target:
@@ -193,7 +196,13 @@ class Target:
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
-        bound, where = k.stable_dt(0, e, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of)
+        bounds: list[tuple[float, int]] = []
+
+        def bound_of(lo: int, hi: int) -> None:
+            bounds.append(k.stable_dt(lo, hi, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of))
+
+        share(bound_of, e, LEAST_ELEMENTS)
+        bound, where = min(bounds)
         if self.inertia.max() > 1.0:
             self.dt_of[:e] *= np.sqrt(self.inertia[:e])
             where = int(np.argmin(self.dt_of[:e]))
@@ -217,43 +226,60 @@ class Target:
         self._activate(dt)
         n, m = self.active_nodes, self.active_elements
         motion.drift(0, n, dt, self.v, self.x)
-        mesh = self.mesh
-        if k.volumes(0, m, self.x, mesh.conn, self.volume) <= 0.0:
-            raise SolverError(self._inverted())
-        k.nodal_pressure(
-            0, n, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node,
-            self.J, self.p, self.energy,
-        )  # fmt: skip
         self.f, self.f_old = self.f_old, self.f
-
-        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
-        sums = np.zeros(3)
-        k.element_forces(
-            0, m, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow,
-            self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, sums,
-        )  # fmt: skip
-        self.sums += sums
-        k.gather_forces(0, n, self.start, self.table, self.fe, self.f)
+        self._compute_forces(n, m, dt)
         self.f_ext[:] = 0.0
         if self.conduction is not None:
             self.conduction.advance(dt, self)
         self.dt_last = dt
         self.time += dt
 
+    def _compute_forces(self, n: int, m: int, dt: float) -> None:
+        """Stress and internal forces of the first n nodes and m elements where they are now."""
+        mesh = self.mesh
+        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
+        smallest: list[float] = []
+        sums: dict[int, np.ndarray] = {}
+
+        def volumes(lo: int, hi: int) -> None:
+            smallest.append(k.volumes(lo, hi, self.x, mesh.conn, self.volume))
+
+        def pressure(lo: int, hi: int) -> None:
+            k.nodal_pressure(
+                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure,
+                self.law_of_node, self.J, self.p, self.energy,
+            )  # fmt: skip
+
+        def forces(lo: int, hi: int) -> None:
+            sums[lo] = np.zeros(3)
+            k.element_forces(
+                lo, hi, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J,
+                self._laws_of_flow, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, sums[lo],
+            )  # fmt: skip
+
+        def gather(lo: int, hi: int) -> None:
+            k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f)
+
+        share(volumes, m, LEAST_ELEMENTS)
+        if min(smallest) <= 0.0:
+            raise SolverError(self._inverted())
+        share(pressure, n, LEAST_NODES)
+        share(forces, m, LEAST_ELEMENTS)
+        for lo in sorted(sums):  # the same order with any number of threads
+            self.sums += sums[lo]
+        share(gather, n, LEAST_NODES)
+
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
         n, dt = self.active_nodes, self.dt_last
         self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
-        np.add(self.f[:n], self.f_ext[:n], out=self.total[:n])
+        motion.add_forces(0, n, self.f, self.f_ext, self.total)
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
-        self.support = -self.force_suffix_sum[n] - self.f_ext[n:].sum(axis=0)
+        self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.x), self.f_ext)
         if len(self.dashpot_nodes):
-            nodes = self.dashpot_nodes
-            drag = -np.einsum("aij,aj->ai", self.dashpot, self.v[nodes])
-            self.total[nodes] += drag
-            self.absorbed -= 0.5 * dt * float(np.einsum("ai,ai->", drag + self.drag, self.v[nodes]))
-            self.drag = drag
-            self.support += drag.sum(axis=0)
+            power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.v, self.drag, self.total)
+            self.absorbed -= 0.5 * dt * power
+            self.support += motion.sum_over(0, len(self.drag), self.drag)
         if len(self.spring_nodes):
             active = self.spring_nodes < n  # what is inactive is in balance with its springs
             nodes = self.spring_nodes[active]
@@ -261,7 +287,7 @@ class Target:
             self.total[nodes] += pull
             self.support += pull.sum(axis=0)
         if len(self.fixed):
-            self.support -= self.total[self.fixed].sum(axis=0)
+            self.support -= motion.sum_at(self.fixed, self.total)
 
     def external_impulse(self) -> np.ndarray:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""

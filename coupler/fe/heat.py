@@ -11,6 +11,7 @@ Faces are adiabatic.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from typing import Annotated
 
@@ -20,11 +21,13 @@ from numba import njit
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape, assign, collect
+from ..threads import share
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
 CONDUCTION_SAFETY = 0.9
+LEAST = 4000  # elements or nodes in a range of a shared loop
 
 
 @dataclass(frozen=True)
@@ -75,21 +78,30 @@ class Conduction:
 
         T and sigma_y of t move on; its heat is increased by what each element gains.
         """
-        n, m, conn, left = t.active_nodes, t.active_elements, t.mesh.conn, time
+        n, m, left = t.active_nodes, t.active_elements, time
         if m == 0:
             return
         self._sync_nodes(t)
         while left > 0.0:
             fastest = 4.0 * self._flows(t)
             dt = left / ceil(left * fastest / (2.0 * CONDUCTION_SAFETY)) if fastest > 0.0 else left
-            excesses(0, m, dt, conn, self.T, t.T, self.rate, self.own)
+            share(partial(self._lose_excess, t, dt), m, LEAST)
             self._means(t, self.own)
-            changes(0, n, dt, t.start, t.table, self.flow, self.capacity, self.mean, self.change)
-            self.T[:n] += self.change[:n]
-            gains(0, m, conn, self.share, self.change, self.own, self.gain)
-            take_heat(0, m, self.gain, t.mesh.V0, t.laws, t.law_of, t.T, t.heat, t.sigma_y, t.eps_p)
-            self.last[:m] = t.T[:m]
+            share(partial(self._change_nodes, t, dt), n, LEAST)
+            share(partial(self._change_elements, t), m, LEAST)
             left = left - dt if left > 1.5 * dt else 0.0
+
+    def _lose_excess(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
+        excesses(lo, hi, dt, t.mesh.conn, self.T, t.T, self.rate, self.own)
+
+    def _change_nodes(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
+        changes(lo, hi, dt, t.start, t.table, self.flow, self.capacity, self.mean, self.change)
+        self.T[lo:hi] += self.change[lo:hi]
+
+    def _change_elements(self, t: FiniteElements, lo: int, hi: int) -> None:
+        gains(lo, hi, t.mesh.conn, self.share, self.change, self.own, self.gain)
+        take_heat(lo, hi, self.gain, t.mesh.V0, t.laws, t.law_of, t.T, t.heat, t.sigma_y, t.eps_p)
+        self.last[lo:hi] = t.T[lo:hi]
 
     def _sync_nodes(self, t: FiniteElements) -> None:
         """Add to the nodes the rise of temperature of their elements since the last call."""
@@ -106,13 +118,27 @@ class Conduction:
             self.known_elements = m
 
     def _means(self, t: FiniteElements, value: np.ndarray) -> None:
-        shares(0, t.active_elements, t.mesh.V0, t.laws, t.law_of, t.T, self.share)
-        means(0, t.active_nodes, t.start, t.table, self.share, value, self.capacity, self.mean)
+
+        def carried(lo: int, hi: int) -> None:
+            shares(lo, hi, t.mesh.V0, t.laws, t.law_of, t.T, self.share)
+
+        def averaged(lo: int, hi: int) -> None:
+            means(lo, hi, t.start, t.table, self.share, value, self.capacity, self.mean)
+
+        share(carried, t.active_elements, LEAST)
+        share(averaged, t.active_nodes, LEAST)
 
     def _flows(self, t: FiniteElements) -> float:
         """What flows between nodes, W; returns the fastest rate of an element, 1/s."""
-        m, conn = t.active_elements, t.mesh.conn
-        return flows(0, m, t.x, conn, t.volume, t.laws, t.law_of, self.T, self.share, self.rate, self.flow)
+        fastest: list[float] = []
+
+        def flow(lo: int, hi: int) -> None:
+            fastest.append(
+                flows(lo, hi, t.x, t.mesh.conn, t.volume, t.laws, t.law_of, self.T, self.share, self.rate, self.flow)
+            )
+
+        share(flow, t.active_elements, LEAST)
+        return max(fastest)
 
 
 @njit(cache=True, nogil=True)

@@ -16,12 +16,14 @@ from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape
+from ..threads import share
 from .blocks import edge_cofactors
 from .kernels import SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
 from .mesh import FiniteElements
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
+LEAST_ELEMENTS, LEAST_NODES = 2000, 4000  # in a range of a shared loop
 STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
 
@@ -157,13 +159,33 @@ class HighestFrequency:
         for _ in range(4 if self._warm else 25):
             w *= (t.inv_mass[:n] > 0)[:, None]
             before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
-            _volume_change(0, m, t.x, self._w, mesh.conn, self._dv)
-            _nodal_stiffening(0, n, t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp)
-            _forces(0, m, t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe)
-            gather_forces(0, n, t.start, t.table, self._fe, f)
+            self._apply(t, n, m)
             w[:] = f[:n] * t.inv_mass[:n, None]
             after = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
             omega2 = np.sqrt(after / before)
             w *= 1.0 / np.sqrt(after / t.mass[:n].sum())
         self._warm = True
         return float(min(max(FREQUENCY_SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))
+
+    def _apply(self, t: FiniteElements, n: int, m: int) -> None:
+        """Elastic forces of the motion of the first n nodes, by the first m elements."""
+        mesh = t.mesh
+
+        def volume_change(lo: int, hi: int) -> None:
+            _volume_change(lo, hi, t.x, self._w, mesh.conn, self._dv)
+
+        def stiffening(lo: int, hi: int) -> None:
+            _nodal_stiffening(
+                lo, hi, t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp
+            )
+
+        def forces(lo: int, hi: int) -> None:
+            _forces(lo, hi, t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe)
+
+        def gather(lo: int, hi: int) -> None:
+            gather_forces(lo, hi, t.start, t.table, self._fe, self._f)
+
+        for kernel, count, least in (
+            (volume_change, m, LEAST_ELEMENTS), (stiffening, n, LEAST_NODES), (forces, m, LEAST_ELEMENTS), (gather, n, LEAST_NODES),
+        ):  # fmt: skip
+            share(kernel, count, least)

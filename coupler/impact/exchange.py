@@ -5,7 +5,7 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
-from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -22,8 +22,8 @@ from ..physics.constitutive import is_metal
 from ..physics.materials import Material
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
-from ..sph.threads import SecondThread
 from ..state.records import Shape, assign, check_indices, collect
+from ..threads import Task, second
 from .bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
@@ -60,9 +60,7 @@ class Impact:
     the particle, or None; dt_factor: on the stable time step, below 1 after a retry.
     """
 
-    def __init__(self, domains: Domains, threads: int = 1):
-        """threads: with 2, a second one computes the target's next step beside the particle's, then shares the rest of the particle's
-        with this one; the numbers are the same."""
+    def __init__(self, domains: Domains):
         self.domains, self.paths = domains, domains.paths
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
         self.surface, self.contact = domains.surface, domains.contact
@@ -71,8 +69,8 @@ class Impact:
         self._x, self._v, self._forces = (np.zeros((self.surface.touching.shape[0], 3)) for _ in range(3))
         self.surface_nodes = np.unique(self.contact.facets)
         self.ledger = Ledger(domains)
-        self._second = self.particle.second = SecondThread() if threads > 1 else None
-        self._ahead: Future[None] | None = None
+        self._second = second()  # computes the target's next step beside the particle's: the numbers are the same
+        self._ahead: Task | None = None
         self._left = 0  # steps of this window still to come
         self.time = 0.0
         self.force = np.zeros(3)
@@ -82,11 +80,6 @@ class Impact:
         self.exposure: Exposure | None = None
         self._films: np.ndarray | None = None  # (laws, 2): `oxide_film` between the particle and each law of the target
         self.dt_factor = 1.0
-
-    def close(self) -> None:
-        """Stop the second thread."""
-        if self._second is not None:
-            self._second.close()
 
     @cached_property
     def _rings(self) -> tuple[np.ndarray, np.ndarray]:
@@ -149,17 +142,23 @@ class Impact:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
         self._left, self._ahead = steps, None
         needed = self.surface.support(self.contact.rows)
-        self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
+        try:
+            self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
+        except BaseException:
+            if self._second is not None and self._ahead is not None:  # no thread goes on with what has failed
+                with suppress(SolverError):
+                    self._second.wait(self._ahead)
+            raise
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:
         """The target's own step, which needs nothing of the particle: in this thread, or the result of the second one."""
-        if self._ahead is None:
+        if self._second is None or self._ahead is None:
             self._advance_bodies(self.particle.dt)
         else:
-            self._ahead.result()
+            self._second.wait(self._ahead)
 
     def _advance_bodies(self, dt: float) -> None:
         self.target.advance(dt)

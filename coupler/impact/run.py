@@ -107,7 +107,7 @@ def run_impact(
             options.progress.start(p.expected, p.end_time, i, before, plan.shares, p.dt_expected)
             options.progress.stage("building the particle")
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
-            impact = Impact(domains, options.threads)
+            impact = Impact(domains)
             try:
                 ending = _end_criterion(p, i)
                 recorder = Recorder(plan, i, store, options.progress, before)
@@ -124,7 +124,6 @@ def run_impact(
                 recorder.start(impact)
                 watch.start_loop()
                 advance_to_end(impact, ending, recorder, keeper.keep, options.probe)
-                impact.close()
                 if not ending.touched:
                     raise NoContactError(
                         f"particle {i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
@@ -151,7 +150,6 @@ def run_impact(
 
 def _give_up(impact: Impact) -> None:
     """Stop what still runs of an impact."""
-    impact.close()
     impact.particle.close()
 
 

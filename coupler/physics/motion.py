@@ -2,7 +2,7 @@
 
 from numba import njit
 
-from ..state.arrays import Floats
+from ..state.arrays import Bools, Floats, Ints, Vector
 
 
 @njit(cache=True, nogil=True)
@@ -32,3 +32,73 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
         for d in range(3):
             total += (f_old[a, d] + f[a, d]) * v[a, d]
     return 0.5 * dt * total
+
+
+@njit(cache=True, nogil=True)
+def add_forces(lo: int, hi: int, f: Floats, more: Floats, total: Floats) -> None:
+    """total = f + more."""
+    for a in range(lo, hi):
+        for d in range(3):
+            total[a, d] = f[a, d] + more[a, d]
+
+
+@njit(cache=True, nogil=True)
+def sum_over(lo: int, hi: int, f: Floats) -> Vector:
+    """Sum of the rows [lo, hi) of f."""
+    x = y = z = 0.0
+    for a in range(lo, hi):
+        x += f[a, 0]
+        y += f[a, 1]
+        z += f[a, 2]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def sum_at(rows: Ints, f: Floats) -> Vector:
+    """Sum of the rows `rows` of f."""
+    x = y = z = 0.0
+    for q in range(len(rows)):
+        a = rows[q]
+        x += f[a, 0]
+        y += f[a, 1]
+        z += f[a, 2]
+    return x, y, z
+
+
+@njit(cache=True, nogil=True)
+def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats) -> float:
+    """Dashpots: drag (k,3) = -matrix (k,3,3) kg/s times the v of `rows`, added to total.
+
+    Returns the sum of (drag before + drag) . v, W.
+    """
+    power = 0.0
+    for q in range(len(rows)):
+        a, m = rows[q], matrix[q]
+        for d in range(3):
+            force = -(m[d, 0] * v[a, 0] + m[d, 1] * v[a, 1] + m[d, 2] * v[a, 2])
+            power += (force + drag[q, d]) * v[a, d]
+            drag[q, d] = force
+            total[a, d] += force
+    return power
+
+
+@njit(cache=True, nogil=True)
+def moving(free: Bools, mass: Floats, v: Floats, f: Floats, before: Floats) -> tuple[float, float]:
+    """Sums of m v . v (J) and of -v . (f - f before) (W) over the free rows."""
+    twice = power = 0.0
+    for a in range(len(free)):
+        if free[a]:
+            for d in range(3):
+                twice += mass[a] * v[a, d] * v[a, d]
+                power -= v[a, d] * (f[a, d] - before[a, d])
+    return twice, power
+
+
+@njit(cache=True, nogil=True)
+def unbalanced(free: Bools, mass: Floats, f: Floats) -> float:
+    """Sum of f . f / 2 m over the free rows."""
+    total = 0.0
+    for a in range(len(free)):
+        if free[a]:
+            total += (f[a, 0] * f[a, 0] + f[a, 1] * f[a, 1] + f[a, 2] * f[a, 2]) / mass[a]
+    return 0.5 * total

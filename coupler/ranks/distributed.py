@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..sph.particle import LocalState, Particle, PointTotals
-from ..sph.threads import SecondThread
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
 
@@ -28,7 +27,6 @@ class DistributedParticle:
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
     the rest of the last window of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
-    second: a thread that the particle may share its work with, in one process.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
@@ -36,7 +34,6 @@ class DistributedParticle:
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
-        self.second: SecondThread | None = None
         self._fields: dict[str, np.ndarray] = {}
         self.failure: BaseException | None = None
         if self._alone:
@@ -151,7 +148,6 @@ class DistributedParticle:
                 begin()
                 meet()
 
-            self._points.second = self.second
             self._points.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)

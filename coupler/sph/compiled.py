@@ -5,7 +5,6 @@ are made once. On several ranks LAMMPS brings x and vest of the neighbours' poin
 F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -14,13 +13,13 @@ from scipy.spatial import cKDTree
 
 from ..errors import SolverError
 from ..state.records import Rows
+from ..threads import share
 from . import compiled_kernels as k
 from .particle import H, Particle, PointState
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
-PARTS = 4  # that a pass is divided into, for two threads to take as each is free
-# in a part at the least: with less of them a second thread costs more than it gives
+# in a range of a shared loop at the least: with less of them a second thread costs more than it gives
 LEAST_POINTS, LEAST_PAIRS = 1200, 6600
 RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
 
@@ -137,24 +136,16 @@ class CompiledParticle(Particle):
                 failed.append(point)
 
         try:
-            self._share(stress, self.n, LEAST_POINTS)
+            share(stress, self.n, LEAST_POINTS)
         finally:
             self._skip_step()
         if failed:
             self._refuse(min(failed))
-        self._share(self._pair_forces, len(self._pairs), LEAST_PAIRS)
-        k.sum_forces(0, self.n, self._first, self._signed, self._force, self.f)
+        share(self._pair_forces, len(self._pairs), LEAST_PAIRS)
+        share(lambda lo, hi: k.sum_forces(lo, hi, self._first, self._signed, self._force, self.f), self.n, LEAST_POINTS)
         plastic = self.volume_of_point * float(self.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
-
-    def _share(self, work: Callable[[int, int], None], count: int, least: int) -> None:
-        """Do work(lo, hi) over [0, count): in parts of `least` or more with a second thread, where there is one and it pays."""
-        parts = min(PARTS, count // least)
-        if self.second is None or parts < 2:
-            work(0, count)
-        else:
-            self.second.share(lambda i: work(count * i // parts, count * (i + 1) // parts), parts)
 
     def _pair_forces(self, lo: int, hi: int) -> None:
         num = self.numerics

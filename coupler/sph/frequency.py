@@ -15,11 +15,13 @@ from numba import njit
 
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws, Matrix
+from ..threads import share
 from . import compiled_kernels as k
 
 LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken
 Fetch = Callable[..., None]
 FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the window before
+LEAST_POINTS, LEAST_PAIRS = 2000, 12000  # in a range of a shared loop
 STIRRED = 0.3  # share of random motion in the vector that an iteration starts from
 GRID = 128.0  # steps are powers of 2^(1 / GRID): sums over ranks differ in their last bits, steps do not
 
@@ -171,7 +173,7 @@ class PointFrequency:
         two tell.
         """
         n, s = len(J), self._sides
-        stiffness_points(0, n, s.first, s.gradient, F, self._stiffness)
+        share(lambda lo, hi: stiffness_points(lo, hi, s.first, s.gradient, F, self._stiffness), n, LEAST_POINTS)
         largest = max(self._gather(float(self._stiffness.max(initial=0.0))))
         stirred = (self._stiffness / largest)[:, None] ** 2 * self._random
         stirred *= STIRRED / self._size(stirred)
@@ -197,10 +199,20 @@ class PointFrequency:
         n, s = len(J), self._sides
         self._u[:n] = u
         self._fetch(self._u)
-        linear_stress(
-            0, n, self._law, self._volume, s.first, s.neighbour, self._u, s.w, s.X, s.gradient, F, J, self._Q, self._residual,
-        )  # fmt: skip
+
+        def stress(lo: int, hi: int) -> None:
+            linear_stress(
+                lo, hi, self._law, self._volume, s.first, s.neighbour, self._u, s.w, s.X, s.gradient, F, J, self._Q, self._residual,
+            )  # fmt: skip
+
+        def forces(lo: int, hi: int) -> None:
+            linear_forces(lo, hi, s.pairs, self._Q, s.gradients, self._residual, s.rows, self._force)
+
+        def sums(lo: int, hi: int) -> None:
+            k.sum_forces(lo, hi, s.first, s.signed, self._force, self._f)
+
+        share(stress, n, LEAST_POINTS)
         self._fetch(self._Q, self._residual)
-        linear_forces(0, len(s.pairs), s.pairs, self._Q, s.gradients, self._residual, s.rows, self._force)
-        k.sum_forces(0, n, s.first, s.signed, self._force, self._f)
+        share(forces, len(s.pairs), LEAST_PAIRS)
+        share(sums, n, LEAST_POINTS)
         return self._f / -self._mass

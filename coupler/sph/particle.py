@@ -27,7 +27,6 @@ from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..state.records import Rows, Shape, collect, rows_of, take
 from . import law as k
-from .threads import SecondThread
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
 H = 1.0e9
@@ -176,7 +175,6 @@ class Particle(ABC):
         r = law[0]
         self.wave_speed = sound_speed(float(r["rho"]), float(r["K"]), float(r["G"]))
         self.comm = comm or MPI.COMM_SELF
-        self.second: SecondThread | None = None
         self._on_step: Callable[[], None] | None = None
         self.failure: BaseException | None = None
         self.is_shared = False
