@@ -138,12 +138,12 @@ def second() -> SecondThread | None:
     return _second
 
 
-def share(work: Callable[[int, int], None], count: int, least: int) -> None:
+def share(work: Callable[[int, int], None], count: int, least: int, sums: bool = False) -> None:
     """Do work(lo, hi) over ranges that make up [0, count), `least` long or longer, in both threads where there are two.
 
-    The ranges depend on count and least only, so that sums over each of them have the same value with any number of threads.
+    sums: work sums over each range; the ranges are then the same with one thread, so that the sums have the same value.
     """
-    parts = max(1, min(PARTS, count // least))
+    parts = max(1, min(PARTS, count // least)) if sums or _second is not None else 1
     bounds = [count * i // parts for i in range(parts + 1)]
     if _second is None or parts == 1:
         for i in range(parts):

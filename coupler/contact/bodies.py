@@ -23,7 +23,8 @@ class _Side:
 
     facets: ids in `Surfaces`; near: those of them around the nodes at the last search, known: which these are; idle: none touches.
     What was found then holds while both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where
-    the own nodes and these were.
+    the own nodes and these were. partners: bodies that the facets belong to; clear: m that others than the known ones were away when
+    the bodies had gone as far as `since` (bodies,) m.
     """
 
     nodes: np.ndarray
@@ -31,6 +32,10 @@ class _Side:
     contact: PointContact
     near: np.ndarray
     known: np.ndarray
+    body: int
+    partners: np.ndarray
+    since: np.ndarray
+    clear: float = -np.inf
     idle: bool = True
     reach: float = -np.inf
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -81,6 +86,7 @@ class BodyContact:
         bodies = range(surfaces.bodies) if surfaces.bodies > 1 else ()
         self._sides = [self._side(body, x, factor, neighbours(low, high, body, reach)) for body in bodies]
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
+        self._way, self._before = np.zeros(surfaces.bodies), x[self._step.node_of]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
@@ -93,7 +99,16 @@ class BodyContact:
         contact = PointContact(
             len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=0.5 * factor, facet_ids=ids, jump=JUMP,
         )  # fmt: skip
-        return _Side(nodes, ids, contact, ids[:0], np.zeros(len(ids), bool))
+        return _Side(
+            nodes,
+            ids,
+            contact,
+            ids[:0],
+            np.zeros(len(ids), bool),
+            body,
+            np.array(partners, np.int64),
+            np.zeros(s.bodies),
+        )
 
     @property
     def penalty_energy(self) -> float:
@@ -155,40 +170,76 @@ class BodyContact:
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
         speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else np.zeros(0)
         fastest, searched = float(speed.max(initial=0.0)), False
+        surface, bounds = self._step.node_of, self._step.bounds
+        broad.ways(x, surface, bounds, self._before, self._way)
         for side in self._sides:
             handed_over = changed and not np.array_equal(held[side.nodes], before_held[side.nodes])
-            own, moved, known = broad.since_search(
-                x, side.nodes, side.places[0], side.corners, side.places[1], speed, fastest, travel, 0.5 * side.contact.spacing,
-                self.surfaces.facets, side.facets, side.known, self._low, self._high,
-            )  # fmt: skip
-            holds = side.reach > own and moved + own <= side.reach and known and not self._inactive(side, active)
-            if handed_over or not holds:
-                self._search_side(side, x, own + SKIN * side.contact.spacing, held[side.nodes], active)
+            if handed_over or self._inactive(side, active) or not self._holds(side, x, travel, speed, fastest):
+                self._search_side(side, x, travel, speed, fastest, held[side.nodes], active)
                 searched = True
         if searched:
             self._step.arrange([i for i, side in enumerate(self._sides) if not side.idle])
+        self._step.refresh(x)
         if changed:  # a step of no time tells what the contact holds with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy())
             self.lost += given_up + before - self.penalty_energy
 
-    def _search_side(self, side: _Side, x: np.ndarray, travel: float, taken: np.ndarray, active: int | None) -> None:
-        """Find what one side can touch. taken (nodes,): its nodes that bonds hold; the rest as in `search`."""
+    @staticmethod
+    def _own_travel(side: _Side, travel: float, speed: np.ndarray, fastest: float) -> float:
+        """How far a side and the facets near it move against each other, where the fastest node moves by half of `travel` m."""
+        if fastest == 0.0:
+            return travel
+        together = broad.largest(speed, side.nodes) + broad.largest(speed, side.corners)
+        return travel * min(1.0, together / fastest)
+
+    def _holds(self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray, fastest: float) -> bool:
+        """Whether the last search of a side still holds, and no other facet can come near while all move by `travel` m."""
+        own = self._own_travel(side, travel, speed, fastest)
+        if side.reach <= own or len(side.places[0]) == 0:
+            return False
+        moved = broad.farthest(x, side.nodes, side.places[0]) + broad.farthest(x, side.corners, side.places[1])
+        if moved + own > side.reach:
+            return False
+        needed = 0.5 * side.contact.spacing + travel
+        if side.clear - self._approach(side) <= needed:
+            side.clear = broad.nearest_box(x, side.nodes, side.facets, side.known, self._low, self._high)
+            side.since = self._way.copy()
+        return bool(side.clear - self._approach(side) > needed)
+
+    def _approach(self, side: _Side) -> float:
+        """How much closer a side and all that it may ever touch can have come since `side.clear` was measured, m."""
+        way = self._way - side.since
+        return float(way[side.body] + way[side.partners].max(initial=0.0))
+
+    def _search_side(
+        self,
+        side: _Side,
+        x: np.ndarray,
+        travel: float,
+        speed: np.ndarray,
+        fastest: float,
+        taken: np.ndarray,
+        active: int | None,
+    ) -> None:
+        """Find what one side can touch. taken (nodes,): its nodes that bonds hold; speed, fastest: m/s; the rest as in `search`."""
         c = side.contact
         c.spring[taken], c.depth[taken] = 0.0, 0.0
-        side.near, side.reach = self._around(side, x, travel), -np.inf
+        side.clear, side.since = c.spacing + 2.0 * travel, self._way.copy()
+        side.near, side.reach = self._around(side, x, side.clear), -np.inf
         side.known[:] = False
         side.known[np.searchsorted(side.facets, side.near)] = True
         side.corners, side.places = np.unique(self.surfaces.facets[side.near]), (x[:0], x[:0])
+        reach = self._own_travel(side, travel, speed, fastest) + SKIN * c.spacing
         if self._inactive(side, active):
             side.idle = True
             return
         side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
         if not side.idle:
-            c.search(x[side.nodes], x, travel, np.searchsorted(side.facets, side.near))
+            c.search(x[side.nodes], x, reach, np.flatnonzero(side.known))
             c.rows = c.rows[~taken[c.rows]]
             side.idle = len(c.rows) == 0
-        side.reach, side.places = travel, (x[side.nodes], x[side.corners])
+        side.reach, side.places = reach, (x[side.nodes], x[side.corners])
         if side.idle:
             c.sums[:], c.depth[:] = 0.0, 0.0
 
@@ -198,9 +249,8 @@ class BodyContact:
             return False
         return bool(side.nodes[0] >= active) and (len(side.corners) == 0 or bool(side.corners[0] >= active))
 
-    def _around(self, side: _Side, x: np.ndarray, travel: float) -> np.ndarray:
-        """Those of a side's facets whose boxes come within twice the reach of the box around its nodes."""
-        margin = 2.0 * (0.5 * side.contact.spacing + travel)
+    def _around(self, side: _Side, x: np.ndarray, margin: float) -> np.ndarray:
+        """Those of a side's facets whose boxes come within a margin (m) of the box around its nodes."""
         own = x[side.nodes]
         least, most = broad.bounds(own, own)
         return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)

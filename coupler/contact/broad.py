@@ -144,16 +144,6 @@ def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floa
     return overlapping[:count]
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _overlap(low: Floats, high: Floats, i: int, least: Floats, most: Floats, margin: float) -> bool:
-    """Whether box i of low, high (k,3) comes within `margin` of the box [least, most]."""
-    return (
-        low[i, 0] <= most[0] + margin and high[i, 0] >= least[0] - margin
-        and low[i, 1] <= most[1] + margin and high[i, 1] >= least[1] - margin
-        and low[i, 2] <= most[2] + margin and high[i, 2] >= least[2] - margin
-    )  # fmt: skip
-
-
 @njit(cache=True, nogil=True)
 def farthest(x: Floats, rows: Ints, before: Floats) -> float:
     """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
@@ -166,35 +156,43 @@ def farthest(x: Floats, rows: Ints, before: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def since_search(
-    x: Floats, nodes: Ints, places: Floats, corners: Ints, corner_places: Floats, speed: Floats, fastest: float, travel: float,
-    half: float, facets: Ints, ids: Ints, known: Bools, low: Floats, high: Floats,
-) -> tuple[float, float, bool]:  # fmt: skip
-    """What has become of a search of nodes (k,) among the facets `ids`.
+def ways(x: Floats, nodes: Ints, bounds: Ints, before: Floats, way: Floats) -> None:
+    """Add the farthest that a node of each body has moved to way (bodies,) m.
 
-    Returns the way (m) that both will go together, that they have gone since, and whether all facets near the nodes were known to it.
-    places, corner_places: where the nodes, and the corners (c,) of the facets found, were then; known (len(ids),): those facets. The
-    fastest node of all moves by half of `travel` m, others by as much less as their speed (N,) m/s is; all of them where fastest is 0.
-    Without places there was no search yet. half: m, half a spacing of the nodes' surface. low, high (f,3): boxes around all facets
-    (f,3) now.
+    bounds (bodies+1,): of each body in `nodes`; before (k,3): where they were, which is brought up to now.
     """
+    for b in range(len(way)):
+        lo, hi = bounds[b], bounds[b + 1]
+        way[b] += farthest(x, nodes[lo:hi], before[lo:hi])
+        for q in range(lo, hi):
+            for d in range(3):
+                before[q, d] = x[nodes[q], d]
+
+
+@njit(cache=True, nogil=True)
+def nearest_box(x: Floats, nodes: Ints, ids: Ints, known: Bools, low: Floats, high: Floats) -> float:
+    """Distance (m) from the box around nodes to the closest box `ids` of low, high (f,3) that is not known (len(ids),); the largest of
+    its three components."""
     least, most = np.full(3, np.inf), np.full(3, -np.inf)
-    own = 0.0
     for a in nodes:
         for d in range(3):
             least[d] = min(least[d], x[a, d])
             most[d] = max(most[d], x[a, d])
-        if fastest > 0.0:
-            own = max(own, speed[a])
-    if fastest > 0.0:
-        other = 0.0
-        for i in ids:
-            if _overlap(low, high, i, least, most, 2.0 * (half + travel)):
-                other = max(other, speed[facets[i, 0]], speed[facets[i, 1]], speed[facets[i, 2]])
-        travel *= min(1.0, (own + other) / fastest)
-    if len(places) < len(nodes):
-        return travel, np.inf, False
+    nearest = np.inf
     for k in range(len(ids)):
-        if not known[k] and _overlap(low, high, ids[k], least, most, half + travel):
-            return travel, np.inf, False
-    return travel, farthest(x, nodes, places) + farthest(x, corners, corner_places), True
+        if not known[k]:
+            i = ids[k]
+            apart = 0.0
+            for d in range(3):
+                apart = max(apart, low[i, d] - most[d], least[d] - high[i, d])
+            nearest = min(nearest, apart)
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def largest(values: Floats, rows: Ints) -> float:
+    """The largest of the values (N,) at `rows`, 0 where there is none larger."""
+    most = 0.0
+    for a in rows:
+        most = max(most, values[a])
+    return most

@@ -7,7 +7,7 @@ from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Floats, Ints
-from .broad import farthest
+from .broad import facet_boxes, farthest
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -183,6 +183,36 @@ def look(
 
 
 @njit(cache=True, nogil=True)
+def reachable(
+    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, gap: Floats, nearest: Ints,
+) -> tuple[Ints, Ints]:  # fmt: skip
+    """The candidates (start, boxes) of the points `rows` that can become their closest facet while point and facets come `travel` m
+    closer or farther: no more than twice that farther away than the closest now. nearest (n,) moves to its new place.
+
+    A point without a closest facet keeps all of its candidates, others than `rows` keep none. Arrays as in `closest_facets`.
+    """
+    first = np.zeros(len(start), np.int64)
+    kept = np.empty(len(boxes), np.int64)
+    count = 0
+    last = 0
+    for q in range(len(rows)):
+        i = rows[q]
+        first[last + 1 : i + 1] = count
+        last = i
+        place = -1
+        reach = np.inf if nearest[i] < 0 else (abs(gap[i]) + 2.0 * travel) ** 2 * (1.0 + 4e-9)
+        for r in range(start[i], start[i + 1]):
+            if r == nearest[i]:
+                place = count
+            if r == nearest[i] or _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach:
+                kept[count] = boxes[r]
+                count += 1
+        nearest[i] = place
+    first[last + 1 :] = count
+    return first, kept[:count]
+
+
+@njit(cache=True, nogil=True)
 def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
     """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these, -1 for the
     others."""
@@ -303,6 +333,19 @@ def contact_forces(
         add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
         add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
         add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
+
+
+@njit(cache=True, nogil=True)
+def boxes_of_sides(
+    spans: Ints, ids: Ints, nodes: Ints, facets: Ints, x: Floats, low: Floats, high: Floats, places: Floats
+) -> None:
+    """The boxes around the facets `ids` of all sides and the places (m) of their nodes, brought up to now."""
+    for s in range(len(spans)):
+        _, _, _, _, _, _, _, _, i, i1, n, n1, t, t1 = spans[s]
+        facet_boxes(x, facets[t:t1], ids[i:i1], low[i:i1], high[i:i1])
+        for q in range(n, n1):
+            for d in range(3):
+                places[q, d] = x[nodes[q], d]
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
-from ..state.arrays import Floats
+from ..state.arrays import Floats, Ints
 from ..state.records import Shape, assign, collect
 from ..threads import share
 from . import broad
@@ -74,7 +74,8 @@ class PointContact:
         #: The points that may touch before the next search, ascending: `forces` reads and writes only these. Some may be taken out.
         self.rows = np.zeros(0, np.int64)
         self._ids = np.arange(len(facets))
-        self._start, self._boxes = np.zeros(points + 1, np.int64), np.zeros(0, np.int64)
+        self._start: Ints = np.zeros(points + 1, np.int64)
+        self._boxes: Ints = np.zeros(0, np.int64)
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
         self._nodes, self._way = np.zeros(0, np.int64), np.zeros(1)
         self._places, self._last = np.zeros((2, 0, 3))
@@ -136,6 +137,9 @@ class PointContact:
         # a tenth of a spacing for what the surfaces gain in speed
         close = (self._nearest[rows] >= 0) & (self.gap[rows] < travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
+        self._start, self._boxes = k.reachable(
+            self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
+        )
         self._ids = self._ids[k.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
         touched = self.depth[self.rows]
@@ -200,21 +204,22 @@ LEAST_SIDES = 3  # in a range of a shared loop
 class SideBySide:
     """Several contacts whose points are nodes of one domain, of N nodes: one compiled pass computes the step of all of them.
 
-    Their arrays with a row for each point or facet lie one after the other in arrays of this; each contact keeps its own part.
+    Their arrays with a row for each point or facet lie one after the other in arrays of this; each contact keeps its own part. node_of
+    (n,): node of each of their points; bounds (contacts+1,): where those of each contact begin and end.
     """
 
     def __init__(self, contacts: Sequence[PointContact], nodes: Sequence[np.ndarray]):
         """nodes: of each contact, the nodes (n,) that its points are. All contacts have the same friction and share."""
         self._contacts = list(contacts)
-        self._node_of = _joined(nodes, np.int64)
-        self._points, self._facets = _bounds(nodes), _bounds([c.facets for c in contacts])
+        self.node_of = _joined(nodes, np.int64)
+        self.bounds, self._facets = _bounds(nodes), _bounds([c.facets for c in contacts])
         self._whole: dict[str, np.ndarray] = {}
-        for names, bounds in ((_OF_POINT, self._points), (_OF_FACET, self._facets)):
+        for names, bounds in ((_OF_POINT, self.bounds), (_OF_FACET, self._facets)):
             for name in names:
                 self._whole[name] = _joined([getattr(c, name) for c in contacts])
                 for c, lo, hi in zip(contacts, bounds, bounds[1:], strict=False):
                     setattr(c, name, self._whole[name][lo:hi])
-        self._x, self._v, self._f = np.zeros((3, len(self._node_of), 3))
+        self._x, self._v, self._f = np.zeros((3, len(self.node_of), 3))
         self.arrange([])
 
     def arrange(self, active: Sequence[int]) -> None:
@@ -232,7 +237,7 @@ class SideBySide:
         )
         which = np.asarray(active, np.int64)
         ends = [(b[:-1], b[1:]) for b in (rows, start, boxes, ids, nodes)]
-        ends.insert(1, (self._points[which], self._points[which + 1]))
+        ends.insert(1, (self.bounds[which], self.bounds[which + 1]))
         ends.append((self._facets[which], self._facets[which + 1]))
         self._spans = np.array(ends, np.int64).reshape(14, -1).T.copy()
         self._numbers = np.array(
@@ -244,6 +249,15 @@ class SideBySide:
             self._sums[i] = c.sums
             c.sums = self._sums[i]
 
+    def refresh(self, x: Floats) -> None:
+        """Bring the boxes of the last searches up to x (N,3) m: the less facets have left them, the fewer are looked at."""
+        if not self._active:
+            return
+        w, found = self._whole, self._found
+        k.boxes_of_sides(
+            self._spans, found["_ids"], found["_nodes"], w["facets"], x, found["_low"], found["_high"], found["_places"]
+        )
+
     def forces(self, dt: float, x: Floats, v: Floats, f: Floats) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
         if not self._active:
@@ -254,7 +268,7 @@ class SideBySide:
         def look(lo: int, hi: int) -> None:
             k.look_of_sides(
                 lo, hi, self._spans, self._numbers, rows, found["_start"], boxes, ids, found["_low"], found["_high"], found["_nodes"],
-                found["_places"], found["_last"], found["_way"], self._node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
+                found["_places"], found["_last"], found["_way"], self.node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
                 w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], self._lost,
             )  # fmt: skip
 
@@ -263,7 +277,7 @@ class SideBySide:
         for i in np.flatnonzero(self._lost[:, 0]):
             self._active[i]._drop(self._lost[i])
         k.forces_of_sides(
-            dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self._node_of, w["facets"], x, v, f,
+            dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self.node_of, w["facets"], x, v, f,
             self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], w["heat_point"],
             w["heat_facet"], self._sums,
         )  # fmt: skip

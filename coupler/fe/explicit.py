@@ -264,7 +264,7 @@ class Target:
         if min(smallest) <= 0.0:
             raise SolverError(self._inverted())
         share(pressure, n, LEAST_NODES)
-        share(forces, m, LEAST_ELEMENTS)
+        share(forces, m, LEAST_ELEMENTS, sums=True)
         for lo in sorted(sums):  # the same order with any number of threads
             self.sums += sums[lo]
         share(gather, n, LEAST_NODES)
