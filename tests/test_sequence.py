@@ -12,10 +12,12 @@ from runs import SharedRuns, Stopped, assert_same_files, assert_same_numbers
 from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
+from coupler.contact import penalty
 from coupler.contact.overlap import overlaps, ways_out
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.joining import cloud_of, point_of_impact, release_time
 from coupler.deposition.run import resume
+from coupler.fe import explicit, heat, stability
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
@@ -28,7 +30,7 @@ from coupler.impact.ending import EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
-from coupler.sph import shapes
+from coupler.sph import compiled, frequency, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
 
@@ -263,6 +265,18 @@ def assert_goes_on(text: str, whole: Result, out: Path, at: float | None) -> Non
     result = resume(out)
     assert_same_numbers(whole.summary, result.summary, rel=1e-9)
     assert_same_files(whole, result)
+
+
+def test_two_threads_give_the_numbers_of_one(
+    shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All loops are shared, those of a target this small too: the same to the last bit."""
+    for module in (explicit, stability, heat, frequency, compiled, penalty):
+        for name in filter(lambda name: name.startswith("LEAST"), vars(module)):
+            monkeypatch.setattr(module, name, 1 if module is penalty else 20)
+    one, two = (run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / str(n), threads=n) for n in (1, 2))
+    assert_same_numbers(one.summary, two.summary, rel=0.0)
+    assert_same_files(one, two)
 
 
 @pytest.mark.parametrize("at", [pytest.param(20e-9, marks=pytest.mark.slow), None], ids=["second", "joined"])

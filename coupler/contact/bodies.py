@@ -86,7 +86,7 @@ class BodyContact:
         bodies = range(surfaces.bodies) if surfaces.bodies > 1 else ()
         self._sides = [self._side(body, x, factor, neighbours(low, high, body, reach)) for body in bodies]
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
-        self._way, self._before = np.zeros(surfaces.bodies), x[self._step.node_of]
+        self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
