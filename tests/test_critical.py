@@ -9,9 +9,11 @@ from scenes import TINY, scene
 
 from coupler import Scene, run
 from coupler.commands.main import main
+from coupler.errors import StoreError
 from coupler.measures import REBOUNDS, STICKS, UNDECIDED
+from coupler.studies import critical
 from coupler.studies.critical import Bracket, bracket, next_velocity
-from coupler.studies.table import read_rows
+from coupler.studies.table import StudyTable, read_rows
 
 LIMITS = (50.0, 1500.0)
 # strong bonds of little energy: fast particles rebound, slow ones are held
@@ -47,6 +49,14 @@ def test_the_search_brackets_a_step(critical: float) -> None:
     assert found.low < critical <= found.high
     assert found.half_width <= max(0.025 * critical * 1.05, 1.0)
     assert abs(found.velocity - critical) <= found.half_width
+
+
+def test_a_range_of_sticking_below_the_start_is_found() -> None:
+    """Bonds hold from 460 to 620 m/s, and the particle rebounds at the first velocity and above."""
+    found = bracket(searched(lambda v: STICKS if 460.0 <= v < 620.0 else REBOUNDS, start=665.0))
+    assert found.low is not None
+    assert found.low < 460.0 <= found.velocity + found.half_width
+    assert found.half_width <= 12.0
 
 
 def test_runs_without_a_verdict_stay_inside_the_bracket() -> None:
@@ -91,6 +101,31 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     assert read_rows(out / "critical.csv") == rows
     assert main(call) == 0
     assert " ..." not in capsys.readouterr().err.splitlines()[-1:]
+
+
+def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too fast for the points: the answer is that of the runs there are, and the message says why there are no more."""
+
+    def run_at(scene: Scene, velocity: float, folder: Path) -> dict[str, object]:
+        if velocity > failing:
+            raise StoreError(f"the run at {velocity:g} m/s failed: the contact has lost 9 of 200 points")
+        return {"velocity_m_s": velocity, "verdict": REBOUNDS}
+
+    monkeypatch.setattr(critical, "run_at", run_at)
+    said: list[str] = []
+    nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
+    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, ("velocity_m_s",), "remake")
+    failing = 1000.0
+    found = critical.search(nickel, tmp_path, table, log=said.append)
+    assert 700.0 < found.low <= failing
+    assert found.high is None
+    assert sum("has lost 9" in line for line in said) == 1
+    assert min(float(row["velocity_m_s"]) for row in table.rows) < 400.0  # whether it sticks below is tried
+    failing = 0.0
+    with pytest.raises(StoreError, match="has lost 9"):
+        critical.search(
+            nickel, tmp_path, StudyTable(tmp_path / "other.csv", critical.COLUMNS, ("velocity_m_s",), "remake")
+        )
 
 
 def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from .table import StudyTable
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, limits of the search unless said
 STEP = 1.25  # ratio of velocities while there is no bracket
+BELOW = 3  # steps below the start that are tried where the particle rebounds at all velocities above
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
 COLUMNS = (
@@ -82,7 +83,7 @@ def next_velocity(
     """The velocity (m/s) to compute next, rounded to 1 m/s; None when the bracket is narrow enough or a limit has been reached.
 
     start: the first one; limits: of the search, m/s; tolerance: width of the bracket over its middle. Between undecided runs the
-    wider part of the bracket is halved.
+    wider part of the bracket is halved. A particle that rebounds up to the upper limit may stick at velocities below the first one.
     """
     if not verdicts:
         return float(round(min(max(start, limits[0]), limits[1])))
@@ -95,8 +96,13 @@ def next_velocity(
             return None
     elif found.high is not None:  # it sticks: go down
         wanted = max(min(verdicts) / STEP, limits[0])
-    else:
+    elif max(verdicts) < limits[1]:  # it rebounds: go up
         wanted = min(max(verdicts) * STEP, limits[1])
+    else:  # at all velocities above: where it sticks below, go on to the rebound that ends this
+        lowest = min(verdicts)
+        if verdicts[lowest] != STICKS and lowest <= start / STEP**BELOW:
+            return None
+        wanted = max(lowest / STEP, limits[0])
     wanted = float(round(wanted))
     return None if wanted in verdicts else wanted
 
@@ -153,7 +159,16 @@ def search(
     start = schmidt(scene) or UNKNOWN_START
     while (velocity := next_velocity(verdicts, start, limits, tolerance)) is not None:
         log(f"run {len(verdicts) + 1}: {velocity:.4g} m/s ...")
-        row = table.add(run_at(scene, velocity, folder))
+        try:
+            row = table.add(run_at(scene, velocity, folder))
+        except StoreError as error:
+            if not verdicts:
+                raise
+            log(str(error))
+            if velocity <= max(verdicts):
+                break
+            limits = limits[0], max(verdicts)
+            continue
         verdicts[velocity] = row["verdict"]
         log(f"run {len(verdicts)}: {velocity:.4g} m/s {row['verdict']}; {bracket(verdicts).words}")
     return bracket(verdicts)
