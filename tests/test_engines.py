@@ -14,6 +14,7 @@ from coupler.errors import SolverError
 from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.sph import compiled, compiled_kernels, packing
+from coupler.sph import particle as particles_of_lammps
 from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import FCC, Lattice
@@ -193,6 +194,24 @@ def test_a_restored_particle_goes_on_to_the_last_bit(pair: Callable[..., tuple[P
     for name in ("x", "v", "eps_p", "T", "p", "f"):
         assert np.array_equal(getattr(first, name), getattr(second, name)), name
     assert first.internal_work == second.internal_work
+
+
+def test_lammps_searches_in_few_enough_bins(
+    pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The box is twenty diameters wide: fine particles would need more bins than LAMMPS takes. Wider ones find the same neighbours."""
+    narrow = pair()[0]
+    bins = narrow.spacing * narrow.numerics.kernel_radius  # about the width that LAMMPS chooses
+    assert 20.0 * D / bins > 100.0
+    monkeypatch.setattr(particles_of_lammps, "MOST_BINS", 100)
+    wide = pair()[0]
+    for p in (narrow, wide):
+        set_velocity((4e7, 3e7, -7e7))(p)
+        p.run(50, DT, lambda: None)
+    for name, part in CLOSE.items():
+        one, other = getattr(narrow, name), getattr(wide, name)
+        order = np.argsort(narrow.ids), np.argsort(wide.ids)
+        np.testing.assert_allclose(one[order[0]], other[order[1]], rtol=0, atol=part * np.abs(one).max(), err_msg=name)
 
 
 def test_two_threads_give_the_same_bits(

@@ -30,6 +30,8 @@ from . import law as k
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
 H = 1.0e9
+# of LAMMPS's search for neighbours, in each direction: its memory grows with their cube, and it takes 2^31 in all at the most
+MOST_BINS = 400
 
 
 @dataclass(frozen=True)
@@ -207,11 +209,12 @@ class Particle(ABC):
         room = max(10.0 * float(extent.min()), float(extent.max()))  # of LAMMPS's box: its memory grows with its cube
         low, high = centre - room, centre + room
         numbers = {
-            "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1],
-            "zlo": low[2], "zhi": high[2], "rho": float(r["rho"]), "volume": self.volume_of_point,
-            "contact_radius": 0.5 * self.spacing, "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G),
-            "nu": (3 * K - 2 * G) / (2 * (3 * K + G)), "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass,
-            "cp": float(r["cp_0"]), "H": H, "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
+            "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "binsize": max(1.05 * radius, 2.0 * room / MOST_BINS),
+            "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1], "zlo": low[2], "zhi": high[2],
+            "rho": float(r["rho"]), "volume": self.volume_of_point, "contact_radius": 0.5 * self.spacing,
+            "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G), "nu": (3 * K - 2 * G) / (2 * (3 * K + G)),
+            "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass, "cp": float(r["cp_0"]), "H": H,
+            "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
         }  # fmt: skip
         fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
         self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=self.comm)
