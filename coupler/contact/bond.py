@@ -178,6 +178,10 @@ class Bond:
         k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load)
         return load
 
+    def resist(self, w: np.ndarray, f: np.ndarray) -> None:
+        """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1."""
+        k.spring_forces(self.nodes, self.triangles, self.weights, self.stiffness * self.area, w, f)
+
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
         """Stable time step (s) of the springs between nodes of mass (N,) kg.
 

@@ -12,8 +12,7 @@ import numpy as np
 from ..fe import kernels
 from ..impact.bodies import Bodies
 from ..plan.planning import Plan
-
-ENOUGH = 0.25  # spacings over wave speed: elements whose safe step is that long never limit the particle
+from ..sph.inertia import ENOUGH
 
 
 def prepare(plan: Plan, i: int, bodies: Bodies) -> dict[str, float]:

@@ -22,7 +22,7 @@ from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, take_heat
 from .mesh import TetMesh
-from .stability import HighestFrequency
+from .stability import HighestFrequency, Springs
 from .state import ElementState, NodeState, TargetState
 from .window import LAYER, layer, outside
 
@@ -188,11 +188,12 @@ class Target:
         self.reach += self.wave_speed * dt
         self.active_nodes, self.active_elements = self._active_counts(self.reach)
 
-    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0) -> tuple[float, int]:
+    def stable_dt(self, enough: float = 0.0, ahead: float = 0.0, springs: Springs | None = None) -> tuple[float, int]:
         """Largest stable time step (s, Courant factor and damping included) and the element with the smallest bound.
 
         The safe bound of the elements; with enough > 0, where that bound is shorter than `enough`, the sharper limit that
         `fe.stability` finds for the whole mesh. ahead: s that the step will be kept; elements that become active until then count too.
+        springs: between nodes.
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
@@ -207,11 +208,14 @@ class Target:
             self.dt_of[:e] *= np.sqrt(self.inertia[:e])
             where = int(np.argmin(self.dt_of[:e]))
             bound = float(self.dt_of[where])
+        if springs is not None:
+            load = springs.load(len(self.x))[:n]
+            bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
         dt = COURANT * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
                 self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
-            dt = max(dt, self._highest.longest_step(self, bound, n, e))
+            dt = max(dt, self._highest.longest_step(self, bound, n, e, springs))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
     def advance(self, dt: float) -> None:

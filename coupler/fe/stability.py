@@ -7,7 +7,7 @@ grows out of nothing in ten steps, so a safety factor stays, and the element bou
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Protocol
 
 import numpy as np
 from numba import njit
@@ -111,6 +111,15 @@ class FrequencyState:
     w: Annotated[np.ndarray, Shape(-1, 3)]
 
 
+class Springs(Protocol):
+    """Springs between nodes. load(size): the row sums (size,) of their stiffness, N/m; resist(w, f): adds its product with the
+    motion w (n,3) to f (n,3)."""
+
+    def load(self, size: int) -> np.ndarray: ...
+
+    def resist(self, w: np.ndarray, f: np.ndarray) -> None: ...
+
+
 class HighestFrequency:
     """Power iteration on one target; keeps its vector between calls."""
 
@@ -138,8 +147,11 @@ class HighestFrequency:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
-    def longest_step(self, t: FiniteElements, bound: float, n: int, m: int) -> float:
-        """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping."""
+    def longest_step(self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None) -> float:
+        """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
+
+        springs: between nodes, in the bound too.
+        """
         mesh = t.mesh
         w, f = self._w[:n], self._f
         for of_element in (self._dv, self._fe):  # those that are no longer active have no part in it
@@ -160,6 +172,8 @@ class HighestFrequency:
             w *= (t.inv_mass[:n] > 0)[:, None]
             before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
             self._apply(t, n, m)
+            if springs is not None:
+                springs.resist(self._w, f)
             w[:] = f[:n] * t.inv_mass[:n, None]
             after = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
             omega2 = np.sqrt(after / before)

@@ -111,12 +111,9 @@ class Bodies:
 
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
-        dt = self.target.stable_dt(enough, ahead)[0]
-        if self.contact is not None:
-            dt = self.contact.stable_dt(self.target.mass, dt)
-        if self.bond is not None:
-            dt = self.bond.stable_dt(self.target.mass, dt)
-        return dt
+        t = self.target
+        dt = t.stable_dt(enough, ahead, self.bond)[0]
+        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt)
 
     @property
     def energy(self) -> float:

@@ -22,6 +22,7 @@ from ..sph import shapes
 from ..sph.carried_surface import CarriedSurface
 from ..sph.engine import engine
 from ..sph.heat import PointConduction
+from ..sph.inertia import ENOUGH
 from ..sph.particle import Numerics, Particle
 from .bodies import Bodies, BodiesState, level_under
 from .heat import HeatPaths
@@ -148,7 +149,7 @@ def build_particle(
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
     law = law_record(p.material, plan.effects.switches, p.rate_filter)
-    settings = Numerics(**(numerics or {}))
+    settings = Numerics(**({"inertia": ENOUGH} if i and plan.mass_scaling else {}) | dict(numerics or {}))
     return engine(plan.engine, settings)(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
         comm=ranks.sph_comm, log=log_file, shares=ranks.shares, strain=p.initial_strain,

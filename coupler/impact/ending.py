@@ -1,5 +1,6 @@
 """When an impact is over: at rest, at its greatest deformation, or at a given time."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -10,6 +11,7 @@ QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
 # A bonded particle swings on its bonds: it is at rest when it has swung more slowly than this part of the impact speed ...
 HELD_STILL = 0.02
 HELD_TIME = 0.5  # ... for this part of D / v, about a period
+SPENT = 0.05  # of the impact's energy: a tied particle that would dissipate less in the next D / v rests
 GLANCING = 0.1  # of the impact speed: a particle that touches nothing and sinks more slowly deforms and bonds no more
 
 
@@ -19,7 +21,7 @@ class EndState:
     contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
     HELD_STILL of its impact speed with energy that its bonds may not stop; above: last time (s) at which its centre was above the
     target, not beyond the rim; risen: whether it has moved off after the greatest deformation; arrested: whether its bonds have then
-    stopped it."""
+    stopped it; time, work: last observed, s and J; power: mean of what is dissipated, W."""
 
     peak: float = 0.0
     turned: float | None = None
@@ -28,6 +30,9 @@ class EndState:
     above: float = 0.0
     risen: bool = False
     arrested: bool = False
+    time: float = 0.0
+    work: float = 0.0
+    power: float = 0.0
 
 
 class EndCriterion:
@@ -39,19 +44,26 @@ class EndCriterion:
     "time", and in any case, at end_time. A particle that has slid over the rim of the target has left it: no criterion is met.
     """
 
-    def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0):
-        """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"."""
+    def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0, energy: float = 0.0):
+        """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"; energy:
+        of the impact, J, where its particle is tied to what it lies on at the end; 0 of others."""
         self.end_time, self.at, self.slow = end_time, at, slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
-        self.glancing = GLANCING * speed
+        self.glancing, self.spent = GLANCING * speed, SPENT * energy / crossing
         self._state = EndState()
 
-    def observe(self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True) -> None:
+    def observe(
+        self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True, work: float = 0.0
+    ) -> None:
         """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; grip: of its
         bonds: "free" (none that count), "failing" (they may part), "held", "secure" (they take up far more than there is left); above:
-        whether its centre is above the target."""
+        whether its centre is above the target; work: dissipated so far, J."""
         s = self._state
-        s = replace(s, peak=max(s.peak, force))
+        power = 0.0
+        if s.time > 0.0:  # the mean over about `quiet` s
+            share = -math.expm1((s.time - time) / self.quiet)
+            power = (1.0 - share) * s.power + share * (work - s.work) / (time - s.time)
+        s = replace(s, peak=max(s.peak, force), time=time, work=work, power=power)
         glanced_off = (
             time - s.loud > self.held_quiet and abs(force) <= QUIET_FORCE * s.peak and sinking <= self.glancing
         )
@@ -85,9 +97,9 @@ class EndCriterion:
 
     def settled(self, time: float) -> bool:
         """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, bonds have
-        stopped its rebound, or a bonded particle has moved little for `held_quiet` s."""
+        stopped its rebound, a bonded particle has moved little for `held_quiet` s, or one to be tied hardly deforms any more."""
         s = self._state
-        is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet
+        is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet or s.power < self.spent
         return s.turned is not None and (s.arrested or is_quiet)
 
     def slid_off(self, time: float) -> bool:

@@ -107,6 +107,11 @@ class Impact:
         """Kinetic energy (J) of the particle's centre of mass normal to the surface."""
         return 0.5 * float(self.particle.mass.sum()) * self.sinking**2
 
+    @property
+    def dissipated(self) -> float:
+        """Plastic work and heat of friction so far, J, those of the target before the impact included."""
+        return self.particle.totals.plastic + float(self.target.sums[0]) + self.contact.friction_heat
+
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
         v = self.target.v[self.surface_nodes]

@@ -28,7 +28,7 @@ def advance_to_end(
             impact.expose(recorder.plan, recorder.impact_plan)
             impact.bond(recorder.plan, recorder.impact_plan)
         force, above = float(impact.force[2]), recorder.is_above(impact)
-        ending.observe(impact.time, impact.sinking, force, impact.grip, above)
+        ending.observe(impact.time, impact.sinking, force, impact.grip, above, impact.dissipated)
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(recorder.plan, recorder.impact_plan)

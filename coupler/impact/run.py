@@ -11,7 +11,7 @@ from ..contact.hold import Hold
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
 from ..measures import UNDECIDED
-from ..plan.planning import ImpactPlan, Plan
+from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
 from .bodies import Bodies
@@ -23,6 +23,7 @@ from .recorder import Recorder, RecorderState
 from .retry import Retries, Retry
 from .stop import Stopped, StopSignals
 from .summary import ImpactRecord, summarise
+from .verdict import is_tied
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def run_impact(
             domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
             impact = Impact(domains)
             try:
-                ending = _end_criterion(p, i)
+                ending = _end_criterion(plan, i, impact.ledger.kinetic_0)
                 recorder = Recorder(plan, i, store, options.progress, before)
                 if state is not None:
                     impact.restore(state.impact)
@@ -153,10 +154,13 @@ def _give_up(impact: Impact) -> None:
     impact.particle.close()
 
 
-def _end_criterion(plan: ImpactPlan, i: int) -> EndCriterion:
-    """What the plan says of the end of impact i. On earlier splats a particle may creep: there a slow one counts as at rest."""
-    speed = float(np.linalg.norm(plan.velocity))
-    return EndCriterion(plan.end_time, plan.end_at, plan.diameter / speed, speed, STILL * speed if i else 0.0)
+def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
+    """What the plan says of the end of impact i, of so much energy, J. On earlier splats a particle may creep: there a slow one counts
+    as at rest, and one that the scene ties is not waited for until its contact is silent."""
+    p = plan.impacts[i]
+    speed = float(np.linalg.norm(p.velocity))
+    slow, tied = (STILL * speed, energy if is_tied(plan.adhesion, p) else 0.0) if i else (0.0, 0.0)
+    return EndCriterion(p.end_time, p.end_at, p.diameter / speed, speed, slow, tied)
 
 
 class _WallClock:

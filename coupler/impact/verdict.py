@@ -50,6 +50,11 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: 
     return _unheld("there is no adhesion in the scene", mass, upwards)
 
 
+def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
+    """Whether a particle sticks by the scene or by its velocity, whatever it does at the end of its impact."""
+    return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).verdict == STICKS
+
+
 def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
     """From the bonds computed in the impact: what they can still take up against the energy left to part them."""
     whole = 0 if hold is None else int(np.count_nonzero(hold.whole))

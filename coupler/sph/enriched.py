@@ -25,6 +25,7 @@ from ..errors import SolverError
 from ..state.records import Rows, take
 from .compiled import CompiledParticle, CompiledPoints
 from .frequency import LONGEST, PointFrequency, Sides
+from .inertia import CellInertia
 from .particle import LocalState
 
 MOST_SIDES = 18  # neighbours of a point at the most: the two nearest layers of a face-centred cubic lattice
@@ -81,8 +82,13 @@ class EnrichedParticle(CompiledParticle):
             self._of_pairs[0], self._of_pairs[2], len(gradient),
         )  # fmt: skip
         random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
+        step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
+        cells = self._first, self._neighbour, self._of_points[0]
+        self._inertia = CellInertia(
+            self.law, self.volume_of_point, step, cells, self._tag - 1, self.total, self.comm.allgather
+        )
         self._frequency = PointFrequency(
-            self.law, self.volume_of_point, lists, random, self.comm.allgather, self._fetch
+            self.law, self.volume_of_point, lists, random, self.comm.allgather, self._fetch, self._inertia.slow
         )
 
     def _list_sides(self, pair_rows: np.ndarray, sides: int) -> tuple[np.ndarray, int]:
@@ -137,12 +143,20 @@ class EnrichedParticle(CompiledParticle):
         if sides is not None:
             self._swap(self._side_sends, self._side_receives, sides)
 
+    def _add_inertia(self) -> None:
+        if self._inertia.cells:
+            total = self.f + self.f_ext
+            self._inertia.slow(total)
+            self.f[:] = total - self.f_ext
+
     def stable_dt(self) -> float:
         """Largest stable time step in s, by the highest frequency of the points (`sph.frequency`).
 
         Raises SolverError as that of the other schemes does.
         """
         # of all ranks together, before one of them raises
+        if self.numerics.inertia > 0.0:
+            self._inertia.weigh(self._all_x, self.J)
         longest = self._frequency.longest_step(self._all_F, self.J, self.mode)
         bound = super().stable_dt()
         return min(LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
@@ -158,6 +172,8 @@ class EnrichedParticle(CompiledParticle):
         super().restore(state, first)
         bend = take(state.points, self.ids).bend  # type: ignore[attr-defined]
         self._plastic[:] = bend[self._point[:, None], self._slot]
+        if self.numerics.inertia > 0.0:
+            self._inertia.weigh(state.points.x[self._tag - 1], self.J)
 
 
 class ControlledParticle(CompiledParticle):

@@ -154,10 +154,13 @@ class PointFrequency:
     """Power iteration on the points of one rank, which take part together with those of the others."""
 
     def __init__(
-        self, law: Laws, volume: float, sides: Sides, random: np.ndarray, gather: Callable[[float], list[float]], fetch: Fetch
+        self, law: Laws, volume: float, sides: Sides, random: np.ndarray, gather: Callable[[float], list[float]], fetch: Fetch,
+        slow: Callable[[np.ndarray], None],
     ):  # fmt: skip
         """law (1,); volume m3 of each point; random (n,3): random motion of the points. gather(number): that of each rank with points.
-        fetch(points, sides): bring rows of points (N,k), and of sides (count,3) where they are given, from other ranks."""
+        fetch(points, sides): bring rows of points (N,k), and of sides (count,3) where they are given, from other ranks.
+        slow(forces (n,3) N): `inertia.CellInertia.slow`."""
+        self._slow = slow
         self._law, self._volume, self._sides, self._random = law, volume, sides, random
         self._gather, self._fetch = gather, fetch
         self._mass = volume * float(law[0]["rho"])
@@ -215,4 +218,5 @@ class PointFrequency:
         self._fetch(self._Q, self._residual)
         share(forces, len(s.pairs), LEAST_PAIRS)
         share(sums, n, LEAST_POINTS)
+        self._slow(self._f)
         return self._f / -self._mass

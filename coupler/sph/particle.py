@@ -41,7 +41,8 @@ class Numerics:
     kernel_radius: smoothing radius over spacing (0.75: the 12 nearest neighbours of a face-centred cubic lattice; 0.9 takes 18
     and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
     courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch. frequency: bound of the
-    enriched scheme, as a share of the step that its highest frequency allows.
+    enriched scheme, as a share of the step that its highest frequency allows. inertia: step, in spacings over the speed of sound, that
+    crushed cells of the enriched scheme are to bear (`sph.inertia`); 0 for none.
     """
 
     kernel_radius: float = 0.75
@@ -52,6 +53,7 @@ class Numerics:
     courant: float = 0.4
     stretch: float = 0.9
     frequency: float = 0.85
+    inertia: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -301,6 +303,10 @@ class Particle(ABC):
                 return
             self.f_ext[:] = 0.0
             self._on_step()
+        except BaseException as problem:
+            self.failure = self.failure or problem
+        try:
+            self._add_inertia()
             if self.failure is None:
                 self.internal_work -= motion.work_of(0, self.n, self.dt, self.f_old, self.f, self.v)
                 self.f_old[:] = self.f
@@ -322,6 +328,10 @@ class Particle(ABC):
 
     def _end_window(self) -> None:
         """What an engine books after the last step of a `run`: nothing where it does not know its losses."""
+        return
+
+    def _add_inertia(self) -> None:
+        """Change the internal forces f, once f_ext is known, where cells have inertia of their own; after a failure too."""
         return
 
     def _skip_step(self) -> None:
