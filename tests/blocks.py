@@ -94,10 +94,7 @@ class Blocks:
         t, steps, dt = self.target, 0, 0.0
         while t.time < until * (1 - 1e-12):
             if steps % 10 == 0:
-                dt = min(t.stable_dt()[0], limit)
-                alone = dt
-                if self.bond is not None:
-                    dt = self.bond.stable_dt(t.mass, alone)
+                dt = alone = min(t.stable_dt(springs=self.bond)[0], limit)
                 if self.contact is not None:
                     fastest = float(np.linalg.norm(t.v, axis=1).max())
                     self.contact.search(t.x, 15 * fastest * dt, self.bond)

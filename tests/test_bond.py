@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from coupler.contact.bond import Bond
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
-from coupler.fe import explicit
+from coupler.fe import explicit, stability
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -373,7 +373,7 @@ def test_no_bonds_cost_nothing(pair: Blocks) -> None:
     none.forces(lifted, f)
     assert len(none) == 0
     assert not f.any()
-    assert none.stable_dt(pair.target.mass, 1e-9) == 1e-9
+    assert pair.target.stable_dt(springs=none) == pair.target.stable_dt()
     assert none.stored == none.dissipated == 0.0
 
 
@@ -391,5 +391,30 @@ def test_the_stable_step_is_below_the_exact_one_of_the_springs(pair: Blocks) -> 
         stiffness += k * np.outer(g, g)
     root = 1 / np.sqrt(t.mass[used])
     exact = 2 / np.sqrt(np.linalg.eigvalsh(stiffness * np.outer(root, root)).max())
-    assert 0.5 * exact < bond.stable_dt(t.mass) < exact
-    assert bond.stable_dt(t.mass, 1e-3 * exact) == pytest.approx(1e-3 * exact, rel=1e-3)
+    assert 0.5 * exact < 2 / np.sqrt(np.max(bond.load(len(t.x)) / t.mass)) < exact
+    w = np.zeros((len(t.x), 3))
+    w[used] = np.random.default_rng(1).normal(size=(len(used), 3))
+    f = np.zeros_like(w)
+    bond.resist(w, f)
+    assert f[used] == pytest.approx(stiffness @ w[used])
+
+
+def test_the_step_of_tied_blocks_is_that_of_springs_and_elements_together(pair: Blocks) -> None:
+    """Springs far stiffer than the elements, on a block far heavier than the other, set the step alone; row sums make it shorter."""
+    t, bond = pair.target, pair.tie()
+    t.scale_masses(np.where(pair.body == 0, 100.0, 1.0))
+    free = t.stable_dt(enough=1.0)[0]
+    assert t.stable_dt(1.0, springs=bond)[0] <= free
+    bond.stiffness *= 1e4
+    f, w, factor = np.zeros_like(t.x), np.random.default_rng(1).normal(size=t.x.shape), 0.0
+    for _ in range(2000):
+        f[:] = 0.0
+        bond.resist(w, f)
+        w = f * t.inv_mass[:, None]
+        factor = np.linalg.norm(w)
+        w /= factor
+    exact = 2 / np.sqrt(factor)
+    for _ in range(20):  # later calls start from the last vector
+        step = t.stable_dt(1.0, springs=bond)[0]
+    assert step * (1 + explicit.LINEAR_VISCOSITY) / stability.FREQUENCY_SAFETY == pytest.approx(exact, rel=0.02)
+    assert step > 1.05 * t.stable_dt(springs=bond)[0]

@@ -163,10 +163,70 @@ def test_a_body_steps_at_its_limit_and_not_beyond(made: Build) -> None:
         assert (np.abs(p.v).max() < 3.0 * start) == bounded
 
 
-def test_a_restored_particle_goes_on_to_the_last_bit(made: Build) -> None:
-    first, second = (made(*packing.sphere(D, 300), material("Ni")) for _ in range(2))
+def crushed(made: Build, inertia: float) -> EnrichedParticle:
+    """A small sphere, pressed to 0.16 of its height at equal volume; inertia: as in `Numerics`."""
+    p = made(*packing.sphere(D, 60), Q1=0.0, inertia=inertia)
+    p.x[:] = p.X @ np.diag([2.5, 2.5, 0.16])
+    move(p, np.zeros_like(p.x))
+    p.run(1, 1e-18, lambda: None)
+    return p
+
+
+def test_crushed_cells_with_inertia_bear_a_longer_step(made: Build) -> None:
+    """Free vibration: bounded just below the limit, growing without bound just above it, as without inertia."""
+    for _ in range(10):
+        bare = crushed(made, 0.0).stable_dt()
+    for share, steps, bounded in ((0.99, 100, True), (1.1, 15, False)):
+        p = crushed(made, 0.25)
+        move(p, p.v + 1e-3 * np.random.default_rng(3).normal(size=p.X.shape))
+        for _ in range(10):
+            dt = p.stable_dt()
+        assert dt > 1.4 * bare
+        start = np.abs(p.v).max()
+        p.run(steps, share * dt / p.numerics.frequency, lambda: None)
+        assert (np.abs(p.v).max() < 3.0 * start) == bounded
+
+
+def test_added_inertia_is_none_of_rigid_motions(made: Build) -> None:
+    """Forces that accelerate and spin the body as a whole stay as they are; others keep their sum and their moment."""
+    p = crushed(made, 0.25)
+    p.stable_dt()
+    arm = p.x - p.x.mean(axis=0)
+    rigid = p.mass[:, None] * (np.array([3.0, -1.0, 2.0]) + np.cross([2.0, 1.0, -3.0], arm) / D)
+    f = rigid.copy()
+    p._inertia.slow(f)
+    assert f == pytest.approx(rigid, abs=1e-9 * np.abs(rigid).max())
+    pushed = np.random.default_rng(2).normal(size=f.shape)
+    f = pushed.copy()
+    p._inertia.slow(f)
+    assert np.abs(f - pushed).max() > 0.1
+    assert f.sum(axis=0) == pytest.approx(pushed.sum(axis=0), abs=1e-9)
+    assert np.cross(arm, f).sum(axis=0) == pytest.approx(np.cross(arm, pushed).sum(axis=0), abs=1e-9 * D)
+
+
+def test_added_inertia_slows_the_rate_of_volume_alone(made: Build) -> None:
+    """(m + sum c b b^T) a = f, by a dense solver."""
+    p = crushed(made, 0.25)
+    p.stable_dt()
+    B = p._inertia._B.toarray()
+    c = p._inertia._inertia[p._inertia._inertia > 0.0]
+    order = np.argsort(p.ids[p._inertia._inertia > 0.0])
+    M = p.mass[0] * np.eye(3 * p.n) + B.T @ (c[order, None] * B)
+    f = np.random.default_rng(4).normal(size=(p.n, 3))
+    whole = np.zeros_like(f)
+    whole[p.ids] = f
+    exact = (p.mass[0] * np.linalg.solve(M, whole.ravel())).reshape(-1, 3)[p.ids]
+    p._inertia.slow(f)
+    assert f == pytest.approx(exact, abs=1e-9)
+
+
+@pytest.mark.parametrize("inertia", [0.0, 0.8])
+def test_a_restored_particle_goes_on_to_the_last_bit(made: Build, inertia: float) -> None:
+    first, second = (made(*packing.sphere(D, 300), material("Ni"), inertia=inertia) for _ in range(2))
     move(first, first.X * np.array([4e7, 3e7, -7e7]) + 20.0 * np.random.default_rng(5).normal(size=first.X.shape))
     first.run(50, 1e-11, lambda: None)
+    first.stable_dt()
+    assert (first._inertia.cells > 0) == (inertia > 0.0)
     state, elastic_energy = first.state(), first.elastic()
     first.run(50, 1e-11, lambda: None)
     second.restore(state)

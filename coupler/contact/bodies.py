@@ -131,7 +131,11 @@ class BodyContact:
         return sum(side.contact.dropped_energy for side in self._sides)
 
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
-        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg; alone: see `Bond.stable_dt`."""
+        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg.
+
+        alone: the step (s) the bodies can take without them; frequencies of systems that act in parallel add up in squares at most, so
+        that the step of both together is the shorter.
+        """
         step = alone
         for side in self._sides:
             if not side.idle:

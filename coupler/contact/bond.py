@@ -14,7 +14,6 @@ from .surfaces import Interface, Surfaces
 # bulk moduli per spacing: as soft as a quarter of a layer of elements, so that waves notice it no more than a change of mesh
 BOND_STIFFNESS = 4.0
 MAX_SLIDE = 0.5  # spacings: a bond opened further no longer lies on its triangle, and compression passes to the contact
-BOND_SAFETY = 0.9  # of the step the bound on the frequency allows
 
 
 def penalty(bulk_modulus: float, spacing: float) -> float:
@@ -181,17 +180,6 @@ class Bond:
     def resist(self, w: np.ndarray, f: np.ndarray) -> None:
         """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1."""
         k.spring_forces(self.nodes, self.triangles, self.weights, self.stiffness * self.area, w, f)
-
-    def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
-        """Stable time step (s) of the springs between nodes of mass (N,) kg.
-
-        alone: the step (s) the bodies can take without them; frequencies of systems that act in parallel add up in
-        squares at most, so that the step of both together is the shorter.
-        """
-        if len(self) == 0:
-            return alone
-        omega2 = float(np.max(self.load(len(mass)) / mass))
-        return float(1.0 / np.sqrt(omega2 / (4.0 * BOND_SAFETY**2) + 1.0 / alone**2))
 
     @property
     def held(self) -> np.ndarray:
