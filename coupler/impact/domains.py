@@ -149,7 +149,9 @@ def build_particle(
     """
     p, body = plan.impacts[i], body or body_of(plan, i)
     law = law_record(p.material, plan.effects.switches, p.rate_filter)
-    settings = Numerics(**({"inertia": ENOUGH} if i and plan.mass_scaling else {}) | dict(numerics or {}))
+    settings = Numerics(
+        **({"inertia": ENOUGH} if plan.mass_scaling and plan.is_on_coating(i) else {}) | dict(numerics or {})
+    )
     return engine(plan.engine, settings)(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
         comm=ranks.sph_comm, log=log_file, shares=ranks.shares, strain=p.initial_strain,

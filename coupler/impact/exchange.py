@@ -258,14 +258,22 @@ class Impact:
         beside[self.surface.triangles[pressing[self.surface.triangles].any(axis=1)]] = True
         return beside[rows] | pressing[rows]
 
+    def _depths(self) -> np.ndarray:
+        """How deep the particle's points (n,) lie in the target, in spacings."""
+        return depths(self.particle.x, self.target.x, self.target.mesh.conn) / self.particle.spacing
+
+    @property
+    def has_lost_points(self) -> bool:
+        """Whether more than LOST of the particle's points lie deeper than a spacing in the target."""
+        return bool(np.mean(self._depths() > 1.0) > LOST)
+
     def check_contact(self) -> None:
         """Raise SolverError where the contact has lost points: they lie deeper than a spacing in the target."""
-        depth = depths(self.particle.x, self.target.x, self.target.mesh.conn) / self.particle.spacing
-        lost = int(np.count_nonzero(depth > 1.0))
-        if lost > LOST * len(depth):
+        if self.has_lost_points:
+            depth = self._depths()
             raise SolverError(
-                f"the contact has lost {lost} of {len(depth)} points of the particle: they lie up to {depth.max():.1f} spacings"
-                " inside the target. Try a finer preset"
+                f"the contact has lost {np.count_nonzero(depth > 1.0)} of {len(depth)} points of the particle: they lie up to"
+                f" {depth.max():.1f} spacings inside the target. Try a finer preset"
             )
 
     def update_ledger(self) -> dict[str, float]:

@@ -29,6 +29,8 @@ def advance_to_end(
             impact.bond(recorder.plan, recorder.impact_plan)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above, impact.dissipated)
+        if ending.hardly_deforms and impact.has_lost_points:
+            ending.wait()  # as it springs back they come out
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(recorder.plan, recorder.impact_plan)

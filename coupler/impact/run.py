@@ -156,10 +156,10 @@ def _give_up(impact: Impact) -> None:
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
     """What the plan says of the end of impact i, of so much energy, J. On earlier splats a particle may creep: there a slow one counts
-    as at rest, and one that the scene ties is not waited for until its contact is silent."""
+    as at rest. On a coating, one that the scene ties is not waited for until its contact is silent."""
     p = plan.impacts[i]
     speed = float(np.linalg.norm(p.velocity))
-    slow, tied = (STILL * speed, energy if is_tied(plan.adhesion, p) else 0.0) if i else (0.0, 0.0)
+    slow, tied = STILL * speed if i else 0.0, energy if plan.is_on_coating(i) and is_tied(plan.adhesion, p) else 0.0
     return EndCriterion(p.end_time, p.end_at, p.diameter / speed, speed, slow, tied)
 
 

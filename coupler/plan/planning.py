@@ -145,6 +145,10 @@ class Plan:
     spray: str
     skipped: tuple[str, ...] = ()
 
+    def is_on_coating(self, i: int) -> bool:
+        """Whether impact i is one of many, on its own cut of what those before it have left."""
+        return i > 0 and math.isfinite(self.impacts[i].window)
+
     @property
     def wall_estimate(self) -> float:
         """Time of all on one core of the machine that the constants of `estimates` were fitted on, s."""
