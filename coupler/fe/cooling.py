@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.recfunctions import repack_fields
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import LinearOperator, cg
 from skfem import Basis, ElementTetP1, MeshTet
@@ -77,11 +78,12 @@ def cool(
     free = np.ones(n)
     free[held] = 0.0
     between = free[matrix.rows] * free[matrix.indices]
+    conducting = repack_fields(laws[["k_0", "k_slope", "k_T0", "k_T1"]])[law_of]
     dt, left, steps, taken = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
     while left > 0.0:
         T_mean = T[t.mesh.conn].mean(axis=1)
-        k = conductivities(laws[law_of], T_mean)
+        k = conductivities(conducting, T_mean)
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
             K, known = matrix.assemble(k), T.copy()
         rate = k * matrix.grad2 / (4.0 * share / V0)
