@@ -214,6 +214,14 @@ def test_lammps_searches_in_few_enough_bins(
         np.testing.assert_allclose(one[order[0]], other[order[1]], rtol=0, atol=part * np.abs(one).max(), err_msg=name)
 
 
+def test_what_lammps_refuses_is_an_error_of_the_solver(
+    pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(particles_of_lammps, "_deck", lambda name: "no_such_command 1")
+    with pytest.raises(SolverError, match=r"cannot build this particle .*no_such_command.* fewer points"):
+        pair()
+
+
 def test_two_threads_give_the_same_bits(
     pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

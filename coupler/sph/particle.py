@@ -184,7 +184,13 @@ class Particle(ABC):
         self.is_shared = False
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         with _silence():
-            self._start(velocity, float(temperature), log, shares)
+            try:
+                self._start(velocity, float(temperature), log, shares)
+            except Exception as problem:
+                if not str(problem).startswith("ERROR"):  # all of LAMMPS's do, and have no class of their own
+                    raise
+                text = str(problem).splitlines()[0]
+                raise SolverError(f"LAMMPS cannot build this particle ({text}): try fewer points") from problem
 
     def _own(self, temperature: float) -> None:
         """Arrays of the law for the points of this rank."""
