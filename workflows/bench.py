@@ -1,7 +1,7 @@
 """What a step costs, part by part: python workflows/bench.py   # docs/tables/bench.csv
                                  python workflows/bench.py --laws   # only runs by strength law: docs/tables/law_costs.csv
 
-Elements elastic and plastic; scikit-fem's own forms for the same forces; points with both engines, and part by part in an impact
+Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines, and part by part in an impact
 (medians; the rest: the fastest of several repeats). Machines differ, ratios within a table compare.
 """
 
@@ -71,6 +71,13 @@ def elements(rows: list[tuple[str, float, str]]) -> None:
         seconds = fastest(lambda t=target, d=dt: [step(t, d) for _ in range(STEPS)], 4 * REPEATS) / STEPS
         name = f"tet4 {'plastic' if plastic else 'elastic'}"
         rows.append((name, seconds / len(target.mesh.conn) * 1e6, "us per element and step"))
+
+        def wall(target: Target = target, dt: float = dt) -> float:
+            return fastest(lambda: [step(target, dt) for _ in range(STEPS)], 2 * REPEATS, time.perf_counter)
+
+        one = wall()
+        with second_thread(2):
+            rows.append((f"{name}, one thread over two", one / wall(), "of wall time"))
         if plastic:
             rows.append(("share of elements that flow", float(np.mean(target.rate > 0)), ""))
     rows.append(("scikit-fem forms for the same forces", forms(block(4.2e-6, False)), "us per element and step"))
@@ -90,9 +97,9 @@ def forms(target: Target) -> float:
 
 
 def engines(rows: list[tuple[str, float, str]], count: int) -> None:
-    """Microseconds per point and step of a whole LAMMPS step with the law, for both engines in turn: a sphere that flows all over.
+    """Microseconds per point and step of a whole LAMMPS step with the law, for all engines in turn: a sphere that flows all over.
 
-    What slows down one slows down the other. The passes of the compiled engine also on two threads, in wall time.
+    What slows down one slows down the others. The passes of the default engine also on two threads, in wall time.
     """
 
     def free() -> None:
@@ -110,23 +117,24 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     for _ in range(REPEATS):
         for name, p in particles.items():
             times[name] = min(times[name], fastest(lambda p=p: p.run(steps, 1e-13, free), 1))  # type: ignore[misc]
-    compiled, machdyn = particles["compiled"], particles["machdyn"]
+    default = particles["enriched"]
     n, unit = len(cloud), "us per point and step"
     for name, seconds in times.items():
         rows.append((f"whole step, {n} points, {name}", seconds / steps / n * 1e6, unit))
-    rows.append((f"machdyn over compiled, {n} points", times["machdyn"] / times["compiled"], ""))
+    for name in ("enriched", "compiled"):
+        rows.append((f"machdyn over {name}, {n} points", times["machdyn"] / times[name], ""))
 
     def passes() -> None:
         for _ in range(steps):
-            compiled._update_stress()
+            default._update_stress()
 
     one = fastest(passes, REPEATS, time.perf_counter)
     with second_thread(2):
         two = fastest(passes, REPEATS, time.perf_counter)
     rows.append((f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit))
     rows.append((f"one thread over two, {n} points", one / two, "of wall time"))
-    compiled.close()
-    machdyn.close()
+    for p in particles.values():
+        p.close()
 
 
 def points(rows: list[tuple[str, float, str]], count: int) -> None:
@@ -219,7 +227,7 @@ def laws(count: int, until: float = 20e-9, metal: str = "OFHC_Cu") -> list[dict[
             {"law": law, "set": sets[law], "points": impact.particle.n, "steps": taken, "cpu_s": round(spent[law], 3)}
             | {name: round(ratio, 3) for name, ratio in ratios.items()}
         )
-        impact.close()
+        impact.particle.close()
     return rows
 
 
