@@ -152,7 +152,6 @@ def in_turn(scenes: Mapping[str, str], crossings: float) -> dict[str, list[float
                 del going[name]
     for impact in impacts.values():
         impact.particle.close()
-        impact.close()
     return {name: seconds[1:] for name, seconds in costs.items()}
 
 
