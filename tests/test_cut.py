@@ -22,6 +22,7 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.batches import batches
 from coupler.plan.planning import plan
+from coupler.sph.inertia import ENOUGH
 from coupler.state.records import rows_of
 
 
@@ -112,6 +113,7 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     to the last bit."""
     whole = shared_run(SIDE)
     assert [join["bodies"] for join in whole.summary["joins"]] == [1, 1]
+    assert [impact["numerics"]["inertia"] for impact in whole.summary["impacts"]] == [0.0, ENOUGH, ENOUGH]
     break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9, after=after)
     assert max(path.name for path in (tmp_path / "out" / "impacts").iterdir()) == f"{after + 1:05d}"
     result = resume(tmp_path / "out", jobs=jobs)

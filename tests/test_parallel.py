@@ -58,8 +58,9 @@ run(short, out + "/spread", placement="spread", **options)
 resume(out + "/resumed", **options)
 run(short, out + "/retried", probe=break_once, **options)
 run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
-run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", **options)
+run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", numerics={inertia!r}, **options)
 """
+INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
 ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"')
 
 
@@ -68,7 +69,9 @@ def on_two(scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six runs on two ranks: split (by the command), spread, resumed, retried, double, enriched."""
     out = tmp_path_factory.mktemp("two")
     break_off(Scene.from_text(SHORT, "shared"), out / "resumed", 5e-9)
-    program = PROGRAM.format(out=str(out), scene=str(scene), short=SHORT, double=SHORT_DOUBLE, enriched=ENRICHED)
+    program = PROGRAM.format(
+        out=str(out), scene=str(scene), short=SHORT, double=SHORT_DOUBLE, enriched=ENRICHED, inertia=INERTIA
+    )
     code, text, err = finish(start(2, code=program))
     assert code == 0, err
     assert text.count("results in") == 1  # only the first rank writes to the terminal
@@ -90,8 +93,8 @@ def test_a_particle_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
 
 
 def test_residuals_of_points_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
-    """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point."""
-    assert_same_impact(shared_run(ENRICHED).values, Result(on_two / "enriched").values)
+    """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point, inertia of cells from all."""
+    assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(on_two / "enriched").values)
 
 
 def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
