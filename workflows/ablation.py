@@ -72,7 +72,7 @@ def no_shape_stress() -> None:
 def no_mesh_frequency() -> None:
     from coupler.fe.stability import HighestFrequency
 
-    HighestFrequency.longest_step = lambda self, t, bound, n, m: bound  # type: ignore[method-assign]
+    HighestFrequency.longest_step = lambda self, t, bound, n, m, springs=None: bound  # type: ignore[method-assign]
 
 
 def no_inactive_elements() -> None:
