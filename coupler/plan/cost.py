@@ -48,9 +48,9 @@ SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s
 SECONDS_PER_CONVERSION = 0.3  # ... and of its own process
 # Between impacts (`deposition`): steps of the target alone in which a new splat, or a pause, comes to rest, and of implicit conduction.
 JOIN_STEPS = 110
-PAUSE_STEPS = 190
-HEAT_STEPS = 145
-SECONDS_PER_HEAT_ELEMENT = 1e-6  # of one of those
+PAUSE_STEPS = 590  # before it and after it: the means of a coating of 40
+HEAT_STEPS = 23
+SECONDS_PER_HEAT_ELEMENT = 1.3e-6  # of one of those
 SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
