@@ -23,7 +23,9 @@ from .explicit import Target
 from .heat import gains, means, shares, take_heat
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
-STEP_GROWTH = 2.0  # of the step: with 1.5 the temperatures after a pause are a fifth closer to the limit, at 1.6 times the steps
+STEP_GROWTH = (
+    2.0  # of the step: with 1.5 the temperatures after a pause are a fifth closer to the limit, at 1.6 times the steps
+)
 FIRST_STEP = 0.1  # first step, in the shortest time that heat takes through an element
 LINK_RESISTANCE = 0.01  # of a link of perfect contact, in that of an element
 CG_TOLERANCE = 1e-10  # of the linear solver
