@@ -6,7 +6,6 @@ what both gave and what they cost. Finished runs that lie in runs/ are taken as 
 
 import subprocess
 import sys
-from pathlib import Path
 
 from pages import ROOT, TABLES, options, write_table
 
