@@ -1,6 +1,6 @@
 """Rebound over velocity, for Ni, Ti, Cu and Al on their own kind: python workflows/restitution.py
 
-Particles of 25 um at 300 K, preset draft, without adhesion: 18 runs, each a row of docs/tables/restitution.csv that is not computed
+Particles of 25 um at 300 K, preset draft, without adhesion: 19 runs, each a row of docs/tables/restitution.csv that is not computed
 again. Then the figure and the table of the page on bonding; --docs makes only these.
 """
 
@@ -35,7 +35,7 @@ from coupler.studies.table import Row
 METALS = ("Ni", "Ti", "OFHC_Cu", "Al")
 VELOCITIES = (200, 400, 600, 850)
 DIAMETER, TEMPERATURE = 25e-6, 300.0
-BAND = ((0.5, "Ni", 400), (2.0, "Ni", 400))  # contact stiffness, metal, velocity
+BAND = ((0.5, "Ni", 400), (2.0, "Ni", 400), (8.0, "Ni", 400))  # contact stiffness, metal, velocity
 FLOW_STRAIN = 0.2  # at which Johnson-Cook gives the flow stress of the theory
 COLUMNS = (
     "metal", "velocity_m_s", "contact_stiffness", "restitution", "rebound_m_s", "area_um2", "interface_strain", "interface_T_K",
