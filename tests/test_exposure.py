@@ -42,6 +42,11 @@ def test_clean_metal_under_pressure_bonds_and_nothing_else_does() -> None:
     assert f(-0.3, 0.0, 1e10) == 0.0
 
 
+def test_molten_metal_under_pressure_meets_and_without_pressure_does_not() -> None:
+    molten, exposed = np.zeros(3), np.full(3, 0.5)
+    assert sound_fraction(exposed, 0.0, np.array([0.0, 1e6, -1e6]), molten).tolist() == [0.0, 0.5, 0.0]
+
+
 def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
     table = {"kind": "cohesive", "criterion": "exposure"}
     law = scene_with(adhesion=table, materials={"SS304": FILM}).derived.adhesion_law

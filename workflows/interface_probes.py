@@ -46,7 +46,6 @@ SPRINGS = (
 )
 SPRING_CASES = (
     *(("ni", 10.0, 665.0, preset, factor) for preset in ("draft", "standard") for factor in (1.0, 8.0, 16.0)),
-    ("ni", 10.0, 665.0, "fine", 1.0),
 )
 PROFILE = (
     "metal",

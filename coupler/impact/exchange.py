@@ -226,16 +226,16 @@ class Impact:
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]
         pressure = self.contact.stiffness * self.contact.depth[rows] / area
         if self.exposure is not None:
-            sound = self.exposure.sound[rows]
-            chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
+            sound, strength = self.exposure.sound[rows], softer_strength(self.domains, rows, facets)
+            chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows] & (strength > 0.0)  # molten: later
         else:
             chosen = adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
         if chosen.any():
             rows, facets, area = rows[chosen], facets[chosen], area[chosen]
             law_of = t.law_of[t.mesh.facet_element[facets]]
             if self.exposure is not None and self._films is not None:
-                strength, force = softer_strength(self.domains, rows, facets), self._films[law_of, 1]
-                law = ligament_bonds(sound[chosen], self.exposure.exposed[rows], force, strength, stiffness)
+                force = self._films[law_of, 1]
+                law = ligament_bonds(sound[chosen], self.exposure.exposed[rows], force, strength[chosen], stiffness)
             else:
                 metals = self._metals(plan)
                 law = adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])

@@ -61,7 +61,7 @@ def sound_fraction(
     below a crack free of traction; Bay's is from slip lines.
     """
     clean = np.clip((exposed - threshold) / (1.0 - threshold), 0.0, 1.0)
-    return clean * np.clip(pressure / strength - EXTRUSION, 0.0, 1.0)
+    return clean * np.clip(pressure / np.maximum(strength, 1.0) - EXTRUSION, 0.0, 1.0)  # molten metal has no strength
 
 
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
