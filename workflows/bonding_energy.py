@@ -31,9 +31,9 @@ CASES = (
     *(("ni", 10.0, 300.0, film, "draft", 665) for film in (0.36, 1.94)),
     *(("cu", 14.0, 300.0, film, "draft", 610) for film in (0.4, 2.0)),
     ("ni", 5.0, 300.0, 1.0, "draft", 665), ("ni", 40.0, 300.0, 1.0, "draft", 665), ("ni", 10.0, 900.0, 1.0, "draft", 665),
-    *(("ni", 10.0, 300.0, 1.0, "standard", v) for v in (665, 565, 400, 831)), ("cu", 14.0, 300.0, 1.0, "standard", 610),
-    ("ni", 10.0, 300.0, 1.0, "fine", 665), ("ni", 10.0, 300.0, 1.94, "standard", 665), ("ni", 10.0, 300.0, 0.36, "standard", 665),
-    ("ni", 10.0, 300.0, 1.94, "standard", 400), *(("cu", 14.0, 300.0, film, "standard", 610) for film in (2.0, 0.4)),
+    *(("ni", 10.0, 300.0, 1.0, "standard", v) for v in (665, 565, 480, 400, 831)), ("cu", 14.0, 300.0, 1.0, "standard", 610),
+    ("ni", 10.0, 300.0, 1.0, "fine", 665), *(("ni", 10.0, 300.0, 1.94, "standard", v) for v in (400, 665, 530)),
+    ("ni", 10.0, 300.0, 0.36, "standard", 665), *(("cu", 14.0, 300.0, film, "standard", 610) for film in (2.0, 0.4)),
     ("ni", 10.0, 300.0, 1.0, "fine", 565), ("cu", 14.0, 300.0, 1.0, "fine", 610), ("ni", 10.0, 300.0, 1.0, "fine", 831),
 )  # fmt: skip
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
