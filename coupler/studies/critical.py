@@ -100,7 +100,7 @@ def next_velocity(
         wanted = min(max(verdicts) * STEP, limits[1])
     else:  # at all velocities above: where it sticks below, go on to the rebound that ends this
         lowest = min(verdicts)
-        if verdicts[lowest] != STICKS and lowest <= start / STEP**BELOW:
+        if verdicts[lowest] != STICKS and lowest <= round(start / STEP**BELOW):
             return None
         wanted = max(lowest / STEP, limits[0])
     wanted = float(round(wanted))
