@@ -152,9 +152,9 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     spent = dict.fromkeys((*parts, "target", "callback"), 0.0)
 
     def timed(original: Callable[..., Any], part: str) -> Callable[..., Any]:
-        def wrapper(*args: Any) -> Any:
+        def wrapper(*args: Any, **options: Any) -> Any:
             start = clock()
-            value = original(*args)
+            value = original(*args, **options)
             spent[part] += clock() - start
             return value
 
