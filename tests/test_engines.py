@@ -18,7 +18,7 @@ from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics, Particle
-from coupler.threads import SecondThread, second_thread
+from coupler.state.threads import SecondThread, second_thread
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 

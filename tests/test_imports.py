@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1] / "coupler"
-EVERYWHERE = {"errors", "units", "progress", "measures", "state", "threads", "__version__"}
+EVERYWHERE = {"errors", "units", "progress", "measures", "state", "__version__"}
 # package -> what it may import beside itself and the modules that all may import; the order is that of the arrows
 ALLOWED: dict[str, set[str]] = {
     "commands": {"studies", "report", "deposition", "splat", "files", "plan", "ranks", "scene", "spray", "physics", "geometry"},
@@ -42,7 +42,7 @@ KERNELS = ("kernels.py", "blocks.py", "constitutive.py", "law.py", "motion.py") 
 HEAVY = {"open3d", "mpi4py"}
 # Packages that a run can do without
 OPTIONAL = {"imageio_ffmpeg", "parsl", "sklearn", "snakemake", "pyvista", "pandas", "vtk"}
-FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures", "threads"}
+FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
 FILES = sorted(ROOT.rglob("*.py"))
 
 

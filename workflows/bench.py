@@ -25,7 +25,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.sph import packing
 from coupler.sph.engine import ENGINES
-from coupler.threads import second_thread
+from coupler.state.threads import second_thread
 
 STEPS, REPEATS = 40, 7
 

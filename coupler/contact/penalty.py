@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 from ..errors import CheckpointError, SolverError
 from ..state.arrays import Floats, Ints
 from ..state.records import Shape, assign, collect
-from ..threads import share
+from ..state.threads import share
 from . import broad
 from . import kernels as k
 

@@ -30,7 +30,7 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
-from ..threads import second_thread
+from ..state.threads import second_thread
 from .batches import clear, compute, replay, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached

@@ -17,7 +17,7 @@ from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
 from ..state.records import assign, collect, fill_rows
-from ..threads import share
+from ..state.threads import share
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, take_heat

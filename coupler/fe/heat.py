@@ -21,7 +21,7 @@ from numba import njit
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape, assign, collect
-from ..threads import share
+from ..state.threads import share
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
 

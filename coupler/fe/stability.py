@@ -16,7 +16,7 @@ from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape
-from ..threads import share
+from ..state.threads import share
 from .blocks import edge_cofactors
 from .kernels import SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
 from .mesh import FiniteElements

@@ -23,7 +23,7 @@ from ..physics.materials import Material
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..state.records import Shape, assign, check_indices, collect
-from ..threads import Task, second
+from ..state.threads import Task, second
 from .bodies import BodiesState
 from .domains import Domains
 from .ending import Grip

@@ -26,9 +26,8 @@ from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
 BEYOND_FIT = "beyond the fitted range"
-# factors on the penalty stiffness of the contact, whose springs give back half of the rebound's energy
-CONTACT_STIFFNESS = 1.0
-BONDED_STIFFNESS = 8.0  # where bonds act, which decide whether the particle leaves: a sixth, at the same time step
+# factors on the contact's penalty stiffness, the second where bonds decide: its springs give back half of the rebound, or a sixth
+CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
 NEAR_MELTING = 0.9  # of the melting point
 
@@ -42,8 +41,8 @@ class ImpactPlan:
     end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
     component normal to the surface over the critical velocity of material and temperature, None where the material has none.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
-    splat_elements: of its splat, an estimate; 0 where it is expected to rebound.
-    initial_strain: plastic strain of the powder, from its hardness. bands: accuracy of each measure at this resolution."""
+    splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
+    hardness. bands: accuracy of each measure at this resolution."""
 
     material: Material
     shape: str
@@ -182,8 +181,7 @@ class Plan:
 
 
 def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
-    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness, for studies of the scheme (None:
-    BONDED_STIFFNESS where bonds act in the impact, else CONTACT_STIFFNESS).
+    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do).
 
     Raises SceneError if the scene names a material that is not there.
     """
@@ -195,10 +193,8 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
     if not budget.on(REST):
         impacts = tuple(map(_to_greatest, impacts))
     target = _target(scene, base, decided)
-    dt = [i.dt_expected for i in impacts]
-    steps = [math.ceil(i.expected / dt_of) for i, dt_of in zip(impacts, dt, strict=True)]
-    # every impact but the first finds the splats of those before it among the target's elements
-    splats = [i.splat_elements for i in impacts]
+    steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
+    splats = [i.splat_elements for i in impacts]  # each but the first finds those before it among the target's elements
     elements = _met(splats, target.elements_estimate)
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
@@ -217,7 +213,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         contact_stiffness=contact_stiffness or (BONDED_STIFFNESS if adhesion.in_impact else CONTACT_STIFFNESS),
         effects=decided,
         budget=budget,
-        dt_estimate=min(dt),
+        dt_estimate=min(i.dt_expected for i in impacts),
         steps_estimate=sum(steps),
         memory_bytes=estimates.memory(scene.derived.points, elements[-1]),
         cost=estimates.Cost(

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..errors import SolverError
 from ..state.records import Rows
-from ..threads import share
+from ..state.threads import share
 from . import compiled_kernels as k
 from .particle import Particle, PointState
 from .start import H

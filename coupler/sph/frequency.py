@@ -15,7 +15,7 @@ from numba import njit
 
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws, Matrix
-from ..threads import share
+from ..state.threads import share
 from . import compiled_kernels as k
 
 LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken
