@@ -1,8 +1,10 @@
 """The critical velocity by runs: the search itself, and the command on a scene of 200 points."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from statistics import NormalDist
 
 import pytest
 from scenes import TINY, scene
@@ -85,7 +87,20 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     """Rebound at the lower limit, sticking at the upper one: the bracket is as wide as asked for after both."""
     file, out = tmp_path / "ni.toml", tmp_path / "out"
     file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
-    call = ["critical", str(file), "--out", str(out), "--low", "300 m/s", "--high", "700 m/s", "--within", "90%"]
+    call = [
+        "critical",
+        str(file),
+        "--out",
+        str(out),
+        "--low",
+        "300 m/s",
+        "--high",
+        "700 m/s",
+        "--within",
+        "90%",
+        "--repeat",
+        "1",
+    ]
     assert main(call) == 0
     said = capsys.readouterr()
     assert "critical velocity" in said.out
@@ -103,18 +118,69 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     assert " ..." not in capsys.readouterr().err.splitlines()[-1:]
 
 
+@pytest.mark.parametrize("scatter", [0.0, 20.0, 60.0])
+def test_several_placements_show_their_scatter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scatter: float) -> None:
+    """Placements whose own critical velocities are normally distributed about 600 m/s: its mean, and the band of one deviation."""
+    placements = 9
+    own = [600.0 + scatter * NormalDist().inv_cdf((k + 0.5) / placements) for k in range(placements)]
+
+    def rows_at(scene: Scene, velocity: float, *_: object) -> list[dict[str, object]]:
+        words = (STICKS if velocity >= v else REBOUNDS for v in own)
+        return [{"velocity_m_s": velocity, "placement": k, "verdict": word} for k, word in enumerate(words)]
+
+    monkeypatch.setattr(critical, "rows_at", rows_at)
+    nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
+    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, critical.KEY, "remake")
+    found = critical.search(nickel, tmp_path, table, log=lambda _: None, repeat=placements)
+    low, high = found.band
+    assert abs(found.velocity - 600.0) < 0.025 * 600.0
+    assert low == pytest.approx(600.0 - scatter, abs=30.0)  # straight lines between velocities up to 75 m/s apart
+    assert high == pytest.approx(600.0 + scatter, abs=30.0)
+    assert found.low >= low
+    assert found.high <= high
+    assert "half of the placements" in found.words
+
+
+def test_an_undecided_placement_counts_as_half() -> None:
+    rows = [{"velocity_m_s": "500", "verdict": word} for word in (STICKS, UNDECIDED, REBOUNDS, REBOUNDS)]
+    assert critical.shares_of(rows, 4) == {500.0: 0.375}
+    assert critical.shares_of(rows, 5) == {}
+
+
+def test_a_band_without_an_upper_end() -> None:
+    """Three of four stick at most, and fewer at higher velocities."""
+    shares = {400.0: 0.0, 500.0: 0.25, 600.0: 0.75, 700.0: 0.25}
+    found = replace(bracket(critical.verdicts_of(shares)), shares=shares)
+    assert (found.low, found.high) == (500.0, 600.0)
+    assert found.band == (pytest.approx(464.0), None)
+    assert "84% at no velocity" in found.words
+
+
+def test_placements_differ_in_nothing_but_the_discretisation() -> None:
+    first = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
+    scenes = [Scene.from_text(critical.at_velocity(first, 600.0, k), "ni") for k in range(8)]
+    particles = [each.particle for each in scenes]
+    size = first.derived.element_size
+    assert all(max(map(abs, p.offset)) <= 0.5 * size for p in particles)
+    assert len({p.offset for p in particles}) == len({p.tilt for p in particles}) == 8
+    usual = {"offset": (0.0, 0.0), "tilt": 0.0}
+    assert all(p.model_copy(update=usual) == particles[0] for p in particles)
+    oblate = Scene.from_text(scene(("Ni", 25, 500), **TINY, of_particle='shape = "oblate"\n', more=EXPOSED), "ni")
+    assert Scene.from_text(critical.at_velocity(oblate, 600.0, 1), "ni").particle.tilt == 0.0
+
+
 def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Too fast for the points: the answer is that of the runs there are, and the message says why there are no more."""
 
-    def run_at(scene: Scene, velocity: float, folder: Path) -> dict[str, object]:
+    def rows_at(scene: Scene, velocity: float, *_: object) -> list[dict[str, object]]:
         if velocity > failing:
             raise StoreError(f"the run at {velocity:g} m/s failed: the contact has lost 9 of 200 points")
-        return {"velocity_m_s": velocity, "verdict": REBOUNDS}
+        return [{"velocity_m_s": velocity, "placement": 0, "verdict": REBOUNDS}]
 
-    monkeypatch.setattr(critical, "run_at", run_at)
+    monkeypatch.setattr(critical, "rows_at", rows_at)
     said: list[str] = []
     nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
-    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, ("velocity_m_s",), "remake")
+    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, critical.KEY, "remake")
     failing = 1000.0
     found = critical.search(nickel, tmp_path, table, log=said.append)
     assert 700.0 < found.low <= failing
@@ -123,9 +189,7 @@ def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest
     assert min(float(row["velocity_m_s"]) for row in table.rows) < 400.0  # whether it sticks below is tried
     failing = 0.0
     with pytest.raises(StoreError, match="has lost 9"):
-        critical.search(
-            nickel, tmp_path, StudyTable(tmp_path / "other.csv", critical.COLUMNS, ("velocity_m_s",), "remake")
-        )
+        critical.search(nickel, tmp_path, StudyTable(tmp_path / "other.csv", critical.COLUMNS, critical.KEY, "remake"))
 
 
 def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:

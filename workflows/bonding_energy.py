@@ -16,7 +16,7 @@ from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, v
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.physics.materials import material
-from coupler.studies.critical import bracket, run_at
+from coupler.studies.critical import bracket, rows_at
 from coupler.studies.table import Row
 
 COLUMNS = (
@@ -68,11 +68,12 @@ def row_of(
     """One run: energies over all the area that bonded."""
     scene = scene_of(name, size, temperature, film, preset)
     folder = runs / scene.name
-    run_at(scene, velocity, folder)
+    rows_at(scene, velocity, folder)
     s = Result(folder / f"{velocity:.6g}ms").values
     area, section = s["bonded_area_m2"], 0.25 * math.pi * scene.particle.diameter**2
     torn = s["energies"]["bond"] * s["kinetic_energy_0_J"]
-    rebound = 0.5 * s["particle_mass_kg"] * max(s["velocity_z_m_s"], 0.0) ** 2
+    upwards = s["velocity_z_m_s"]
+    rebound = None if upwards is None else 0.5 * s["particle_mass_kg"] * max(upwards, 0.0) ** 2
     v, e = np.array(MEASURED[name]).T
     metal = scene.particle.material
     is_measured = (metal, size) in MEASURED_CRITICAL and temperature == 300.0 and v.min() <= velocity <= v.max()
@@ -80,7 +81,7 @@ def row_of(
         metal, size, temperature, film, preset, velocity, s["verdict"],
         "" if s["restitution"] is None else round(s["restitution"], 4),
         round(float(np.interp(velocity, v, e)), 3) if is_measured else "", round(area / section, 3),
-        *(round(energy / area, 1) if area else "" for energy in (s["bond_energy_J"], torn, rebound)),
+        *(round(energy / area, 1) if area and energy is not None else "" for energy in (s["bond_energy_J"], torn, rebound)),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
 

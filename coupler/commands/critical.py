@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import REBOUNDS, STICKS, UNDECIDED
-from .arguments import Commands, add_command, add_force, add_quiet, add_scene, path, quantity, scene_of
+from .arguments import Commands, add_command, add_force, add_quiet, add_scene, at_least_one, path, quantity, scene_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,6 +33,9 @@ def add(commands: Commands) -> None:
     for name, text in (("low", "lowest"), ("high", "highest")):
         option(f"--{name}", type=quantity(f"--{name}", "velocity"), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
+    option("--repeat", type=at_least_one, default=3, metavar="N",
+           help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
+    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
     add_force(option)
     add_quiet(option)
 
@@ -62,16 +65,20 @@ def run(arguments: argparse.Namespace) -> int:
     table = StudyTable(
         out / "critical.csv",
         critical.COLUMNS,
-        ("velocity_m_s",),
+        critical.KEY,
         "remake: coldspray critical (runs in this table are not computed again)",
     )
     try:
-        bracket = critical.search(scene, out / "runs", table, limits, tolerance, say)
+        bracket = critical.search(scene, out / "runs", table, limits, tolerance, say, arguments.repeat, arguments.jobs)
     except KeyboardInterrupt:
         say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} runs")
         raise
     draw(critical.sorted_rows(table.rows), bracket, scene.particle.diameter, out / "critical.png")
     print(bracket.words)
+    if bracket.velocity is None and (slowest := critical.slowest_rebound(table.rows)) is not None:
+        print(f"nearest to sticking: {slowest}")
+    if arguments.repeat == 1:
+        print("one placement at each velocity: that its verdict may be chance is not in the band (--repeat 3)")
     if (formula := critical.schmidt(scene)) is not None:
         print(f"Schmidt's formula: {formula:.4g} m/s")
     if not arguments.quiet:
@@ -80,13 +87,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: float, picture: Path) -> None:
-    """Restitution, and bonded area over the cross section of the particle (diameter, m), over velocity; markers by verdict."""
+    """Restitution, bonded area over the cross section of the particle (diameter, m), and where there are several placements the share
+    that sticks, over velocity; markers by verdict, lines through the means."""
     import math
+    from itertools import groupby
 
     from ..report.picture import blank, save
 
-    figure = blank(10.0, 4.0, dpi=130, layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = blank(10.0 + 4.0 * bool(bracket.shares), 4.0, dpi=130, layout="constrained")
+    left, right, *more = figure.subplots(1, 3 if bracket.shares else 2)
     section = 0.25 * math.pi * diameter**2
     for at, key, factor, colour, label in (
         (left, "restitution", 1.0, "k", "rebound velocity / impact velocity"),
@@ -94,7 +103,8 @@ def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: floa
         (right, "bonded_area_end_m2", 1.0 / section, "k", "that holds"),
     ):
         points = [(float(row["velocity_m_s"]), factor * float(row[key]), row["verdict"]) for row in rows if row[key]]
-        at.plot([v for v, *_ in points], [y for _, y, _ in points], color=colour, linewidth=0.8)
+        levels = [(v, [y for _, y, _ in own]) for v, own in groupby(points, key=lambda point: point[0])]
+        at.plot([v for v, _ in levels], [sum(y) / len(y) for _, y in levels], color=colour, linewidth=0.8)
         for verdict, marker in _MARKERS.items():
             own = [(v, y) for v, y, word in points if word == verdict]
             if own:
@@ -104,9 +114,16 @@ def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: floa
         at.set_xlabel("impact velocity in m/s")
     left.set_ylabel("coefficient of restitution")
     right.set_ylabel("bonded area / cross section")
-    for at in (left, right):
-        if bracket.low is not None and bracket.high is not None:
-            at.axvspan(bracket.low, bracket.high, color="#d55e00", alpha=0.25, linewidth=0.0)
+    for at in more:
+        at.plot(*zip(*sorted(bracket.shares.items()), strict=True), "ko-", markersize=4, linewidth=0.8)
+        at.axhline(0.5, color="0.6", linewidth=0.8, linestyle="--")
+        at.set_ylim(-0.05, 1.05)
+        at.set_xlabel("impact velocity in m/s")
+        at.set_ylabel("share of the placements that stick")
+    low, high = bracket.band
+    for at in (left, right, *more):
+        if bracket.velocity is not None:
+            at.axvspan(low or at.get_xlim()[0], high or at.get_xlim()[1], color="#d55e00", alpha=0.25, linewidth=0.0)
         if at.get_legend_handles_labels()[0]:
             at.legend(fontsize=7)
     figure.suptitle(bracket.words, fontsize=9)

@@ -1,11 +1,17 @@
-"""The critical velocity of a scene by runs at several velocities: bracketed between rebound and sticking, then halved."""
+"""The critical velocity of a scene by runs at several velocities: bracketed between rebound and sticking, then halved.
+
+At the margin a verdict depends on where points and elements lie. Several placements at each velocity, of which none is nearer to
+the truth, show how much: the critical velocity is that at which half of them stick.
+"""
 
 import itertools
 import math
+import time
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from statistics import fmean, stdev
 
 from ..errors import ColdsprayError, SceneError, StoreError
 from ..files.result import Result
@@ -13,7 +19,9 @@ from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import critical_velocity
 from ..plan.planning import plan
 from ..plan.reading import Scene
-from .points import run_point
+from ..plan.text import duration
+from ..ranks.executors import executor
+from .points import how_ended, run_point, run_points
 from .sweep import toml_text
 from .table import StudyTable
 
@@ -22,25 +30,31 @@ STEP = 1.25  # ratio of velocities while there is no bracket
 BELOW = 3  # steps below the start that are tried where the particle rebounds at all velocities above
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
+BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
+# of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
+SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
+KEY = ("velocity_m_s", "placement")
 COLUMNS = (
-    "velocity_m_s", "verdict", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
+    *KEY, "verdict", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
     "verdict_rests_on",
 )  # fmt: skip
-_MEASURES = COLUMNS[2:]
+_MEASURES = COLUMNS[3:]
 
 
 @dataclass(frozen=True)
 class Bracket:
     """low, high: m/s, the highest velocity at which the particle rebounds and the lowest above it at which it sticks; None where the
-    runs show none; undecided: velocities between them without a verdict."""
+    runs show none; undecided: velocities between them without a verdict; shares: of the placements that stick, by velocity, where
+    there are several."""
 
     low: float | None
     high: float | None
     undecided: tuple[float, ...] = ()
+    shares: Mapping[float, float] = field(default_factory=dict)
 
     @property
     def velocity(self) -> float | None:
-        """The middle, m/s: the critical velocity, whose band is half of the width."""
+        """The middle, m/s: the critical velocity."""
         return None if self.low is None or self.high is None else 0.5 * (self.low + self.high)
 
     @property
@@ -48,20 +62,49 @@ class Bracket:
         """m/s; infinite without a bracket."""
         return math.inf if self.low is None or self.high is None else 0.5 * (self.high - self.low)
 
+    def halvings(self, tolerance: float) -> int:
+        """How often a bracket is halved until its width over its middle is `tolerance`; 0 without a bracket."""
+        if self.velocity is None:
+            return 0
+        return max(math.ceil(math.log2(2.0 * self.half_width / (tolerance * self.velocity))), 0)
+
+    @property
+    def band(self) -> tuple[float | None, float | None]:
+        """Velocities (m/s) at which the shares of BAND stick, below and above the bracket or at its ends, by straight lines between
+        runs; None where no run shows it. Without shares the bracket."""
+        if self.low is None or self.high is None or not self.shares:
+            return self.low, self.high
+        below = _reached((v for v in sorted(self.shares, reverse=True) if v <= self.high), self.shares, BAND[0])
+        above = _reached((v for v in sorted(self.shares) if v >= self.low), self.shares, BAND[1])
+        return below and min(below, self.low), above and max(above, self.high)
+
     @property
     def words(self) -> str:
-        """The bracket in a line."""
+        """The answer in a line."""
         if self.low is not None and self.high is not None:
             between = f"; undecided at {', '.join(f'{v:.4g}' for v in self.undecided)} m/s" if self.undecided else ""
-            return (
-                f"critical velocity {self.velocity:.4g} m/s +- {self.half_width:.2g} m/s: rebounds at {self.low:.4g}, sticks at"
-                f" {self.high:.4g} m/s{between}"
-            )
+            answer = f"critical velocity {self.velocity:.4g} m/s +- {self.half_width:.2g} m/s"
+            if not self.shares:
+                return f"{answer}: rebounds at {self.low:.4g}, sticks at {self.high:.4g} m/s{between}"
+            ends = [
+                f"{share:.0%} at {v:.4g} m/s" if v is not None else f"{share:.0%} at no velocity computed"
+                for v, share in zip(self.band, BAND, strict=True)
+            ]
+            return f"{answer}, where half of the placements stick ({' and '.join(ends)})"
         if self.low is not None:
             return f"no critical velocity: rebounds at all velocities up to {self.low:.4g} m/s"
         if self.high is not None:
             return f"no critical velocity: sticks at all velocities down to {self.high:.4g} m/s"
         return "no critical velocity: no run has a verdict"
+
+
+def _reached(velocities: Iterable[float], shares: Mapping[float, float], share: float) -> float | None:
+    """Where the shares at velocities in order come to `share` first, by straight lines; None where they do not."""
+    for v, w in itertools.pairwise(velocities):
+        a, b = shares[v] - share, shares[w] - share
+        if a * b <= 0.0 and a != b:
+            return v + (w - v) * a / (a - b)
+    return None
 
 
 def bracket(verdicts: Mapping[float, str]) -> Bracket:
@@ -107,10 +150,23 @@ def next_velocity(
     return None if wanted in verdicts else wanted
 
 
-def at_velocity(scene: Scene, velocity: float) -> str:
-    """The TOML of the scene with its particle at `velocity` m/s."""
+def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
+    """The TOML of the scene with its particle at `velocity` m/s.
+
+    placement: 0 as the scene has it; others have no meaning in physics: they move the particle by up to half an element of the
+    target in x and y, where the target is meshed anew about it, and turn the points of a sphere by up to 45 degrees about y.
+    """
     data = tomllib.loads(scene.to_toml())
-    data["particle"]["velocity"] = f"{velocity:.6g} m/s"
+    particle = data["particle"]
+    particle["velocity"] = f"{velocity:.6g} m/s"
+    if placement:
+        x, y, turn = (placement * step % 1.0 for step in SEQUENCE)
+        moved = (
+            at + (u - 0.5) * scene.derived.element_size for at, u in zip(scene.particle.offset, (x, y), strict=True)
+        )
+        particle["offset"] = [f"{1e6 * at:.5g} um" for at in moved]
+        if scene.particle.shape == "sphere":
+            particle["tilt"] = f"{45.0 * turn:.4g} deg"
     data.pop("name", None)
     return toml_text(data)
 
@@ -148,43 +204,104 @@ def search(
     limits: tuple[float, float] = (LOWEST, HIGHEST),
     tolerance: float = TOLERANCE,
     log: Callable[[str], None] = print,
+    repeat: int = 1,
+    jobs: int = 1,
 ) -> Bracket:
     """Compute runs of the scene into `folder` until the critical velocity is bracketed; finished ones are used again.
 
-    table: gets a row for each, COLUMNS; the folder's earlier runs of the same scene take part. An undecided run is continued once, for
-    as long again. log: told of each run. Raises SceneError for a scene without computed bonds, StoreError when a run fails.
+    table: gets a row for each, COLUMNS; the folder's earlier runs of the same scene take part. repeat: placements at each velocity,
+    jobs: how many at a time. The verdict at a velocity is that of most of them, an undecided run counts as half; a single one is
+    continued once, for as long again. log: told of each velocity. Raises SceneError for a scene without computed bonds, StoreError
+    when a run fails.
     """
     check(scene)
-    verdicts = {float(row["velocity_m_s"]): row["verdict"] for row in table.rows}
     start = schmidt(scene) or UNKNOWN_START
-    while (velocity := next_velocity(verdicts, start, limits, tolerance)) is not None:
-        log(f"run {len(verdicts) + 1}: {velocity:.4g} m/s ...")
+    while (
+        velocity := next_velocity(verdicts_of(shares := shares_of(table.rows, repeat)), start, limits, tolerance)
+    ) is not None:
+        which = f"velocity {len(shares) + 1}: {velocity:.4g} m/s"
+        log(f"{which}{f', {repeat} placements' if repeat > 1 else ''} ...")
+        begun = time.monotonic()
         try:
-            row = table.add(run_at(scene, velocity, folder))
+            rows = rows_at(scene, velocity, folder, repeat, jobs, log)
         except StoreError as error:
-            if not verdicts:
+            if not shares:
                 raise
-            log(str(error))
-            if velocity <= max(verdicts):
+            log(f"{error}; the answer is that of velocities to {max(shares):.4g} m/s")
+            if velocity <= max(shares):
                 break
-            limits = limits[0], max(verdicts)
+            limits = limits[0], max(shares)
             continue
-        verdicts[velocity] = row["verdict"]
-        log(f"run {len(verdicts)}: {velocity:.4g} m/s {row['verdict']}; {bracket(verdicts).words}")
-    return bracket(verdicts)
+        for row in rows:
+            table.add(row)
+        sticking = [str(row["verdict"]) for row in rows].count(STICKS)
+        told, found = (
+            f"{sticking} of {repeat} stick" if repeat > 1 else rows[0]["verdict"],
+            answer_of(table.rows, repeat),
+        )
+        seconds, left = time.monotonic() - begun, found.halvings(tolerance)
+        to_go = f"{duration(seconds)} for a velocity" + (f", about {duration(left * seconds)} to go" if left else "")
+        log(f"{which} {told}; {found.words}; {to_go}")
+    return answer_of(table.rows, repeat)
 
 
-def run_at(scene: Scene, velocity: float, folder: Path) -> dict[str, object]:
-    """The row of the run at a velocity (m/s), which is computed unless it is there. Raises StoreError when it fails."""
-    point, text = f"{velocity:.6g}ms", at_velocity(scene, velocity)
-    ended = run_point(folder, point, text)
-    if ended["status"] == "undecided":
-        ended = run_point(folder, point, text, again=True)
-    if ended["status"] == "failed":
-        raise StoreError(f"the run at {velocity:.4g} m/s failed: {ended['reason']}")
-    values = Result(folder / point).values
-    verdict = str(values["verdict"])
-    return {"velocity_m_s": velocity, "verdict": verdict} | {key: values.get(key) for key in _MEASURES}
+def shares_of(rows: Iterable[Mapping[str, str]], repeat: int) -> dict[float, float]:
+    """Share of the placements that stick by velocity (m/s), where there are `repeat` or more; an undecided one counts as half."""
+    counts: dict[float, list[float]] = {}
+    for row in rows:
+        sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict"], 0.5)
+        counts.setdefault(float(row["velocity_m_s"]), []).append(sticks)
+    return {v: sum(each) / len(each) for v, each in counts.items() if len(each) >= repeat}
+
+
+def verdicts_of(shares: Mapping[float, float]) -> dict[float, str]:
+    """The verdict of most placements by velocity (m/s)."""
+    return {v: STICKS if share > 0.5 else REBOUNDS if share < 0.5 else UNDECIDED for v, share in shares.items()}
+
+
+def answer_of(rows: Iterable[Mapping[str, str]], repeat: int) -> Bracket:
+    """The bracket that the rows of a table show, with `repeat` placements or more at each velocity."""
+    shares = shares_of(rows, repeat)
+    return replace(bracket(verdicts_of(shares)), shares=shares if repeat > 1 else {})
+
+
+def slowest_rebound(rows: Iterable[Mapping[str, str]]) -> str | None:
+    """Where the particle leaves most slowly in the mean of the placements, in words; None without a rebound."""
+    rebounds: dict[float, list[float]] = {}
+    for row in rows:
+        if row["verdict"] == REBOUNDS:
+            rebounds.setdefault(float(row["velocity_m_s"]), []).append(float(row["rebound_velocity_m_s"]))
+    if not rebounds:
+        return None
+    velocity, each = min(rebounds.items(), key=lambda item: fmean(item[1]))
+    spread = f" +- {stdev(each):.2g}" if len(each) > 1 else ""
+    return f"at {velocity:.4g} m/s it leaves with {fmean(each):.3g}{spread} m/s"
+
+
+def rows_at(
+    scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Callable[[str], None] = print
+) -> list[dict[str, object]]:
+    """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there.
+
+    A single one that is undecided is continued once. Raises StoreError when a run fails.
+    """
+    names = [f"{velocity:.6g}ms" + (f"_{k}" if k else "") for k in range(repeat)]
+    points = {name: at_velocity(scene, velocity, k) for k, name in enumerate(names)}
+    pool = executor("processes", jobs, folder, starts_processes=True)
+    ended = run_points(folder, points, pool, log if repeat > 1 else lambda _: None)
+    if repeat == 1 and ended[names[0]] == "undecided":
+        ended[names[0]] = str(run_point(folder, names[0], points[names[0]], again=True)["status"])
+    rows = []
+    for k, name in enumerate(names):
+        if ended[name] not in ("done", "undecided"):
+            reason = (how_ended(folder / f"{name}.json") or {}).get("reason", "it was stopped")
+            raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
+        values = Result(folder / name).values
+        rows.append(
+            {"velocity_m_s": velocity, "placement": k, "verdict": str(values["verdict"])}
+            | {key: values.get(key) for key in _MEASURES}
+        )
+    return rows
 
 
 def sorted_rows(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
