@@ -112,6 +112,7 @@ TABLE = (
     Measure("verdict", group=VERDICT),
     Measure("verdict_criterion", "criterion", VERDICT),
     Measure("verdict_rests_on", "rests on", VERDICT),
+    Measure("verdict_is_close", "margin within the scatter of placements", VERDICT),
     Measure("margin_m_s", "margin, as a velocity", VERDICT),
     Measure("margin_J", "margin, as an energy", VERDICT),
     Measure("rebounded", group=VERDICT),

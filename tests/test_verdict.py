@@ -56,6 +56,18 @@ def test_a_particle_that_hangs_on_a_point_is_undecided() -> None:
     assert found.rebounded is None
 
 
+def test_a_margin_within_the_scatter_is_named() -> None:
+    """Rebound with an energy about half of what the bonds have dissipated."""
+    hold = opened(1e-6).hold
+    spent = hold.bond.dissipated
+    assert spent == pytest.approx(WHOLE, rel=0.02)
+    for share, is_close in ((0.45, True), (0.55, False)):
+        found = judge(COHESIVE, IMPACT, MASS, math.sqrt(2.0 * share * spent / MASS), hold)
+        assert (found.verdict, found.is_close) == ("rebounds", is_close)
+        assert ("another placement" in found.rests_on) == is_close
+    assert not judge(COHESIVE, IMPACT, MASS, 20.0, None).is_close
+
+
 def test_nothing_that_holds_and_no_motion_is_no_verdict() -> None:
     torn = opened(1e-6).hold
     for law, hold in ((COHESIVE, None), (COHESIVE, torn), (Adhesion(), None)):

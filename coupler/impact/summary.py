@@ -84,7 +84,13 @@ def summarise(
     end: Values = {**measured}
     if not settled:
         reason = undecided or "the contact has not come to an end"
-        own |= {"verdict": UNDECIDED, "verdict_rests_on": reason, "rebounded": None, "restitution": None}
+        own |= {
+            "verdict": UNDECIDED,
+            "verdict_rests_on": reason,
+            "verdict_is_close": False,
+            "rebounded": None,
+            "restitution": None,
+        }
     if undecided is not None:
         end |= dict.fromkeys(measured.keys() - {"time_s"})
         unknown = [key for key in NEEDS_REST if key in own]

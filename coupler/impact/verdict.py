@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from ..physics.adhesion import Adhesion
 from ..plan.planning import ImpactPlan
 
 REBOUND = 1.0  # m/s off the surface: a particle that nothing holds leaves with more
+# of the energy that bonds have dissipated: a margin below it is within the scatter of placements of points and elements, whose
+# standard deviation is 0.09 to 0.3 of it (docs/evidence/bonding.md)
+SCATTER = 0.5
 
 
 @dataclass(frozen=True)
@@ -22,13 +25,15 @@ class Verdict:
     margin_J, margin_m_s: how far the verdict is from the other one; positive where the particle sticks: the energy that its bonds
     can take up beyond that in motion, and the velocity of the particle with this energy; or, by a criterion of velocity, the
     energy and velocity of impact above the critical ones. Negative where it rebounds: its energy and velocity off the surface, or
-    below the critical ones. None where nothing was compared.
+    below the critical ones. None where nothing was compared. is_close: the margin of computed bonds is within the scatter of
+    placements of points and elements.
     """
 
     verdict: str
     rests_on: str
     margin_J: float | None = None
     margin_m_s: float | None = None
+    is_close: bool = False
 
     @property
     def rebounded(self) -> bool | None:
@@ -42,7 +47,11 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: 
     mass kg; upwards m/s: velocity of its centre normal to the surface; hold: its bonds, None if nothing bonded.
     """
     if law.in_impact:
-        return _by_bonds(mass, upwards, hold)
+        found = _by_bonds(mass, upwards, hold)
+        if hold is None or found.margin_J is None or abs(found.margin_J) >= SCATTER * hold.bond.dissipated:
+            return found
+        words = f"{found.rests_on}; so close that another placement of points and elements may change it"
+        return replace(found, rests_on=words, is_close=True)
     if law.kind == "tied" and law.criterion == "velocity":
         return _by_velocity(law, impact, mass, upwards)
     if law.kind == "tied":
@@ -109,6 +118,7 @@ def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: floa
     left = decided.rebounded
     values: Values = {
         "verdict": decided.verdict, "verdict_criterion": law.words, "verdict_rests_on": decided.rests_on,
+        "verdict_is_close": decided.is_close,
         "margin_J": decided.margin_J, "margin_m_s": decided.margin_m_s, "rebounded": left,
         "restitution": None if left is None else upwards / -impact.velocity[2] if left else 0.0,
     }  # fmt: skip
