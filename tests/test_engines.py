@@ -8,17 +8,20 @@ from threading import Event
 import numpy as np
 import pytest
 from convergence import HCP  # workflows/convergence.py
+from numba import njit
 
 from coupler import Scene, run
 from coupler.errors import SolverError
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import compiled, compiled_kernels, packing, start
+from coupler.sph import compiled_kernels, packing, start
 from coupler.sph.compiled import CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics, Particle
-from coupler.state.threads import SecondThread, second_thread
+from coupler.state.arrays import Ints
+from coupler.state.loops import ranges
+from coupler.state.threads import SecondThread, second_thread, together
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -221,12 +224,8 @@ def test_what_lammps_refuses_is_an_error_of_the_solver(
         pair()
 
 
-def test_two_threads_give_the_same_bits(
-    pair: Callable[..., tuple[Particle, Particle]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]]) -> None:
     """Any split of points and pairs over threads gives the same forces, whoever computes which part."""
-    monkeypatch.setattr(compiled, "LEAST_POINTS", 100)
-    monkeypatch.setattr(compiled, "LEAST_PAIRS", 500)
     (_, alone), (_, shared) = pair(), pair()
     for p, threads in ((alone, 1), (shared, 2)):
         set_velocity((4e7, 3e7, -7e7))(p)
@@ -240,19 +239,12 @@ def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
     second = SecondThread()
     blocked = Event()
     done: list[int] = []
-
-    def task() -> None:
-        blocked.wait(10)
-        second.share(done.append, 5)
-
-    own = second.submit(task)  # it has work of its own: this thread does all parts
-    second.share(done.append, 5)
+    second.join(lambda team: blocked.wait(10))[0] = 1
+    second.share(done.append, 5)  # the other thread is busy: this one does all parts
     assert done == [0, 1, 2, 3, 4]
     blocked.set()
-    second.wait(own)
-    assert sorted(done[5:]) == [0, 1, 2, 3, 4]
     second.share(done.append, 5)
-    assert sorted(done[10:]) == [0, 1, 2, 3, 4]
+    assert sorted(done[5:]) == [0, 1, 2, 3, 4]
 
     def fail(part: int) -> None:
         if part == 3:
@@ -260,9 +252,31 @@ def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
 
     with pytest.raises(SolverError, match="part 3"):
         second.share(fail, 5)
-    with pytest.raises(SolverError, match="part 3"):
-        second.wait(second.submit(lambda: second.share(fail, 5)))
     second.close()
+
+
+@njit
+def _count(team: Ints, fails_at: int, seen: Ints) -> None:
+    """Two loops over the elements of seen; fails at this one in the second."""
+    for lo, hi, _ in ranges(team, 0, len(seen), 1):
+        seen[lo:hi] += 1
+    for lo, hi, _ in ranges(team, 1, len(seen), 1):
+        for i in range(lo, hi):
+            if i == fails_at:
+                raise ValueError("no second time")
+            seen[i] *= 10
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_compiled_loops_are_gone_through_once_and_end_with_an_error(threads: int) -> None:
+    """The second loop begins when the first is done; where one thread fails the other does not wait for it."""
+    with second_thread(threads):
+        for _ in range(100):
+            seen = np.zeros(37, np.int64)
+            together(_count, -1, seen)
+            assert (seen == 10).all()
+            with pytest.raises(ValueError, match="second time"):
+                together(_count, 20, seen)
 
 
 @pytest.mark.parametrize("metal", ["Ni", "Ti"])

@@ -16,8 +16,9 @@ import numpy as np
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
+from ..state.loops import PARTS
 from ..state.records import assign, collect, fill_rows
-from ..state.threads import share
+from ..state.threads import share, together
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
 from .heat import Conduction, take_heat
@@ -30,8 +31,7 @@ LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
 COURANT = 0.85
 AHEAD = 1.5  # speed of the front of what is computed over that of sound
-# in a range of a shared loop at the least: a tenth of a millisecond of work
-LEAST_ELEMENTS, LEAST_NODES = 1000, 2000
+LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 
 class Target:
@@ -128,6 +128,8 @@ class Target:
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
         self.reach = np.inf if not track_wave else 16.0 * edge  # the numerical front runs a little ahead of the wave
         self.active_nodes = self.active_elements = 0
+        #: (m+1,): how many nodes the first elements reach up to
+        self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
 
     def foundation_load(self) -> np.ndarray:
@@ -180,8 +182,7 @@ class Target:
     def _active_counts(self, reach: float) -> tuple[int, int]:
         """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""
         elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
-        last = self.mesh.conn[:elements].max() + 1 if elements else 0
-        return max(self.active_nodes, int(last)), elements
+        return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
     def _activate(self, dt: float) -> None:
         """Advance the front of active elements by dt s, ahead of the waves, and activate what it reaches."""
@@ -223,55 +224,30 @@ class Target:
 
         Raises SolverError when a tetrahedron inverts.
         """
-        n = self.active_nodes
-        kick = 0.5 * (self.dt_last + dt)
-        motion.kick(0, n, kick, self.total, self.inv_mass, self.v)
-        self.impulse += kick * self.support
+        half_step, kicked, mesh = 0.5 * (self.dt_last + dt), self.active_nodes, self.mesh
+        self.impulse += half_step * self.support
         self._activate(dt)
-        n, m = self.active_nodes, self.active_elements
-        motion.drift(0, n, dt, self.v, self.x)
         self.f, self.f_old = self.f_old, self.f
-        self._compute_forces(n, m, dt)
-        self.f_ext[:] = 0.0
+        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
+        smallest, sums = np.full(PARTS, np.inf), np.zeros((PARTS, 3))
+        together(
+            k.advance, kicked, self.active_nodes, self.active_elements, half_step, dt,
+            (self.total, self.inv_mass, self.v, self.x, self.f_ext),
+            (self.x, mesh.conn, self.volume),
+            (self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, self.J, self.p,
+             self.energy),
+            (dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
+             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe),
+            (self.start, self.table, self.fe, self.f),
+            smallest, sums,
+        )  # fmt: skip
+        if smallest.min() <= 0.0:
+            raise SolverError(self._inverted())
+        self.sums += sums.sum(axis=0)
         if self.conduction is not None:
             self.conduction.advance(dt, self)
         self.dt_last = dt
         self.time += dt
-
-    def _compute_forces(self, n: int, m: int, dt: float) -> None:
-        """Stress and internal forces of the first n nodes and m elements where they are now."""
-        mesh = self.mesh
-        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
-        smallest: list[float] = []
-        sums: dict[int, np.ndarray] = {}
-
-        def volumes(lo: int, hi: int) -> None:
-            smallest.append(k.volumes(lo, hi, self.x, mesh.conn, self.volume))
-
-        def pressure(lo: int, hi: int) -> None:
-            k.nodal_pressure(
-                lo, hi, self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure,
-                self.law_of_node, self.J, self.p, self.energy,
-            )  # fmt: skip
-
-        def forces(lo: int, hi: int) -> None:
-            sums[lo] = np.zeros(3)
-            k.element_forces(
-                lo, hi, dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J,
-                self._laws_of_flow, self.law_of, self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, sums[lo],
-            )  # fmt: skip
-
-        def gather(lo: int, hi: int) -> None:
-            k.gather_forces(lo, hi, self.start, self.table, self.fe, self.f)
-
-        share(volumes, m, LEAST_ELEMENTS)
-        if min(smallest) <= 0.0:
-            raise SolverError(self._inverted())
-        share(pressure, n, LEAST_NODES)
-        share(forces, m, LEAST_ELEMENTS, sums=True)
-        for lo in sorted(sums):  # the same order with any number of threads
-            self.sums += sums[lo]
-        share(gather, n, LEAST_NODES)
 
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""

@@ -11,10 +11,13 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
+from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
-from ..state.arrays import Floats, Ints, Laws
+from ..state.arrays import Arrays, Floats, Ints, Laws, Vector
+from ..state.loops import ranges
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
 
+LEAST_ELEMENTS, LEAST_NODES = 250, 400  # in a range of a loop that threads share
 SHAPE_LIMIT = 0.5
 SHAPE_STIFFNESS = 0.05
 
@@ -69,15 +72,14 @@ def shape_strain(J: float) -> float:
 def element_forces(
     lo: int, hi: int, dt: float, b1: float, b2: float, x: Floats, v: Floats, conn: Ints, B: Floats, V0: Floats, volume:
     Floats, p: Floats, J_node: Floats, laws: Laws, law_of: Ints, s: Floats, sigma_y: Floats, eps_p: Floats, rate: Floats, T:
-    Floats, heat: Floats, fe: Floats, sums: Floats,
-) -> None:  # fmt: skip
+    Floats, heat: Floats, fe: Floats,
+) -> Vector:  # fmt: skip
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
     x (n,3) positions at n+1, v (n,3) velocities at n+1/2; B (m,3,3) reference gradients of nodes 1 to 3; s (m,6)
     Cauchy deviator, updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y (m,).
     fe (m,4,3) receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T. heat (m,) receives
-    the heat of the step in J that makes pressure. sums (3,) is increased by the plastic work, the work of the bulk
-    viscosity and that heat, J.
+    the heat of the step in J that makes pressure. Returns the plastic work, the work of the bulk viscosity and that heat, J.
 
     laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
     the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`), and only there
@@ -133,9 +135,7 @@ def element_forces(
                         warmth += warm
             b.pressure[i] -= SHAPE_STIFFNESS * law.K * shape_strain(b.J[i]) / b.J[i]
         nodal_forces(first, hi, B, w, fe)
-    sums[0] += plastic
-    sums[1] += viscous
-    sums[2] += warmth
+    return plastic, viscous, warmth
 
 
 @njit(cache=True, nogil=True)
@@ -149,6 +149,32 @@ def gather_forces(lo: int, hi: int, start: Ints, table: Ints, fe: Floats, f: Flo
             f1 += fe[e, k, 1]
             f2 += fe[e, k, 2]
         f[a, 0], f[a, 1], f[a, 2] = f0, f1, f2
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    team: Ints, kicked: int, n: int, m: int, half_step: float, dt: float, of_motion: Arrays, of_volume: Arrays, of_pressure: Arrays,
+    of_forces: Arrays, of_sum: Arrays, smallest: Floats, sums: Floats,
+) -> None:  # fmt: skip
+    """Move the first nodes and compute the internal forces of the first n nodes and m elements where they are then, in all threads.
+
+    kicked: how many nodes get the forces of n over half_step s; n of them move. of_motion: total N, 1/mass, v, x, and f_ext, which
+    is set to zero, (N,...); the other tuples: arguments of the kernels above. smallest (PARTS,) m3: volumes, sums (PARTS,3): those of
+    `element_forces`, part by part; both are written.
+    """
+    total, inv_mass, v, x, f_ext = of_motion
+    for lo, hi, _ in ranges(team, 0, len(x), LEAST_NODES):
+        motion.kick(lo, min(hi, kicked), half_step, total, inv_mass, v)
+        motion.drift(lo, min(hi, n), dt, v, x)
+        f_ext[lo:hi] = 0.0
+    for lo, hi, part in ranges(team, 1, m, LEAST_ELEMENTS):
+        smallest[part] = volumes(lo, hi, *of_volume)
+    for lo, hi, _ in ranges(team, 2, n, LEAST_NODES):
+        nodal_pressure(lo, hi, *of_pressure)
+    for lo, hi, part in ranges(team, 3, m, LEAST_ELEMENTS):
+        sums[part, 0], sums[part, 1], sums[part, 2] = element_forces(lo, hi, *of_forces)
+    for lo, hi, _ in ranges(team, 4, n, LEAST_NODES):
+        gather_forces(lo, hi, *of_sum)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -5,7 +5,6 @@ the same dt (`advance_target`), contact is computed once from the positions of b
 leaves with its forces.
 """
 
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -23,7 +22,6 @@ from ..physics.materials import Material
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..state.records import Shape, assign, check_indices, collect
-from ..state.threads import Task, second
 from .bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
@@ -69,9 +67,6 @@ class Impact:
         self._x, self._v, self._forces = (np.zeros((self.surface.touching.shape[0], 3)) for _ in range(3))
         self.surface_nodes = np.unique(self.contact.facets)
         self.ledger = Ledger(domains)
-        self._second = second()  # computes the target's next step beside the particle's: the numbers are the same
-        self._ahead: Task | None = None
-        self._left = 0  # steps of this window still to come
         self.time = 0.0
         self.force = np.zeros(3)
         self.deepest = 0.0
@@ -145,29 +140,16 @@ class Impact:
 
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
-        self._left, self._ahead = steps, None
         needed = self.surface.support(self.contact.rows)
-        try:
-            self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
-        except BaseException:
-            if self._second is not None and self._ahead is not None:  # no thread goes on with what has failed
-                with suppress(SolverError):
-                    self._second.wait(self._ahead)
-            raise
+        self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:
-        """The target's own step, which needs nothing of the particle: in this thread, or the result of the second one."""
-        if self._second is None or self._ahead is None:
-            self._advance_bodies(self.particle.dt)
-        else:
-            self._second.wait(self._ahead)
-
-    def _advance_bodies(self, dt: float) -> None:
-        self.target.advance(dt)
-        self.bodies.forces(dt)
+        """The target's own step, which needs nothing of the particle."""
+        self.target.advance(self.particle.dt)
+        self.bodies.forces(self.particle.dt)
 
     def exchange_forces(self) -> None:
         """Contact at n+1, once for both domains, and the forces to each."""
@@ -181,9 +163,6 @@ class Impact:
             self.hold.forces(self._x, t.x, self._forces, t.f_ext, self.contact)
         s.spread(self._forces, rows, p.f_ext)
         t.finish()
-        self._left -= 1
-        # the particle's next step runs in LAMMPS and in compiled passes, without Python's lock: the target's runs meanwhile
-        self._ahead = self._second.submit(lambda: self._advance_bodies(dt)) if self._second and self._left else None
 
     def conduct_heat(self, time: float) -> None:
         """Let heat flow for `time` s and turn the heat of friction and fracture into temperature, of points and of elements behind

@@ -12,16 +12,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SolverError
+from ..state.loops import PARTS
 from ..state.records import Rows
-from ..state.threads import share
+from ..state.threads import together
 from . import compiled_kernels as k
 from .particle import Particle, PointState
 from .start import H
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
-# in a range of a shared loop at the least: with less of them a second thread costs more than it gives
-LEAST_POINTS, LEAST_PAIRS = 1200, 6600
 RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
 
 
@@ -125,37 +124,28 @@ class CompiledParticle(Particle):
                     lists.append((rank, rows))
 
     def _update_stress(self) -> None:
-        failed: list[int] = []
-
-        def stress(lo: int, hi: int) -> None:
-            point = k.stress_points(
-                lo, hi, self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
-                self._K_inverse, self._X, self._all_x, self._rates, self.R, self._all_F, self._all_Q, self._stress, self._effective,
-                self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, *self._of_points,
-            )  # fmt: skip
-            if point >= 0:
-                failed.append(point)
-
+        failed, num = np.full(PARTS, -1), self.numerics
         try:
-            share(stress, self.n, LEAST_POINTS)
+            together(
+                k.stress_of_all, self.n, failed,
+                (self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
+                 self._K_inverse, self._X, self._all_x, self._rates, self.R, self._all_F, self._all_Q, self._stress, self._effective,
+                 self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, *self._of_points),
+            )  # fmt: skip
         finally:
             self._skip_step()
-        if failed:
-            self._refuse(min(failed))
-        share(self._pair_forces, len(self._pairs), LEAST_PAIRS)
-        share(lambda lo, hi: k.sum_forces(lo, hi, self._first, self._signed, self._force, self.f), self.n, LEAST_POINTS)
+        if failed.max() >= 0:
+            self._refuse(int(failed[failed >= 0][0]))
+        together(
+            k.forces_of_all, self.n,
+            (self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
+             self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
+             self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force, *self._of_pairs),
+            (self._first, self._signed, self._force, self.f),
+        )  # fmt: skip
         plastic = self.volume_of_point * float(self.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
-
-    def _pair_forces(self, lo: int, hi: int) -> None:
-        num = self.numerics
-        k.pair_forces(
-            lo, hi, self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
-            self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
-            self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force,
-            *self._of_pairs,
-        )  # fmt: skip
 
     def _end_window(self) -> None:
         """Book the losses of the window, and turn them into heat of the points where the law says so."""

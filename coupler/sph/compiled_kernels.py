@@ -13,8 +13,10 @@ from math import sqrt
 from numba import njit
 
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
-from ..state.arrays import Floats, Ints, Laws, Matrix
+from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
+from ..state.loops import ranges
 
+LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 TURNED = 1e-14  # rad: the rotation is exact to rounding
 NEAR = 1e-8  # rad: it is after this correction, for the next would be of the square
@@ -417,3 +419,19 @@ def sum_forces(lo: int, hi: int, start: Ints, signed: Ints, force: Floats, f: Fl
                 f1 -= force[row, 1]
                 f2 -= force[row, 2]
         f[i, 0], f[i, 1], f[i, 2] = f0, f1, f2
+
+
+@njit(cache=True, nogil=True)
+def stress_of_all(team: Ints, n: int, failed: Ints, of_points: Arrays) -> None:
+    """`stress_points` of n points in all threads; failed (PARTS,): the first point that fails of each part, or -1."""
+    for lo, hi, part in ranges(team, 0, n, LEAST_POINTS):
+        failed[part] = stress_points(lo, hi, *of_points)
+
+
+@njit(cache=True, nogil=True)
+def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
+    """`pair_forces` of all pairs, and `sum_forces` of n points, in all threads."""
+    for lo, hi, _ in ranges(team, 0, len(of_pairs[0]), LEAST_PAIRS):
+        pair_forces(lo, hi, *of_pairs)
+    for lo, hi, _ in ranges(team, 1, n, LEAST_POINTS):
+        sum_forces(lo, hi, *of_sum)
