@@ -129,7 +129,7 @@ def page(rows: list[Row]) -> list[str]:
     lines = [
         [name_of(row), row["film"], row["preset"], f"{row['velocity_m_s']} m/s",
          row["verdict"], row["restitution"] or "-", row["restitution_measured"] or "-", row["bonded_over_section"],
-         *(f"{row[key]} J/m2" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
+         *(f"{row[key]} J/m2" if row[key] else "-" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
     ]  # fmt: skip
     head = "particle | film | preset | velocity | verdict | restitution | measured | bonded / section | to tear it | torn | rebound"
     return [*markdown(head, lines), "", versions(rows)]
