@@ -1,22 +1,24 @@
 """Verdict, and energy of bonds and of rebound, over velocity, size, temperature and film: python workflows/bonding_energy.py
 
 Runs of workflows/critical_ni.toml and critical_cu.toml, kept in runs/bonding_energy (--runs). Writes docs/tables/bonding_energy.csv,
-whose rows are not computed again, critical_velocity.csv from its verdicts, and their parts of the page on bonding; --docs only
-these.
+whose rows are not computed again, critical_velocity.csv from its verdicts, bonding_scatter.csv of several placements of points and
+elements, and their parts of the page on bonding; --docs only these.
 """
 
 import math
 import tomllib
 from itertools import groupby
 from pathlib import Path
+from statistics import fmean, stdev
 
 import numpy as np
 from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, versions, write_parts, write_table
 
 from coupler import Scene
 from coupler.files.result import Result
+from coupler.measures import REBOUNDS
 from coupler.physics.materials import material
-from coupler.studies.critical import bracket, rows_at
+from coupler.studies.critical import bracket, point_name, rows_at, shares_of
 from coupler.studies.table import Row
 
 COLUMNS = (
@@ -36,6 +38,13 @@ CASES = (
     ("ni", 10.0, 300.0, 0.36, "standard", 665), *(("cu", 14.0, 300.0, film, "standard", 610) for film in (2.0, 0.4)),
     ("ni", 10.0, 300.0, 1.0, "fine", 565), ("cu", 14.0, 300.0, 1.0, "fine", 610), ("ni", 10.0, 300.0, 1.0, "fine", 831),
 )  # fmt: skip
+# metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
+PLACEMENTS = (
+    *(("ni", 10.0, "draft", v, 6) for v in (565, 665, 831, 480)), ("cu", 14.0, "draft", 610, 6),
+    *(("ni", 10.0, "standard", v, 4) for v in (565, 665, 831)),
+)  # fmt: skip
+OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "rebound_J_m2")
+PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
     "ni": ((251, 0.129), (310, 0.101), (415, 0.086), (473, 0.098), (512, 0.076), (563, 0.068), (584, 0.045), (614, 0.021),
@@ -84,6 +93,40 @@ def row_of(
         *(round(energy / area, 1) if area and energy is not None else "" for energy in (s["bond_energy_J"], torn, rebound)),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
+
+
+def placed_rows(
+    name: str, size: float, preset: str, velocity: float, repeat: int, runs: Path
+) -> list[dict[str, object]]:
+    """Runs of several placements: energies over the section of the particle; of a run without a verdict no margin or rebound."""
+    scene = scene_of(name, size, preset=preset)
+    folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
+    rows = []
+    for k, row in enumerate(rows_at(scene, velocity, folder, repeat)):
+        s = Result(folder / point_name(velocity, k)).values
+        speed = row["rebound_velocity_m_s"] if row["verdict"] == REBOUNDS else None
+        energies = (
+            s["margin_J"], s["bond_energy_J"], s["energies"]["bond"] * s["kinetic_energy_0_J"],
+            None if speed is None else 0.5 * s["particle_mass_kg"] * float(str(speed)) ** 2,
+        )  # fmt: skip
+        first = scene.particle.material, size, preset, velocity, k, row["verdict"], row["restitution"]
+        rows.append(dict(zip(PLACED, (*first, *(None if e is None else e / section for e in energies)), strict=True)))
+    return rows
+
+
+def scatter_page(rows: list[Row]) -> list[str]:
+    """Mean and standard deviation over the placements; a margin without a verdict counts as 0."""
+    lines = []
+    for key, each in groupby(rows, key=lambda row: tuple(row[k] for k in PLACED[:4])):
+        own, (metal, size, preset, velocity) = list(each), key
+        share = shares_of(own, len(own))[float(velocity)]
+        values = [[float(row[k] or 0.0) for row in own if k == "margin_J_m2" or row[k]] for k in PLACED[6:]]
+        words = [f"{fmean(v):.2g} ± {stdev(v):.1g}" if len(v) > 1 else "-" for v in values]
+        torn = fmean(values[3])
+        ratio = f"{stdev(values[1]) / torn:.2f}"
+        lines.append([f"{metal} {size} um", preset, f"{velocity} m/s", f"{share:.0%} of {len(own)}", *words, ratio])
+    head = "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | rebound | scatter / torn"
+    return [*markdown(head, lines), "", versions(rows)]
 
 
 def name_of(row: Row) -> str:
@@ -147,10 +190,19 @@ def main() -> None:
     for name, *case in CASES if not a.docs else ():
         if (metals[name], *case) not in known:
             print(table.add(row_of(name, *case, Path(a.runs))), flush=True)
+    scatter = study_table("bonding_scatter", PLACED, PLACED[:5], "python workflows/bonding_energy.py")
+    for name, size, preset, velocity, repeat in PLACEMENTS if not a.docs else ():
+        first = metals[name], f"{size:.6g}", preset, str(velocity)
+        if not all((*first, str(k)) in scatter for k in range(repeat)):
+            for row in placed_rows(name, size, preset, velocity, repeat, Path(a.runs)):
+                scatter.add(row)
     lines = criticals(table.rows)
     about = "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)"
     write_table(TABLES / "critical_velocity.csv", lines, about)
-    write_parts(PAGES["bonding"], {"energy": page(table.rows), "critical": critical_page(lines)})
+    write_parts(
+        PAGES["bonding"],
+        {"energy": page(table.rows), "critical": critical_page(lines), "scatter": scatter_page(scatter.rows)},
+    )
 
 
 if __name__ == "__main__":

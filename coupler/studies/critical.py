@@ -210,9 +210,9 @@ def search(
     """Compute runs of the scene into `folder` until the critical velocity is bracketed; finished ones are used again.
 
     table: gets a row for each, COLUMNS; the folder's earlier runs of the same scene take part. repeat: placements at each velocity,
-    jobs: how many at a time. The verdict at a velocity is that of most of them, an undecided run counts as half; a single one is
-    continued once, for as long again. log: told of each velocity. Raises SceneError for a scene without computed bonds, StoreError
-    when a run fails.
+    jobs: how many at a time. The verdict at a velocity is that of most of them; an undecided run is continued once, for as long
+    again, and counts as half if it stays so. log: told of each velocity. Raises SceneError for a scene without computed bonds,
+    StoreError when a run fails.
     """
     check(scene)
     start = schmidt(scene) or UNKNOWN_START
@@ -278,19 +278,24 @@ def slowest_rebound(rows: Iterable[Mapping[str, str]]) -> str | None:
     return f"at {velocity:.4g} m/s it leaves with {fmean(each):.3g}{spread} m/s"
 
 
+def point_name(velocity: float, placement: int) -> str:
+    """The folder of a run at a velocity (m/s)."""
+    return f"{velocity:.6g}ms" + (f"_{placement}" if placement else "")
+
+
 def rows_at(
     scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Callable[[str], None] = print
 ) -> list[dict[str, object]]:
     """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there.
 
-    A single one that is undecided is continued once. Raises StoreError when a run fails.
+    One that is undecided is continued once, for as long again. Raises StoreError when a run fails.
     """
-    names = [f"{velocity:.6g}ms" + (f"_{k}" if k else "") for k in range(repeat)]
+    names = [point_name(velocity, k) for k in range(repeat)]
     points = {name: at_velocity(scene, velocity, k) for k, name in enumerate(names)}
     pool = executor("processes", jobs, folder, starts_processes=True)
     ended = run_points(folder, points, pool, log if repeat > 1 else lambda _: None)
-    if repeat == 1 and ended[names[0]] == "undecided":
-        ended[names[0]] = str(run_point(folder, names[0], points[names[0]], again=True)["status"])
+    for name in (name for name in names if ended[name] == "undecided"):
+        ended[name] = str(run_point(folder, name, points[name], again=True)["status"])
     rows = []
     for k, name in enumerate(names):
         if ended[name] not in ("done", "undecided"):

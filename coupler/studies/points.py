@@ -199,7 +199,8 @@ def how_ended(path: Path) -> dict[str, object] | None:
 
 def status_text(ended: Mapping[str, object]) -> str:
     """How a point ended, in words."""
-    return f"{ended['status']}" + (f": {ended['reason']}" if ended.get("reason") else "")
+    status, reason = str(ended["status"]), str(ended.get("reason") or "")
+    return f"{status}: {reason.removeprefix(f'{status}: ')}" if reason else status
 
 
 if __name__ == "__main__":
