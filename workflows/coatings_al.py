@@ -106,6 +106,8 @@ def row_of(case: Case) -> dict[str, object]:
                 raise SolverError(result.undecided)
             measures = coating.measure(coating.read(result), MEASURED["window"] * DISC * case.diameter * 1e-6)
             summary = result.summary
+            skipped = [text for text in summary["run"]["warnings"] if "was skipped" in text]
+            print(*skipped, sep="\n", end="\n" if skipped else "", flush=True)
     except ColdsprayError as problem:
         return row | {"failed": " ".join(str(problem).split())[:200]}
     strain = [layer for layer in measures.layers if layer["layer"] > 0]
@@ -116,7 +118,7 @@ def row_of(case: Case) -> dict[str, object]:
         "open": 100.0 * measures.porosity_open, "closed": 100.0 * measures.porosity_closed,
         "overlap_share": 100.0 * measures.overlap_share, "thickness_um": measures.thickness_mean_m * 1e6,
         "eps_p": sum(layer["eps_p_mean"] * layer["volume_m3"] for layer in strain) / volume,
-        "impacts": len(summary["impacts"]), "skipped": sum("was skipped" in text for text in summary["run"]["warnings"]),
+        "impacts": len(summary["impacts"]), "skipped": len(skipped),
         "drift": max(impact["energy_drift"] for impact in summary["impacts"]), "cpu_s": process_time() - started, "failed": "",
     }  # fmt: skip
 
