@@ -1,5 +1,6 @@
 """An impact on its own cut of the target, and impacts side by side."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from coupler.impact.loop import advance_window
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
-from coupler.plan.batches import batches
+from coupler.plan.batches import Landing, batches, side_by_side
 from coupler.plan.planning import plan
 from coupler.sph.inertia import ENOUGH
 from coupler.state.records import rows_of
@@ -82,6 +83,19 @@ def test_batches_lie_apart_and_keep_the_order_of_arrival(offsets: tuple[int, ...
     ranges = batches(plan(Scene.from_text(three(*offsets), "x")).impacts)
     assert [len(r) for r in ranges] == sizes
     assert [i for r in ranges for i in r] == [0, 1, 2]
+
+
+def test_impacts_pass_only_those_that_their_windows_do_not_meet() -> None:
+    dice = np.random.default_rng(3)
+    places = [Landing((x, y), 30e-6, 20e-6) for x, y in dice.uniform(-200e-6, 200e-6, (120, 2))]
+    order = side_by_side(places)
+    assert sorted(order) == list(range(120))
+    rank = np.argsort(order)
+    meet = [[math.dist(a.offset, b.offset) < 60e-6 for b in places] for a in places]
+    assert all(rank[i] < rank[k] for k in range(120) for i in range(k) if meet[i][k])
+    assert len(batches([places[i] for i in order])) < 0.8 * len(batches(places))
+    everywhere = [Landing(p.offset, math.inf, p.diameter) for p in places]
+    assert side_by_side(everywhere) == list(range(120))
 
 
 def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:

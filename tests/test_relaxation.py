@@ -159,3 +159,27 @@ def test_what_was_taken_is_what_the_bodies_have_lost() -> None:
     report = settle(bodies, KINETIC)
     after = t.elastic() + float(t.sums[0])
     assert before - after == pytest.approx(report["taken_J"], rel=1e-3)
+
+
+def test_rest_round_a_place_tends_to_that_of_all() -> None:
+    """A heated core of 10 um: what keeps still beyond a radius holds it back the less the larger that is, and takes up its own heat
+    once."""
+    stresses = {}
+    for radius in (np.inf, 24e-6, 40e-6):
+        bodies = substrate().renumbered((0.0, 0.0, 0.0))
+        t = bodies.target
+        before = t.x.copy()
+        centre = np.linalg.norm(t.x[t.mesh.conn].mean(axis=1), axis=1)
+        heat = 1e-8 * t.mesh.V0 / t.mesh.V0.max()
+        t.warm(np.arange(len(heat)), np.where(centre < 10e-6, heat, 1e-5 * heat))
+        settle(bodies, 1e-3 * KINETIC, 0.0, ramp=True, radius=radius)
+        still = np.all(t.x == before, axis=1) & (before[:, 2] > -39e-6)
+        assert still.any() == np.isfinite(radius)
+        assert np.all(t.mesh.reach_node[still] > 0.6 * radius)
+        assert t.inv_mass[t.mesh.reach_node < 20e-6].all()
+        assert not t.heat.any()
+        assert t.mesh.node_volume @ t.energy == pytest.approx(t.sums[2], rel=0.01)  # less the work of expansion
+        stresses[radius] = t.stress()[centre < 14e-6]
+    whole = stresses.pop(np.inf)
+    far, near = (np.linalg.norm(s - whole) / np.linalg.norm(whole) for s in stresses.values())
+    assert near < 0.04 < 0.15 < far < 0.25

@@ -102,7 +102,7 @@ def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
         domains.append(replace(splats.domain, mesh=replace(mesh, sets=sets)))
         node[splats.nodes] = n + np.arange(len(splats.nodes))
         facet[splats.facets] = len(domain.mesh.facets) + np.arange(len(splats.facets))
-    new = whole.remade(merge(domains, None)[0])
+    new = whole.remade(merge(domains)[0])
     new.impact = np.append(whole.impact, part.impact[first:])
     buried = facet[part.buried]
     new.buried = np.union1d(whole.buried, buried[buried >= 0])

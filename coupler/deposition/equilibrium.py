@@ -27,12 +27,13 @@ RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is m
 
 
 def settle(
-    bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME, ramp: bool = False
+    bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME, ramp: bool = False, radius: float = np.inf
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
-    after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling.
+    after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
+    numbering begins, beyond which all keeps still; pending heat becomes pressure there too.
     The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
@@ -40,14 +41,14 @@ def settle(
     reach = t.reach
     held = _held(bodies) + t.kinetic()
     t.rest()
-    t.activate_all()
     conduction, t.conduction = t.conduction, None
     try:
-        with t.quasi_static():
-            report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp)
-        taken = held - _held(bodies)
-        released = _run_for(bodies, release_time)
-        t.rest()
+        with t.active_within(radius, RELAX_STEP):
+            with t.quasi_static():
+                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp)
+            taken = held - _held(bodies)
+            released = _run_for(bodies, release_time)
+            t.rest()
     finally:
         t.conduction = conduction
     t.deactivate_beyond(reach)
@@ -63,29 +64,31 @@ def _held(bodies: Bodies) -> float:
 def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
     """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp: see `settle`."""
     t = bodies.target
-    portion, portions = t.heat / RAMP, RAMP if ramp else 0
+    m = t.active_elements
+    portion, portions = t.heat[:m] / RAMP, RAMP if ramp else 0
     if ramp:
-        t.heat[:] = 0.0
+        t.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
     own = t.mass, t.inv_mass, t.dt_last
     free = own[1] > 0.0
     try:
         dt = _weigh(bodies, free)
         t.dt_last = dt
-        steps, left = 0, np.inf
-        before, damping, inverse = t.total.copy(), MOST_DAMPING, t.inv_mass
+        steps, left, n = 0, np.inf, t.active_nodes
+        before, damping, inverse = t.total[:n].copy(), MOST_DAMPING, t.inv_mass
+        t.inv_mass = inverse.copy()
         while steps < RELAX_STEPS and left > enough:
             if steps % SEARCH_EVERY == 0:
                 _search(bodies, dt)
             # v = ((1 - a) v + dt f / m) / (1 + a), stable up to the step without damping
-            t.v *= (1.0 - damping) / (1.0 + damping)
-            t.inv_mass = inverse / (1.0 + damping)
+            t.v[:n] *= (1.0 - damping) / (1.0 + damping)
+            np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
             if steps < portions:
-                t.heat += portion
+                t.heat[:m] += portion
             _step(bodies, dt)
             steps += 1
             kinetic, omega2 = _lowest(t, before, free, dt)
-            before[:] = t.total
+            before[:] = t.total[:n]
             damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
             if steps > max(2 * SEARCH_EVERY, portions):
                 left = max(kinetic, _loose(t, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
@@ -102,10 +105,10 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
     RELAX_STEP, and the springs, whose bound is sharp, get theirs for that.
     """
     t = bodies.target
-    n, m = len(t.x), len(t.mesh.conn)
-    mass = masses_for(t, RELAX_STEP)
+    n, mass = len(t.x), masses_for(t, RELAX_STEP)
     t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
-    dt = RELAX_SAFETY * HighestFrequency(n, m).longest_step(t, RELAX_STEP, n, m)
+    highest = HighestFrequency(n, len(t.mesh.conn))
+    dt = RELAX_SAFETY * highest.longest_step(t, RELAX_STEP, t.active_nodes, t.active_elements)
     for springs in (bodies.bond, bodies.contact):
         if springs is not None:
             mass += 0.25 * dt * dt * springs.load(n)
@@ -116,13 +119,15 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
 
 def _lowest(t: Target, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
     """Kinetic energy (J) in the masses of the relaxation, and the squared frequency (1/s2) of what moves now."""
-    twice, power = motion.moving(free, t.mass, t.v, t.total, before)
+    n = len(before)  # those that are active
+    twice, power = motion.moving(free[:n], t.mass[:n], t.v[:n], t.total[:n], before)
     return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0
 
 
 def _loose(t: Target, free: np.ndarray) -> float:
     """Sum of f^2 / 2 m over the forces that nothing balances; over omega^2 an energy, J."""
-    return float(motion.unbalanced(free, t.mass, t.total))
+    n = t.active_nodes
+    return float(motion.unbalanced(free[:n], t.mass[:n], t.total[:n]))
 
 
 def _run_for(bodies: Bodies, time: float) -> float:

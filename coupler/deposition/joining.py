@@ -26,6 +26,7 @@ from .mass_scaling import prepare
 from .pause import pause
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
+REST = 1.25  # windows round an impact in which equilibrium is found after it
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
@@ -135,15 +136,22 @@ def _ready(plan: Plan, i: int, bodies: Bodies, origin: Point, kinetic_0: float, 
     return bodies
 
 
-def rest(plan: Plan, impacts: range, bodies: Bodies, kinetic_0: float, report: Values) -> Bodies:
+def rest(
+    plan: Plan, impacts: range, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values
+) -> Bodies:
     """The bodies after a batch of impacts and all the time until the next: heat has flowed, all is in equilibrium, and splats that are
-    not held have left. kinetic_0: J, of the last; report: of its joining, to which this is added."""
-    bodies, report["detached"] = without_detached(plan, bodies, impacts.stop, "impact")
+    not held have left. places: of the impacts, m; kinetic_0: J, of the last; report: of its joining, to which this is added.
+
+    Equilibrium is found round the places, up to REST windows from them and where temperatures have changed: beyond the windows only
+    what their edges have borne is out of balance. What little remains there is relaxed after later impacts, or in the closing stage.
+    """
+    radius = REST * max(plan.impacts[i].window for i in impacts)
+    bodies, report["detached"] = without_detached(plan, bodies.renumbered(*places), impacts.stop, "impact")
     time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))
     if time > 0.0 and plan.effects.cooling:
-        report["cooling"] = pause(plan, time, bodies, kinetic_0)
+        report["cooling"] = pause(plan, time, bodies, kinetic_0, radius)
     else:
-        settled = settle(bodies, kinetic_0, 0.0)
+        settled = settle(bodies, kinetic_0, 0.0, radius=radius)
         report |= {f"whole_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
     bodies, lost = held_at_rest(plan, bodies, impacts.stop, "pause" if time > 0.0 else "rest", kinetic_0)
     report["detached"] += lost

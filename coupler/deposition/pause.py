@@ -24,22 +24,30 @@ from ..plan.planning import Plan
 from .detaching import held_at_rest
 from .equilibrium import settle
 
+COOLER = 0.25  # K: makes some 2 MPa
 _EXACT = 1e-6  # K: to which all comes to ambient
 
 
-def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float) -> Values:
-    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impact before. Returns the report.
+def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
+    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impact before; radius: m from
+    where the numbering begins, up to which the impact has left them out of it. Returns the report.
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
-    insulated; bodies that lie on each other conduct as in perfect contact. All come to equilibrium before it too: what the impact
-    has left out of balance, such as at the rim of its cut, is none of the cooling's.
+    insulated; bodies that lie on each other conduct as in perfect contact. What the impact has left out of balance, such as at the
+    rim of its cut, is none of the cooling's: it is relaxed first. Both reach as far as temperatures have changed by COOLER.
     """
     started, t = clock.perf_counter(), bodies.target
-    balanced = settle(bodies, kinetic_0, 0.0, ramp=True)
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
+    before = t.T.copy()
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
-    report = {"balance_steps": balanced["settle_steps"], **cooling, **_settled(bodies, kinetic_0)}
+    changed = t.mesh.reach_element[np.abs(t.T - before) > COOLER]
+    radius = max(radius, float(changed.max(initial=0.0)))
+    heat = t.heat.copy()
+    t.heat[:] = 0.0
+    balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius)
+    t.heat += heat
+    report = {"balance_steps": balanced["settle_steps"], **cooling, **_settled(bodies, kinetic_0, radius)}
     return {**report, "wall_s": clock.perf_counter() - started}
 
 
@@ -77,11 +85,11 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     return bodies, report | {"wall_s": clock.perf_counter() - started}
 
 
-def _settled(bodies: Bodies, kinetic_0: float) -> Values:
+def _settled(bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
     """Relax thermal stresses, and add what the cooling has changed to those."""
     t = bodies.target
     before = t.stress()
-    settled = settle(bodies, kinetic_0, 0.0, ramp=True)  # all within COOLED of equilibrium: nothing to watch
+    settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius)  # within COOLED of equilibrium: nothing to watch
     t.thermal_stress += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 

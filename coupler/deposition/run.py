@@ -328,7 +328,8 @@ class Deposition:
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")
         kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]
-        whole = rest(plan, range(first, len(self.records)), whole, kinetic_0, self.joins[-1])
+        places = [task.place for task, _ in tasks]
+        whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
         if self.records[-1].values["verdict"] != UNDECIDED:
             clear(self.folder)
         return whole

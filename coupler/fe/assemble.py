@@ -73,14 +73,14 @@ def domain_of(body: BodyState, name: str) -> Domain:
     )
     eps_p, T = body.eps_p[element], body.T[element]
     elements = new_rows(
-        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=yield_stresses(law, eps_p, T)
+        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=yield_stresses(law, np.zeros(m, np.int32), eps_p, T)
     )  # fmt: skip
     return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 
 
-def merge(domains: Sequence[Domain], origin: Point | None) -> tuple[Domain, np.ndarray]:
-    """One domain of several, numbered outwards from `origin` (m) as the bodies lie now, one after another without one; bodies and laws
-    follow one another.
+def merge(domains: Sequence[Domain], *origins: Point) -> tuple[Domain, np.ndarray]:
+    """One domain of several, numbered outwards from the nearest of the origins (m) as the bodies lie now, one after another without
+    one; bodies and laws follow one another.
 
     Returns it and the new number of each node (n,), in the order of the domains given.
     """
@@ -93,7 +93,7 @@ def merge(domains: Sequence[Domain], origin: Point | None) -> tuple[Domain, np.n
         return np.ascontiguousarray(np.concatenate(arrays)[order])
 
     x = np.concatenate([d.nodes.x for d in domains])
-    distance = np.linalg.norm(x - np.asarray(origin), axis=1) if origin is not None else np.zeros(len(x))
+    distance = np.min([np.linalg.norm(x - np.asarray(o), axis=1) for o in origins] or np.zeros((1, len(x))), axis=0)
     by_node = np.argsort(distance, kind="stable")
     rank = np.argsort(by_node)
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])

@@ -1,7 +1,6 @@
 """The explicit finite-element target: central differences on tetrahedra with averaged nodal pressure.
 
-The step is the one LAMMPS makes (kick half, drift, forces, kick half), cut at the same place, so that contact can
-be computed once from the positions of both domains at n+1:
+The step is that of LAMMPS (kick half, drift, forces, kick half), cut where contact is computed, once for both domains at n+1:
 
     target.advance(dt)          v to n+1/2, x to n+1, stress and internal forces at n+1
     target.f_ext[...] += ...    contact forces at n+1
@@ -15,7 +14,7 @@ import numpy as np
 
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
-from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stress
+from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from ..state.loops import PARTS
 from ..state.records import assign, collect, fill_rows
 from ..state.threads import share, together
@@ -37,17 +36,15 @@ LEAST_ELEMENTS = 1000  # in a range of a shared loop
 class Target:
     """State and motion of one finite-element domain.
 
-    Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx
-    yy zz yz xz xy; sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the
-    point of impact and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are
-    computed; none beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is
-    accelerated (mass scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became
-    inactive; the last row is zero.
+    Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx yy zz yz xz xy;
+    sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the point of impact, or from the
+    nearest of several, and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are computed; none
+    beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is accelerated (mass
+    scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive.
 
-    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
-    Mie-Grueneisen on a body that is free to do so expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear
-    equation of state (Gamma0 = 0) does not expand, nor do laws without `expansion`. Bodies of different materials do
-    not share nodes: a nodal pressure belongs to one material.
+    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with Mie-Grueneisen
+    on a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does not expand, nor
+    do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one material.
     """
 
     x: np.ndarray
@@ -98,8 +95,7 @@ class Target:
         self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
         self.f_ext, self.volume = np.zeros((n, 3)), mesh.V0.copy()
         self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
-        kinds, kind = np.unique(np.stack([self.law_of, self.T]), axis=1, return_inverse=True)
-        self.sigma_y = np.array([yield_stress(self.laws[int(i)], 0.0, 0.0, T) for i, T in kinds.T])[kind.ravel()]
+        self.sigma_y = yield_stresses(self.laws, self.law_of, np.zeros(m), self.T)
         fill_rows(self, NodeState, n)
         fill_rows(self, ElementState, m)
         self.dt_of = np.zeros(m)
@@ -170,8 +166,7 @@ class Target:
         self.dashpot_nodes = np.union1d(self.dashpot_nodes, nodes)
         self.dashpot = matrices[self.dashpot_nodes]
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
-        self.active_nodes = self.active_elements = 0
-        self._activate(0.0)
+        self.deactivate_beyond(self.reach)
         return m
 
     @property
@@ -329,6 +324,28 @@ class Target:
         self.reach, self.active_nodes, self.active_elements = reach, 0, 0
         self._activate(0.0)
 
+    @contextmanager
+    def active_within(self, radius: float, dt: float) -> Iterator[None]:
+        """While this lasts, all is active up to `radius` m from where the numbering begins, and what is beyond keeps still; its pending
+        heat becomes pressure there in a step of dt s, at rest."""
+        kept = self.horizon, self.fixed, self.inv_mass
+        self.activate_all()
+        m = int(np.searchsorted(self.mesh.reach_element, radius))
+        if self.heat[m:].any():
+            own = self.heat[:m].copy()
+            self.heat[:m] = 0.0
+            self.advance(dt)
+            self.heat[:m] = own
+        self.horizon, self.active_nodes, self.active_elements = min(radius, self.horizon), 0, 0
+        self.activate_all()
+        edge = outside(self.mesh, self.active_elements, self.active_nodes)
+        self.fixed, self.inv_mass = np.union1d(self.fixed, edge), self.inv_mass.copy()
+        self.inv_mass[self.fixed] = 0.0
+        try:
+            yield
+        finally:
+            self.horizon, self.fixed, self.inv_mass = kept
+
     def _store_inactive_forces(self) -> None:
         forces = np.zeros_like(self.force_suffix_sum)
         k.gather_forces(0, len(self.x), self.start, self.table, self.fe, forces)
@@ -361,12 +378,11 @@ class Target:
 
     def elastic(self) -> float:
         """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of the half-space."""
-        shear = k.elastic_shear_energy(
-            0, len(self.mesh.conn), self.volume, self.mesh.V0, self.laws, self.law_of, self.s
-        )  # inactive elements may be under stress
-        pending = float(np.sum(self.heat))  # reaches the nodes in the next step
+        m = len(self.mesh.conn)  # inactive elements may be under stress
+        shear = k.elastic_shear_energy(0, m, self.volume, self.mesh.V0, self.laws, self.law_of, self.s)
         way = self.x[self.spring_nodes] - self.spring_rest
         shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
+        pending = float(np.sum(self.heat))  # reaches the nodes in the next step
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
@@ -403,12 +419,11 @@ class Target:
 
     def _inverted(self) -> str:
         e = int(np.argmin(self.volume[: self.active_elements]))
-        where = self.x[self.mesh.conn[e]].mean(axis=0) * 1e6
+        x, y, z = self.x[self.mesh.conn[e]].mean(axis=0) * 1e6
         body = int(self.law_of[e])  # each has a law of its own; those after the first are splats
-        within, remedy = (f", in splat{body},", "another [splat] method, a finer preset") if body else (
-            "", "a coarser substrate element_size"
-        )  # fmt: skip
+        within = f", in splat{body}," if body else ""
+        remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"
         return (
-            f"element {e} of the target{within} inverted at t = {self.time * 1e9:.3f} ns near "
-            f"({where[0]:.2f}, {where[1]:.2f}, {where[2]:.2f}) um: try {remedy} or a smaller dt"
+            f"element {e} of the target{within} inverted at t = {self.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um: try"
+            f" {remedy} or a smaller dt"
         )

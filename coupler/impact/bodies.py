@@ -13,7 +13,7 @@ from ..contact.hold import HeldPlaces
 from ..contact.overlap import ways_out
 from ..contact.surfaces import Interface, Surfaces, interface
 from ..errors import CheckpointError, SolverError
-from ..fe.assemble import SPLAT, BodyState, Domain, domain_now, domain_of, merge, only
+from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
@@ -157,7 +157,7 @@ class Bodies:
         splats: list[BodyState],
         adhesion: Adhesion,
         size: float,
-        origin: tuple[float, float, float],
+        origin: Point,
         ratio: float | None,
         impact: int,
         held: HeldPlaces | None = None,
@@ -199,9 +199,9 @@ class Bodies:
         new.touch(self.contact, rank[: len(self.target.x)])
         return new
 
-    def renumbered(self, origin: tuple[float, float, float]) -> "Bodies":
-        """The same, numbered outwards from another point; only what is near it is active."""
-        domain, rank = merge([domain_now(self.target, self.body)], origin)
+    def renumbered(self, *origins: Point) -> "Bodies":
+        """The same, numbered outwards from the nearest of these points; only what is near them is active."""
+        domain, rank = merge([domain_now(self.target, self.body)], *origins)
         return self.on(domain, rank, self.buried)
 
     def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":

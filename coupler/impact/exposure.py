@@ -72,9 +72,7 @@ def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> n
     """Flow stress (k,) Pa, slow and at its strain and temperature, of the softer of the two metals at vertices `rows` on facets."""
     surface, particle, target = domains.surface, domains.particle, domains.target
     element = target.mesh.facet_element[facets]
-    law_of, eps_p, T = target.law_of[element], target.eps_p[element], target.T[element]
-    strength = yield_stresses(particle.law, surface.values(particle.eps_p)[rows], surface.values(particle.T)[rows])
-    for law in np.unique(law_of):
-        on = law_of == law
-        strength[on] = np.minimum(strength[on], yield_stresses(target.laws[law : law + 1], eps_p[on], T[on]))
-    return strength
+    first = np.zeros(len(rows), np.int32)
+    own = yield_stresses(particle.law, first, surface.values(particle.eps_p)[rows], surface.values(particle.T)[rows])
+    other = yield_stresses(target.laws, target.law_of[element], target.eps_p[element], target.T[element])
+    return np.minimum(own, other)

@@ -20,7 +20,7 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..state.arrays import Floats, Laws
+from ..state.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material
 from .strength import on as on
@@ -257,12 +257,11 @@ def pressures(laws: Laws, J: Floats, energy: Floats) -> Floats:
 
 
 @njit(cache=True)
-def yield_stresses(laws: Laws, eps_p: Floats, T: Floats) -> Floats:
-    """Yield stress (m,) Pa of states at rest: one LAW record laws (1,), eps_p (m,), T (m,) K."""
-    law = laws[0]
+def yield_stresses(laws: Laws, law_of: Ints, eps_p: Floats, T: Floats) -> Floats:
+    """Yield stress (m,) Pa of states at rest: LAW records laws, law_of (m,), eps_p (m,), T (m,) K."""
     sigma = np.empty(len(T))
     for e in range(len(T)):
-        sigma[e] = yield_stress(law, eps_p[e], 0.0, T[e])
+        sigma[e] = yield_stress(laws[law_of[e]], eps_p[e], 0.0, T[e])
     return sigma
 
 

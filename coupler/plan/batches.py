@@ -5,14 +5,35 @@ They follow from the plan alone, whatever the number of processes: so does the c
 
 import math
 from collections.abc import Sequence
-
-from .planning import ImpactPlan
+from dataclasses import dataclass
+from typing import Protocol
 
 LARGEST_BATCH = 8
 GAP = 0.5  # diameters between two windows
+AHEAD = 64  # impacts among which those of a batch are looked for
 
 
-def batch(impacts: Sequence[ImpactPlan], first: int) -> range:
+class Impact(Protocol):
+    """What batches depend on. offset: of its axis, m; window: radius (m) within which the target is computed; diameter: m."""
+
+    @property
+    def offset(self) -> tuple[float, float]: ...
+    @property
+    def window(self) -> float: ...
+    @property
+    def diameter(self) -> float: ...
+
+
+@dataclass(frozen=True)
+class Landing:
+    """The least that is an `Impact`."""
+
+    offset: tuple[float, float]
+    window: float
+    diameter: float
+
+
+def batch(impacts: Sequence[Impact], first: int) -> range:
     """The batch that begins with an impact: those after it in the order of arrival, up to one whose window is not apart."""
     last = first + 1
     while last < len(impacts) and last - first < LARGEST_BATCH and _apart(impacts[first:last], impacts[last]):
@@ -20,7 +41,7 @@ def batch(impacts: Sequence[ImpactPlan], first: int) -> range:
     return range(first, last)
 
 
-def batches(impacts: Sequence[ImpactPlan]) -> list[range]:
+def batches(impacts: Sequence[Impact]) -> list[range]:
     """All batches, in the order of arrival."""
     ranges: list[range] = []
     while not ranges or ranges[-1].stop < len(impacts):
@@ -28,7 +49,21 @@ def batches(impacts: Sequence[ImpactPlan]) -> list[range]:
     return ranges
 
 
-def _apart(others: Sequence[ImpactPlan], new: ImpactPlan) -> bool:
+def side_by_side(impacts: Sequence[Impact]) -> list[int]:
+    """An order of impacts that makes large batches: each is brought forward where its window lies apart from those of all that it
+    passes, so that all that meet each other arrive in the order they had."""
+    left, order = list(range(len(impacts))), []
+    while left:
+        chosen, passed = left[:1], list[int]()
+        for i in left[1:AHEAD]:
+            alone = _apart([impacts[k] for k in (*chosen, *passed)], impacts[i])
+            (chosen if alone and len(chosen) < LARGEST_BATCH else passed).append(i)
+        order += chosen
+        left = passed + left[AHEAD:]
+    return order
+
+
+def _apart(others: Sequence[Impact], new: Impact) -> bool:
     """Whether the window of an impact lies apart from those of others."""
     return math.isfinite(new.window) and all(
         math.dist(a.offset, new.offset) > a.window + new.window + GAP * max(a.diameter, new.diameter) for a in others

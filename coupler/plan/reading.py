@@ -12,6 +12,7 @@ from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, safe_name
 from ..scene.tables import Particle, Section, read_table
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
+from .batches import Landing, side_by_side
 from .check import problems_of
 from .coating import expand
 from .derived import Derived
@@ -88,6 +89,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
         raw["materials"] = tables = {}
     catalogue, material_problems = materials.from_scene(tables, *_strength_of(raw))
     raw.setdefault("name", safe_name(source))
+    drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
         _set_half_space(raw)
@@ -113,7 +115,14 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
                 problems.append(problem)
     if problems or read is None:
         raise SceneError(problems, source)
-    return read
+    return _in_batches(read) if drawn else read
+
+
+def _in_batches(scene: Scene) -> Scene:
+    """The scene of a coating that has just been drawn, its particles in an order in which many can be computed side by side."""
+    window_of = Derived(scene).window_of
+    order = side_by_side([Landing(p.offset, window_of(p), p.diameter) for p in scene.particles])
+    return scene.model_copy(update={"particles": [scene.particles[i] for i in order]})
 
 
 def _set_half_space(raw: dict[str, object]) -> None:
