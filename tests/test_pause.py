@@ -23,6 +23,7 @@ from coupler.files.result import Result
 from coupler.geometry.mesher import box
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.bodies import Bodies
+from coupler.impact.ending import HELD_STILL, EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import Material, material
@@ -120,6 +121,22 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
     thermal = np.abs(cold.data["thermal_stress"]).max(axis=1)
     assert thermal[cold.data["body"] > 0].mean() > 5 * thermal[cold.data["body"] == 0].mean()
     assert json.dumps(closing)
+
+
+def test_a_particle_that_slides_off_is_lost_and_the_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second of three has left over the rim: it has rebounded although the scene ties what touches, and nothing is skipped."""
+    text = scenes.scene(
+        ("Ni", 20, 500), ("Ti", 20, 450), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0}, end=6
+    )
+    monkeypatch.setattr(EndCriterion, "slid_off", lambda self, _: self.held_slow == HELD_STILL * 450.0)
+    result = deposition.run(Scene.from_text(text, "rim"), tmp_path / "out", quiet=True)
+    impacts = result.summary["impacts"]
+    assert [impact["rebounded"] for impact in impacts] == [None, True, None]  # the others are still in motion at 6 ns
+    assert "over the rim" in impacts[1]["verdict_rests_on"]
+    assert impacts[1]["undecided"] is None
+    assert [join["rebounded"] for join in result.summary["joins"]] == [False, True]
 
 
 @pytest.mark.parametrize("how", ["fails", "fails, resumed", "undecided"])

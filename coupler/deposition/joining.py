@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..contact.hold import Hold
 from ..contact.overlap import overlaps
 from ..errors import SolverError
 from ..fe.assemble import BodyState, Point
 from ..files.summary import Values
 from ..impact.bodies import Bodies, level_under
 from ..impact.domains import Domains
-from ..impact.verdict import judge
+from ..impact.run import ImpactOutcome
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -31,27 +30,27 @@ RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy
 
 
 def join(
-    plan: Plan, i: int, domains: Domains, progress: Progress, hold: Hold | None = None, place: Point | None = None
+    plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point | None = None
 ) -> tuple[Bodies, Values]:
     """The bodies that impact i + 1 meets, or those after the last impact, and what it took to make them.
 
-    domains: of the finished impact i; hold: the bond of its particle; place: of an impact on a cut of the target (m), whose bodies come
-    to rest within the impact's window and are not made ready for the next. A particle that is not bonded and moves away has rebounded
-    and does not join; splats that are no longer held leave (`detaching`). Raises SplatError when it cannot be meshed, SolverError when
-    it does not come to rest.
+    outcome: of impact i; place: of an impact on a cut of the target (m), whose bodies come to rest within the impact's window and are
+    not made ready for the next. A particle that has rebounded does not join; splats that are no longer held leave (`detaching`).
+    Raises SplatError when it cannot be meshed, SolverError when it does not come to rest.
     """
     started = clock.perf_counter()
     p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
+    domains, hold, values = outcome.domains, outcome.hold, outcome.record.values
     particle, bodies = domains.particle, domains.bodies
     kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
     upwards = float(particle.totals.momentum[2] / particle.mass.sum())
     report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio
-    left = judge(plan.adhesion, p, float(particle.mass.sum()), upwards, hold).rebounded is True
+    left = values["rebounded"] is True
     origin = place or point_of_impact(bodies, following.offset, None if left else domains)
     radius = math.inf if place is None else p.window
     if left:
-        progress.log(f"particle {i + 1} is not bonded and leaves at {upwards:.0f} m/s")
+        progress.log(f"particle {i + 1} leaves: {values['verdict_rests_on']}")
         progress.stage("bringing the target to rest")
         new, report["detached"] = bodies.renumbered(origin), []
         if place is None:

@@ -286,7 +286,7 @@ class Deposition:
                 left, gone = without_detached(plan, outcome.domains.bodies, i + 1, "impact")
                 self.joins += [{"impact": i + 1, "detached": gone}] if gone else []
                 return left
-            new, joined = join(plan, i, outcome.domains, options.progress, outcome.hold)
+            new, joined = join(plan, i, outcome, options.progress)
             self.joins.append(joined)
             return new
         except (SolverError, SplatError):

@@ -84,7 +84,7 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
             joined: Values = {}
             undecided = record.values["undecided"] is not None
             if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
-                after, joined = join(plan, i, outcome.domains, options.progress, outcome.hold, task.place)
+                after, joined = join(plan, i, outcome, options.progress, task.place)
         finally:
             outcome.domains.particle.close()
         result = TaskResult(after.state(), record, prepared, joined, store.state())

@@ -130,9 +130,12 @@ def run_impact(
                         f"particle {i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
                         " offset in its files, or give it more time (end.time)"
                     )
-                undecided = ending.undecided(impact.time, impact.sinking)
+                # a coating goes on without a particle that has slid off it
+                is_lost = len(plan.impacts) > 1 and ending.slid_off(impact.time)
+                undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
+                settled = ending.settled(impact.time)
                 record = summarise(
-                    impact, recorder, retries.applied, watch.wall, watch.looped, undecided, ending.settled(impact.time)
+                    impact, recorder, retries.applied, watch.wall, watch.looped, undecided, settled, is_lost
                 )
                 if undecided is not None or record.values["verdict"] == UNDECIDED:
                     save(keeper.state())

@@ -39,16 +39,23 @@ def summarise(
     looped: float,
     undecided: str | None,
     settled: bool,
+    is_lost: bool,
 ) -> ImpactRecord:
     """The record of a finished impact. wall: s of wall time that it has taken in all; looped: s in the time loop; undecided: why it
-    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end.
+    ended without its end criterion, None where it has met it; settled: whether the contact has come to an end; is_lost: whether
+    the particle has slid over the rim of the target.
 
     A measure outside its range, and one that needs the end criterion of an undecided impact, is None; `refused` has the reason.
     """
     particle, ledger, impact_plan = impact.particle, impact.ledger, recorder.impact_plan
     measured = recorder.measures(impact)
     verdict = verdict_values(
-        recorder.plan.adhesion, impact_plan, float(particle.mass.sum()), measured["velocity_z_m_s"], impact.hold
+        recorder.plan.adhesion,
+        impact_plan,
+        float(particle.mass.sum()),
+        measured["velocity_z_m_s"],
+        impact.hold,
+        is_lost,
     )
     others = ("drift", "momentum_error")
     own = {
@@ -82,7 +89,7 @@ def summarise(
     }
     refused: dict[str, str] = {}
     end: Values = {**measured}
-    if not settled:
+    if not settled and not is_lost:
         reason = undecided or "the contact has not come to an end"
         own |= {
             "verdict": UNDECIDED,

@@ -107,20 +107,24 @@ def _unheld(reason: str, mass: float, upwards: float) -> Verdict:
     return Verdict(REBOUNDS, f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2, -upwards)
 
 
-def verdict_values(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None) -> Values:
+def verdict_values(
+    law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None, is_lost: bool = False
+) -> Values:
     """The part of the record of a finished impact that is its verdict.
 
+    is_lost: whether the particle has slid over the rim of the target, whatever the scene ties.
     restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
     bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds; bond_energy_J: to tear all that bonded, in tension,
     None where a bond does not break.
     """
-    decided = judge(law, impact, mass, upwards, hold)
+    lost = Verdict(REBOUNDS, "it has slid over the rim of the target")
+    decided = lost if is_lost else judge(law, impact, mass, upwards, hold)
     left = decided.rebounded
     values: Values = {
         "verdict": decided.verdict, "verdict_criterion": law.words, "verdict_rests_on": decided.rests_on,
         "verdict_is_close": decided.is_close,
         "margin_J": decided.margin_J, "margin_m_s": decided.margin_m_s, "rebounded": left,
-        "restitution": None if left is None else upwards / -impact.velocity[2] if left else 0.0,
+        "restitution": None if left is None else max(upwards, 0.0) / -impact.velocity[2] if left else 0.0,
     }  # fmt: skip
     if law.in_impact:
         first, last = hold.area if hold is not None else (0.0, 0.0)
