@@ -113,10 +113,10 @@ def test_an_interrupted_step_leaves_no_trace(tmp_path, monkeypatch):
     writer.write(0.0, POINTS, TETS, {"T": np.zeros(5)})
     append = VtkHdfWriter._append
 
-    def interrupted(self, state, name, values):
+    def interrupted(self, state, name, values, *packed):
         if name == "PointData/T":
             raise KeyboardInterrupt
-        return append(self, state, name, values)
+        return append(self, state, name, values, *packed)
 
     monkeypatch.setattr(VtkHdfWriter, "_append", interrupted)
     with pytest.raises(KeyboardInterrupt):

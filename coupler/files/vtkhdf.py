@@ -15,6 +15,7 @@ import math
 import os
 import resource
 import shutil
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +23,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ..state.threads import share
 
 Data = Mapping[str, ArrayLike]
 
@@ -139,12 +142,22 @@ class VtkHdfWriter:
 
         put("PartOffsets", state.part)
         put("NumberOfParts", 1)
-        put("PointOffsets", self._append(state, "Points", xyz))
+        long = {"Points": xyz}
+        long |= {f"{group}/{name}": values for group, data in fields.items() for name, values in data.items()}
+        packed = dict.fromkeys(long, b"")
+
+        def pack(lo: int, hi: int) -> None:
+            for name in list(long)[lo:hi]:
+                packed[name] = _packed(long[name])
+
+        share(pack, len(long), 1)
+        put("PointOffsets", self._append(state, "Points", xyz, packed["Points"]))
         put("CellOffsets", state.cell_offset)
         put("ConnectivityIdOffsets", state.connectivity_offset)
         for group, data in fields.items():
             for name, values in data.items():
-                put(f"{group}Offsets/{name}", self._append(state, f"{group}/{name}", values))
+                where = f"{group}/{name}"
+                put(f"{group}Offsets/{name}", self._append(state, where, values, packed[where]))
         self._file.flush()
         # VTK overruns its memory if there are more times than steps, so the times wait for the count.
         self._root["Steps"].attrs["NSteps"] = np.int64(state.steps)
@@ -175,8 +188,8 @@ class VtkHdfWriter:
         self._append(state, "NumberOfCells", np.array([count], dtype=np.int64))
         self._append(state, "NumberOfConnectivityIds", np.array([table.size], dtype=np.int64))
 
-    def _append(self, state: _State, name: str, values: NDArray) -> int:
-        """Put rows behind those in use, in a data set that is made at first use; returns where they start.
+    def _append(self, state: _State, name: str, values: NDArray, packed: bytes = b"") -> int:
+        """Put rows behind those in use, in a data set that is made at first use; returns where they start. packed: see `_packed`.
 
         Long data has a chunk for each step: a compressed chunk that is written once is never moved, so that a
         crash cannot hurt older steps.
@@ -194,10 +207,20 @@ class VtkHdfWriter:
                     self._data[name].attrs["components"] = np.array(names, dtype="S2")
         data = self._data[name]
         data.resize(start + len(values), axis=0)
-        if len(values):
+        if packed and data.chunks == values.shape and start % len(values) == 0:
+            data.id.write_direct_chunk((start, *(0 for _ in tail)), packed)
+        elif len(values):
             data[start:] = values
         state.rows[name] = start + len(values)
         return start
+
+
+def _packed(values: NDArray) -> bytes:
+    """A chunk as HDF5's filters shuffle and deflate would write it, by a search for runs of equal bytes alone: half the time of zlib's
+    fastest level for 3 % longer files."""
+    columns = values.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
+    packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
+    return packer.compress(np.ascontiguousarray(columns)) + packer.flush()
 
 
 def _longest_file() -> float:
