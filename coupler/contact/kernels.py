@@ -6,8 +6,11 @@ import numpy as np
 from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
-from ..state.arrays import Floats, Ints
+from ..state.arrays import Arrays, Floats, Ints
+from ..state.loops import ranges
 from .broad import facet_boxes, farthest
+
+LEAST_ROWS = 30  # points in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -149,25 +152,34 @@ def closest_facets(
 
 
 @njit(cache=True, nogil=True)
-def look(
-    rows: Ints, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints, x: Floats, nodes: Ints, places: Floats,
-    last: Floats, way: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints,
-    foot: Floats, gap: Floats, depth: Floats, spring: Floats, lost: Floats,
-) -> None:  # fmt: skip
-    """Find the closest facet of those points `rows` that may touch; the others keep theirs, which they cannot touch.
+def begin_look(
+    rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats,
+) -> tuple[Ints, float]:  # fmt: skip
+    """Those of the points `rows` that may touch, and how far the facets have gone since the last search, m.
 
     nodes (k,): those of the facets; places, last (k,3): where they were at the last search and at the last look; way (1,) m: how far
-    they have gone since the search, step by step. A point that lies deeper than margin, or by
-    more than jump deeper than before, lies outside: nearer facets are only known to be among the candidates within the margin. It loses
-    its contact: lost, [points that had one, squares of their depths (m2) and of their springs (N2)], is added to. The rest as in
-    `closest_facets`, `due` and `note`.
+    they have gone since the search, step by step. The rest as in `due`.
     """
     shift = farthest(x, nodes, places)
     way[0] += farthest(x, nodes, last)
     for q in range(len(nodes)):
         for d in range(3):
             last[q, d] = x[nodes[q], d]
-    rows = due(rows, xp, seen, room, way[0])
+    return due(rows, xp, seen, room, way[0]), shift
+
+
+@njit(cache=True, nogil=True)
+def end_look(
+    rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
+    x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap:
+    Floats, depth: Floats, spring: Floats,
+) -> None:  # fmt: skip
+    """Find the closest facet of those points `rows` of `begin_look`; the others keep theirs, which they cannot touch.
+
+    A point that lies deeper than margin, or by more than jump deeper than before, lies outside: nearer facets are only known to be
+    among the candidates within the margin. It loses its contact: lost, [points that had one, squares of their depths (m2) and of
+    their springs (N2)], is added to. The rest as in `closest_facets`, `due` and `note`.
+    """
     closest_facets(xp, rows, start, boxes, facets, facet_ids, x, low, high, shift, nearest, foot, gap)
     for q in range(len(rows)):
         i = rows[q]
@@ -180,6 +192,20 @@ def look(
                 lost[2] += stretch
             depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
     note(rows, xp, gap, way[0], seen, room)
+
+
+@njit(cache=True, nogil=True)
+def look(team: Ints, rows: Ints, begin: Arrays, end: Arrays, found: Ints, shift: Floats, lost: Floats) -> None:
+    """`begin_look` of the points `rows` in one thread, with the arguments `begin`, and `end_look` in all, with `end`. lost (PARTS,3).
+
+    found (n+1,) and shift (1,) pass from one to the other: how many points may touch, and which.
+    """
+    for _, _, _ in ranges(team, 0, 1, 1):
+        near, shift[0] = begin_look(rows, *begin)
+        found[0] = len(near)
+        found[1 : len(near) + 1] = near
+    for lo, hi, part in ranges(team, 1, found[0], LEAST_ROWS):
+        end_look(found[lo + 1 : hi + 1], shift[0], lost[part], *end)
 
 
 @njit(cache=True, nogil=True)
@@ -354,16 +380,20 @@ def look_of_sides(
     nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, seen: Floats, room:
     Floats, nearest: Ints, foot: Floats, gap: Floats, depth: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
-    """`look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written for their rows."""
+    """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
+    for their rows."""
     for s in range(lo, hi):
         r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
         for row in rows[r:r1]:
             for d in range(3):
                 xp[p + row, d] = x[node_of[p + row], d]
-        look(
-            rows[r:r1], numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], x, nodes[n:n1], places[n:n1], last[n:n1],
-            way[s : s + 1], start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1],
-            gap[p:p1], depth[p:p1], spring[p:p1], lost[s],
+        own = way[s : s + 1]
+        near, shift = begin_look(
+            rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1]
+        )
+        end_look(
+            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], x, start[q:q1], boxes[b:b1],
+            low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], depth[p:p1], spring[p:p1],
         )  # fmt: skip
 
 

@@ -9,8 +9,9 @@ from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
 from ..state.arrays import Floats, Ints
+from ..state.loops import PARTS
 from ..state.records import Shape, assign, collect
-from ..state.threads import share
+from ..state.threads import share, together
 from . import broad
 from . import kernels as k
 
@@ -167,17 +168,18 @@ class PointContact:
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
     def _look(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
-        """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep (`kernels.look`)."""
-        lost = np.zeros(3)
-        k.look(
-            rows, self._margin, self._jump, xp, self.facets, self._ids, x, self._nodes, self._places, self._last, self._way,
-            self._start, self._boxes, self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self.depth,
-            self.spring, lost,
+        """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep."""
+        lost = np.zeros((PARTS, 3))
+        together(
+            k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room),
+            (self._way, self._margin, self._jump, xp, self.facets, self._ids, x, self._start, self._boxes, self._low, self._high,
+             self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring),
+            np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
-        self._drop(lost)
+        self._drop(lost.sum(axis=0))
 
     def _drop(self, lost: np.ndarray) -> None:
-        """Book what `kernels.look` has taken away."""
+        """Book what `kernels.end_look` has taken away."""
         if lost[0]:
             self.dropped += int(lost[0])
             self.dropped_energy += 0.5 * (self.stiffness * float(lost[1]) + float(lost[2]) / self.tangential)

@@ -14,16 +14,16 @@ from numba import njit
 
 from ..errors import CheckpointError
 from ..physics.constitutive import bulk_stiffness
-from ..state.arrays import Floats, Ints, Laws
+from ..state.arrays import Arrays, Floats, Ints, Laws
+from ..state.loops import ranges
 from ..state.records import Shape
-from ..state.threads import share
+from ..state.threads import together
 from .blocks import edge_cofactors
-from .kernels import SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
+from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
 from .mesh import FiniteElements
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
-LEAST_ELEMENTS, LEAST_NODES = 2000, 4000  # in a range of a shared loop
 STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
 
@@ -89,6 +89,21 @@ def _forces(
             q1 -= h1
             q2 -= h2
         fe[e, 0, 0], fe[e, 0, 1], fe[e, 0, 2] = q0, q1, q2
+
+
+@njit(cache=True, nogil=True)
+def _resist(
+    team: Ints, n: int, m: int, of_volume: Arrays, of_pressure: Arrays, of_forces: Arrays, of_sum: Arrays
+) -> None:
+    """The kernels above, one after the other, for the first n nodes and m elements in all threads."""
+    for lo, hi, _ in ranges(team, 0, m, LEAST_ELEMENTS):
+        _volume_change(lo, hi, *of_volume)
+    for lo, hi, _ in ranges(team, 1, n, LEAST_NODES):
+        _nodal_stiffening(lo, hi, *of_pressure)
+    for lo, hi, _ in ranges(team, 2, m, LEAST_ELEMENTS):
+        _forces(lo, hi, *of_forces)
+    for lo, hi, _ in ranges(team, 3, n, LEAST_NODES):
+        gather_forces(lo, hi, *of_sum)
 
 
 def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
@@ -184,22 +199,9 @@ class HighestFrequency:
     def _apply(self, t: FiniteElements, n: int, m: int) -> None:
         """Elastic forces of the motion of the first n nodes, by the first m elements."""
         mesh = t.mesh
-
-        def volume_change(lo: int, hi: int) -> None:
-            _volume_change(lo, hi, t.x, self._w, mesh.conn, self._dv)
-
-        def stiffening(lo: int, hi: int) -> None:
-            _nodal_stiffening(
-                lo, hi, t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp
-            )
-
-        def forces(lo: int, hi: int) -> None:
-            _forces(lo, hi, t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe)
-
-        def gather(lo: int, hi: int) -> None:
-            gather_forces(lo, hi, t.start, t.table, self._fe, self._f)
-
-        for kernel, count, least in (
-            (volume_change, m, LEAST_ELEMENTS), (stiffening, n, LEAST_NODES), (forces, m, LEAST_ELEMENTS), (gather, n, LEAST_NODES),
-        ):  # fmt: skip
-            share(kernel, count, least)
+        together(
+            _resist, n, m, (t.x, self._w, mesh.conn, self._dv),
+            (t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp),
+            (t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe),
+            (t.start, t.table, self._fe, self._f),
+        )  # fmt: skip

@@ -220,7 +220,7 @@ def _packed(values: NDArray) -> bytes:
     fastest level for 3 % longer files."""
     columns = values.reshape(-1).view(np.uint8).reshape(-1, values.itemsize).T
     packer = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    return packer.compress(np.ascontiguousarray(columns)) + packer.flush()
+    return packer.compress(columns.tobytes()) + packer.flush()
 
 
 def _longest_file() -> float:

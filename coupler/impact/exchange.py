@@ -156,8 +156,7 @@ class Impact:
         p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
         rows = self.contact.rows
         self._forces[rows] = 0.0
-        s.contacts(p.x, rows, self._x)
-        s.contacts(p.v, rows, self._v)
+        s.moving_contacts(p.x, p.v, rows, self._x, self._v)
         self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
         if self.hold is not None:
             self.hold.forces(self._x, t.x, self._forces, t.f_ext, self.contact)

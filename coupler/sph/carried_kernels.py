@@ -2,7 +2,10 @@
 
 from numba import njit
 
-from ..state.arrays import Floats, Ints
+from ..state.arrays import Arrays, Floats, Ints
+from ..state.loops import ranges
+
+LEAST_ROWS = 50  # in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True)
@@ -19,6 +22,15 @@ def combine(rows: Ints, start: Ints, columns: Ints, weights: Floats, x: Floats, 
             b += w * x[j, 1]
             c += w * x[j, 2]
         out[r, 0], out[r, 1], out[r, 2] = a, b, c
+
+
+@njit(cache=True, nogil=True)
+def combine_both(team: Ints, rows: Ints, W: Arrays, x: Floats, v: Floats, out_x: Floats, out_v: Floats) -> None:
+    """`combine` of x and of v with the matrix W, (start, columns, weights), in all threads."""
+    start, columns, weights = W
+    for lo, hi, _ in ranges(team, 0, len(rows), LEAST_ROWS):
+        combine(rows[lo:hi], start, columns, weights, x, out_x)
+        combine(rows[lo:hi], start, columns, weights, v, out_v)
 
 
 @njit(cache=True, nogil=True)

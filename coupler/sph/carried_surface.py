@@ -10,6 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import ConvexHull, cKDTree
 
+from ..state.threads import together
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
@@ -62,6 +63,12 @@ class CarriedSurface:
             out = np.zeros((self.touching.shape[0], 3))
         k.combine(self._rows if rows is None else rows, *self._touching, x, out)
         return out
+
+    def moving_contacts(
+        self, x: np.ndarray, v: np.ndarray, rows: np.ndarray, out_x: np.ndarray, out_v: np.ndarray
+    ) -> None:
+        """`contacts` of the positions x and of the velocities v, of these rows alone, in all threads."""
+        together(k.combine_both, rows, self._touching, x, v, out_x, out_v)
 
     def spread(self, forces: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
         """Forces (k+n,3) on `contacts` as forces (n,3) on the points: the same resultant, the same moment, the same power.

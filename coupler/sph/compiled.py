@@ -180,9 +180,9 @@ class CompiledParticle(Particle):
         raise SolverError(self._failure(text, point))
 
     def _strain(self) -> np.ndarray:
-        F = self.F.reshape(-1, 3, 3)
-        E = 0.5 * (np.einsum("nki,nkj->nij", F, F) - np.eye(3)).reshape(-1, 9)
-        return E[:, [0, 4, 8, 1, 2, 5]]
+        strain = np.empty((self.n, 6))
+        k.green_lagrange(self.F, strain)
+        return strain
 
     def stress(self) -> np.ndarray:
         s = self._stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

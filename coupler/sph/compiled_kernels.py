@@ -391,6 +391,19 @@ def pair_forces(
 
 
 @njit(cache=True, nogil=True)
+def green_lagrange(F: Floats, strain: Floats) -> None:
+    """Green-Lagrange strain (n,6), xx yy zz xy xz yz, of deformation gradients F (n,9)."""
+    for i in range(len(strain)):
+        f = F[i]
+        strain[i, 0] = 0.5 * (f[0] * f[0] + f[3] * f[3] + f[6] * f[6] - 1.0)
+        strain[i, 1] = 0.5 * (f[1] * f[1] + f[4] * f[4] + f[7] * f[7] - 1.0)
+        strain[i, 2] = 0.5 * (f[2] * f[2] + f[5] * f[5] + f[8] * f[8] - 1.0)
+        strain[i, 3] = 0.5 * (f[0] * f[1] + f[3] * f[4] + f[6] * f[7])
+        strain[i, 4] = 0.5 * (f[0] * f[2] + f[3] * f[5] + f[6] * f[8])
+        strain[i, 5] = 0.5 * (f[1] * f[2] + f[4] * f[5] + f[7] * f[8])
+
+
+@njit(cache=True, nogil=True)
 def share_losses(lo: int, hi: int, start: Ints, signed: Ints, loss: Floats, heat: Floats) -> None:
     """Half the loss of each pair to each of its points: heat (n,2) J by viscosity and by hourglass control is written."""
     for i in range(lo, hi):

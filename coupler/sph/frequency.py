@@ -14,14 +14,15 @@ import numpy as np
 from numba import njit
 
 from ..physics.constitutive import bulk_stiffness
-from ..state.arrays import Floats, Ints, Laws, Matrix
-from ..state.threads import share
+from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
+from ..state.loops import ranges
+from ..state.threads import share, together
 from . import compiled_kernels as k
 
 LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken
 Fetch = Callable[..., None]
 FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the window before
-LEAST_POINTS, LEAST_PAIRS = 2000, 12000  # in a range of a shared loop
+LEAST_POINTS = 2000  # in a range of a shared loop
 STIRRED = 0.3  # share of random motion in the vector that an iteration starts from
 GRID = 128.0  # steps are powers of 2^(1 / GRID): sums over ranks differ in their last bits, steps do not
 
@@ -130,6 +131,22 @@ def linear_forces(
             )  # fmt: skip
 
 
+@njit(cache=True, nogil=True)
+def stress_of_all(team: Ints, n: int, of_points: Arrays) -> None:
+    """`linear_stress` of n points in all threads."""
+    for lo, hi, _ in ranges(team, 0, n, k.LEAST_POINTS):
+        linear_stress(lo, hi, *of_points)
+
+
+@njit(cache=True, nogil=True)
+def forces_of_all(team: Ints, n: int, of_pairs: Arrays, of_sum: Arrays) -> None:
+    """`linear_forces` of all pairs, and their sums at n points, in all threads."""
+    for lo, hi, _ in ranges(team, 0, len(of_pairs[0]), k.LEAST_PAIRS):
+        linear_forces(lo, hi, *of_pairs)
+    for lo, hi, _ in ranges(team, 1, n, k.LEAST_POINTS):
+        k.sum_forces(lo, hi, *of_sum)
+
+
 @dataclass(frozen=True)
 class Sides:
     """The neighbours of this rank's n points, as the passes of the particle read them.
@@ -203,20 +220,14 @@ class PointFrequency:
         self._u[:n] = u
         self._fetch(self._u)
 
-        def stress(lo: int, hi: int) -> None:
-            linear_stress(
-                lo, hi, self._law, self._volume, s.first, s.neighbour, self._u, s.w, s.X, s.gradient, F, J, self._Q, self._residual,
-            )  # fmt: skip
-
-        def forces(lo: int, hi: int) -> None:
-            linear_forces(lo, hi, s.pairs, self._Q, s.gradients, self._residual, s.rows, self._force)
-
-        def sums(lo: int, hi: int) -> None:
-            k.sum_forces(lo, hi, s.first, s.signed, self._force, self._f)
-
-        share(stress, n, LEAST_POINTS)
+        together(
+            stress_of_all, n,
+            (self._law, self._volume, s.first, s.neighbour, self._u, s.w, s.X, s.gradient, F, J, self._Q, self._residual),
+        )  # fmt: skip
         self._fetch(self._Q, self._residual)
-        share(forces, len(s.pairs), LEAST_PAIRS)
-        share(sums, n, LEAST_POINTS)
+        together(
+            forces_of_all, n, (s.pairs, self._Q, s.gradients, self._residual, s.rows, self._force),
+            (s.first, s.signed, self._force, self._f),
+        )  # fmt: skip
         self._slow(self._f)
         return self._f / -self._mass

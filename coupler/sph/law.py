@@ -116,24 +116,16 @@ def smallest_stretch(strain: Floats) -> tuple[float, int]:
     """Smallest principal stretch over all points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
     smallest = 1e300
     where = -1
-    C = np.empty((3, 3))
     for i in range(len(strain)):
-        C[0, 0], C[1, 1], C[2, 2] = 1 + 2 * strain[i, 0], 1 + 2 * strain[i, 1], 1 + 2 * strain[i, 2]
-        C[0, 1] = C[1, 0] = 2 * strain[i, 3]
-        C[0, 2] = C[2, 0] = 2 * strain[i, 4]
-        C[1, 2] = C[2, 1] = 2 * strain[i, 5]
-        mean = (C[0, 0] + C[1, 1] + C[2, 2]) / 3.0
-        off = C[0, 1] ** 2 + C[0, 2] ** 2 + C[1, 2] ** 2
-        q = (C[0, 0] - mean) ** 2 + (C[1, 1] - mean) ** 2 + (C[2, 2] - mean) ** 2 + 2 * off
-        spread = np.sqrt(q / 6.0)
+        xx, yy, zz = 1.0 + 2.0 * strain[i, 0], 1.0 + 2.0 * strain[i, 1], 1.0 + 2.0 * strain[i, 2]
+        xy, xz, yz = 2.0 * strain[i, 3], 2.0 * strain[i, 4], 2.0 * strain[i, 5]
+        mean = (xx + yy + zz) / 3.0
+        xx, yy, zz = xx - mean, yy - mean, zz - mean
+        spread = np.sqrt((xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
         low = mean
-        if spread > 1e-14:
-            D = (C - mean * np.eye(3)) / spread
-            det = (
-                D[0, 0] * (D[1, 1] * D[2, 2] - D[1, 2] * D[2, 1])
-                - D[0, 1] * (D[1, 0] * D[2, 2] - D[1, 2] * D[2, 0])
-                + D[0, 2] * (D[1, 0] * D[2, 1] - D[1, 1] * D[2, 0])
-            )
+        if spread > 1e-14 and not mean - 2.0 * spread > smallest:
+            xx, yy, zz, xy, xz, yz = xx / spread, yy / spread, zz / spread, xy / spread, xz / spread, yz / spread
+            det = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
             angle = np.arccos(min(max(0.5 * det, -1.0), 1.0)) / 3.0
             low = mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0)
         if low < smallest:

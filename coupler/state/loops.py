@@ -44,7 +44,8 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
 
     team (2 LOOPS + 1,): how many ranges of each loop are taken and done, zero at the beginning; the last is not zero when a thread has
     failed, for which nobody waits. The ranges depend on count and least alone: sums over parts, added in their order, have the same
-    value with any number of threads.
+    value with any number of threads. A thread may come late, when all is done and the caller is elsewhere: a count must be the same
+    then.
     """
     parts = max(1, min(PARTS, count // least))
     while True:
