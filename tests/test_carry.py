@@ -18,6 +18,19 @@ def body() -> tuple[np.ndarray, np.ndarray, np.ndarray, CarriedSurface]:
     return points, skin, triangles, CarriedSurface(points, skin, triangles, v ** (1 / 3))
 
 
+def test_points_under_the_surface_share_what_they_carry_among_the_vertices_above_them(
+    body: tuple[np.ndarray, np.ndarray, np.ndarray, CarriedSurface],
+) -> None:
+    points, skin, _, surface = body
+    shared = np.asarray(surface.under.sum(axis=0))[0]
+    outermost = shared > 0.5
+    assert np.unique(shared.round(12)).tolist() == [0.0, 1.0]
+    assert np.linalg.norm(points[~outermost], axis=1).max() < 0.47 * D  # a spacing is 0.08 D
+    at_vertices = surface.at_vertices(np.concatenate([np.zeros(len(skin)), np.ones(len(points))]))
+    assert at_vertices.sum() == pytest.approx(outermost.sum())
+    assert at_vertices.min() > 0.0
+
+
 def test_packing_has_the_spheres_volume_centre_and_points() -> None:
     for n in (300, 1000, 4000, 20000):
         points, v = packing.sphere(D, n)

@@ -95,6 +95,11 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
             seen["sinking"] = np.array(impact.sinking)
         if impact.hold is not None:
             seen["rows"], seen["strength"] = impact.hold.rows, impact.hold.bond.strength[:, 0].copy()
+        depth, vertices = impact.contact.depth, impact.surface.weights.shape[0]
+        if impact.sinking < 200.0 and impact.force[2] > 0.2 * seen.setdefault("peak", impact.force[2].copy()):
+            shares = depth[:vertices].sum(), impact.surface.at_vertices(depth).sum(), depth.sum()
+            seen["depths"] = seen.get("depths", 0.0) + np.array(shares)
+        seen["peak"] = np.maximum(seen.get("peak", 0.0), impact.force[2])
 
     folder = tmp_path_factory.mktemp("exposure")
     return run(Scene.from_text(TEXT, "exposure"), folder / "out", probe=probe), seen
@@ -109,6 +114,13 @@ def test_an_impact_exposes_metal_and_bonds_it(exposed: tuple[Result, dict[str, n
     assert result.verdict in ("sticks", "rebounds")
     assert result.bonded_area_m2 > 0.0
     assert abs(result.energy_drift) < 7e-3  # 250 points, stiff contact; in the rebound it changes by less than 1e-5
+
+
+def test_pressure_that_points_carry_counts_at_the_vertices(exposed: tuple[Result, dict[str, np.ndarray]]) -> None:
+    """Where the particle is flat its points come through its surface and carry half of the force: the vertices above them press."""
+    alone, with_points, all_ = exposed[1]["depths"]
+    assert alone < 0.8 * all_
+    assert with_points > 0.93 * all_
 
 
 def test_places_bond_where_the_crater_runs_away_from_a_particle_that_still_sinks(

@@ -43,7 +43,7 @@ PLACEMENTS = (
     *(("ni", 10.0, "draft", v, 6) for v in (565, 665, 831, 480)), ("cu", 14.0, "draft", 610, 6),
     *(("ni", 10.0, "standard", v, 4) for v in (565, 665, 831)),
 )  # fmt: skip
-OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "rebound_J_m2")
+OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "let_go_J_m2", "torn_before_J_m2", "rebound_J_m2")
 PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
@@ -98,16 +98,21 @@ def row_of(
 def placed_rows(
     name: str, size: float, preset: str, velocity: float, repeat: int, runs: Path
 ) -> list[dict[str, object]]:
-    """Runs of several placements: energies over the section of the particle; of a run without a verdict no margin or rebound."""
+    """Runs of several placements: energies over the section of the particle; of a run without a verdict no margin or rebound.
+
+    let_go: of the centre of mass when it moves off fastest; torn_before: dissipated by bonds until then.
+    """
     scene = scene_of(name, size, preset=preset)
     folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
     rows = []
     for k, row in enumerate(rows_at(scene, velocity, folder, repeat)):
         s = Result(folder / point_name(velocity, k)).values
         speed = row["rebound_velocity_m_s"] if row["verdict"] == REBOUNDS else None
+        history, mass = Result(folder / point_name(velocity, k)).history(), s["particle_mass_kg"]
+        fastest = int(np.argmax(history["velocity_z"]))  # the net force turns: the contact lets go
         energies = (
-            s["margin_J"], s["bond_energy_J"], s["energies"]["bond"] * s["kinetic_energy_0_J"],
-            None if speed is None else 0.5 * s["particle_mass_kg"] * float(str(speed)) ** 2,
+            s["margin_J"], s["bond_energy_J"], history["bond"][-1], 0.5 * mass * history["velocity_z"][fastest] ** 2,
+            history["bond"][fastest], None if speed is None else 0.5 * mass * float(str(speed)) ** 2,
         )  # fmt: skip
         first = scene.particle.material, size, preset, velocity, k, row["verdict"], row["restitution"]
         rows.append(dict(zip(PLACED, (*first, *(None if e is None else e / section for e in energies)), strict=True)))
@@ -121,11 +126,11 @@ def scatter_page(rows: list[Row]) -> list[str]:
         own, (metal, size, preset, velocity) = list(each), key
         share = shares_of(own, len(own))[float(velocity)]
         values = [[float(row[k] or 0.0) for row in own if k == "margin_J_m2" or row[k]] for k in PLACED[6:]]
-        words = [f"{fmean(v):.2g} ± {stdev(v):.1g}" if len(v) > 1 else "-" for v in values]
+        words = [f"{fmean(v):.3g} ± {stdev(v):.2g}" if len(v) > 1 else "-" for v in values]
         torn = fmean(values[3])
         ratio = f"{stdev(values[1]) / torn:.2f}"
         lines.append([f"{metal} {size} um", preset, f"{velocity} m/s", f"{share:.0%} of {len(own)}", *words, ratio])
-    head = "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | rebound | scatter / torn"
+    head = "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | moves off with | torn before | rebound | scatter / torn"
     return [*markdown(head, lines), "", versions(rows)]
 
 
@@ -157,8 +162,9 @@ def critical_page(lines: list[dict[str, object]]) -> list[str]:
     """Critical velocities as a table."""
 
     def words(r: dict[str, object]) -> object:
-        none = f"none up to {r['rebounds_to_m_s']:g}" if r["rebounds_to_m_s"] else f"at most {r['sticks_from_m_s']:g}"
-        return r["critical_m_s"] or none
+        if r["rebounds_to_m_s"]:
+            return r["critical_m_s"] or f"none up to {r['rebounds_to_m_s']:g}"
+        return f"at most {r['sticks_from_m_s']:g}" if r["sticks_from_m_s"] else "undecided"
 
     rows = [
         [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["preset"], words(r), r["measured_m_s"] or "-",

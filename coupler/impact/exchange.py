@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
+from scipy.sparse import csr_matrix, hstack
 
 from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
@@ -78,8 +79,12 @@ class Impact:
 
     @cached_property
     def _rings(self) -> tuple[np.ndarray, np.ndarray]:
-        """Neighbours of all vertices of the particle's surface."""
-        return rings(self.surface.triangles, np.arange(self.surface.weights.shape[0]))
+        """Contact nodes beside each vertex of the particle's surface: its neighbours, and the points under it."""
+        vertices = self.surface.weights.shape[0]
+        start, ring = rings(self.surface.triangles, np.arange(vertices))
+        neighbours = csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
+        beside = hstack([neighbours, self.surface.under], format="csr")
+        return beside.indptr.astype(np.int64), beside.indices.astype(np.int64)
 
     @property
     def sinking(self) -> float:
@@ -202,7 +207,7 @@ class Impact:
         strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
         stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
         area = vertex_areas(s.positions(p.x), s.triangles)[rows]
-        pressure = self.contact.stiffness * self.contact.depth[rows] / area
+        pressure = self.contact.stiffness * s.at_vertices(self.contact.depth)[rows] / area
         if self.exposure is not None:
             sound, strength = self.exposure.sound[rows], softer_strength(self.domains, rows, facets)
             chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows] & (strength > 0.0)  # molten: later
@@ -230,8 +235,9 @@ class Impact:
         return metals
 
     def _pressed(self, rows: np.ndarray) -> np.ndarray:
-        """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does."""
-        pressing = self.contact.depth[: self.surface.weights.shape[0]] > 0.0
+        """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does, by
+        themselves or the points under them."""
+        pressing = self.surface.at_vertices(self.contact.depth) > 0.0
         beside = np.zeros(len(pressing), bool)
         beside[self.surface.triangles[pressing[self.surface.triangles].any(axis=1)]] = True
         return beside[rows] | pressing[rows]

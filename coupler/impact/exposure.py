@@ -51,7 +51,7 @@ class Exposure:
         own = 1.0 - self.area_0[rows] / area[rows]
         other = 1.0 - self.facet_area_0[facets] / areas(target.x, target.mesh.facets[facets])
         self.exposed[rows] = np.maximum(self.exposed[rows], np.minimum(own, other))
-        force = contact.stiffness * contact.depth[: len(area)]
+        force = contact.stiffness * surface.at_vertices(contact.depth)
         pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
         strength = softer_strength(domains, rows, facets)
         self.extruding[rows] = pressure > EXTRUSION * strength

@@ -14,6 +14,7 @@ from ..state.threads import together
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
+BESIDE = 1.0  # spacings: a point so near to a vertex lies under it, in the outermost layer
 
 
 class CarriedSurface:
@@ -46,6 +47,7 @@ class CarriedSurface:
         self.touching = vstack([self.weights, identity(len(X), format="csr")], format="csr")
         self._touching = _compressed(self.touching)
         self._rows = np.arange(self.touching.shape[0])
+        self.under = _under(tree, vertices, spacing)
         shepard = w / np.bincount(rows, w)[rows]
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
         self._average = _compressed(self.average)
@@ -80,6 +82,11 @@ class CarriedSurface:
         k.spread(self._rows if rows is None else rows, *self._touching, forces, out)
         return out
 
+    def at_vertices(self, values: np.ndarray) -> np.ndarray:
+        """Values (k+n,) of `contacts`, such as forces, as (k,) of the vertices: each with its share of those of the points under it."""
+        vertices = len(self.weights.indptr) - 1
+        return values[:vertices] + self.under @ values[vertices:]
+
     def support(self, rows: np.ndarray) -> np.ndarray:
         """The points (p,), ascending, that these rows of `contacts` are made of and their forces go back to."""
         used = np.zeros(self.touching.shape[1], bool)
@@ -103,6 +110,14 @@ class CarriedSurface:
     def values(self, field: np.ndarray) -> np.ndarray:
         """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
         return self.average @ field
+
+
+def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
+    """Shares (k,n) of each point for the vertices within BESIDE of it: the columns sum to one, or to nothing inside the body."""
+    near = tree.sparse_distance_matrix(cKDTree(vertices), BESIDE * spacing, output_type="coo_matrix").tocsr()
+    near.data[:] = 1.0
+    shares = near.multiply(1.0 / np.maximum(near.sum(axis=1), 1.0))
+    return shares.T.tocsr()
 
 
 def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
