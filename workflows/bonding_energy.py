@@ -130,7 +130,10 @@ def scatter_page(rows: list[Row]) -> list[str]:
         torn = fmean(values[3])
         ratio = f"{stdev(values[1]) / torn:.2f}"
         lines.append([f"{metal} {size} um", preset, f"{velocity} m/s", f"{share:.0%} of {len(own)}", *words, ratio])
-    head = "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | moves off with | torn before | rebound | scatter / torn"
+    head = (
+        "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | moves off with | torn before"
+        " | rebound | scatter / torn"
+    )
     return [*markdown(head, lines), "", versions(rows)]
 
 
