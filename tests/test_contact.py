@@ -185,10 +185,10 @@ def test_what_is_far_from_a_surface_is_not_looked_at_until_it_may_be_near() -> N
     x, facets = sheet(np.random.default_rng(1))
     xp = np.array([[0.0, 0.01, 0.02], [0.3, 0.01, 0.06], [-0.3, 0.01, -0.01]])
     seen, room, rows = xp.copy(), np.array([0.02, 0.06, -0.01]), np.arange(3)
-    assert kernels.due(rows, xp, seen, room, 0.0).tolist() == [2]
-    assert kernels.due(rows, xp, seen, room, 0.03).tolist() == [0, 2]  # the surface has moved
-    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.0).tolist() == [0, 2]  # the points have
-    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, 0.02).tolist() == [0, 1, 2]
+    assert kernels.due(rows, xp, seen, room, rows, 0.0).tolist() == [2]
+    assert kernels.due(rows, xp, seen, room, rows, 0.03).tolist() == [0, 2]  # the surface has moved
+    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, rows, 0.0).tolist() == [0, 2]  # the points have
+    assert kernels.due(rows, xp - [0, 0, 0.05], seen, room, rows, 0.02).tolist() == [0, 1, 2]
     assert kernels.farthest(x, np.unique(facets), x[np.unique(facets)] + [0.0, 0.3, 0.4]) == pytest.approx(0.5)
 
 
@@ -231,3 +231,37 @@ def test_a_dropped_point_is_counted_and_its_energy_kept(rng: np.random.Generator
     kept = PointContact(2, facets, spacing=0.1, area=0.01, bulk_modulus=1e9, friction=0.5, jump=0.2)
     kept.restore(c.state())
     assert (kept.dropped, kept.dropped_energy) == (c.dropped, c.dropped_energy)
+
+
+def test_what_jumps_into_contact_gives_no_energy() -> None:
+    """Two sheets end on one another, 0.2 apart in height: halfway between a point finds itself below the upper one past the edge."""
+    corners = np.array(
+        [[-1, -1, 0], [0, -1, 0], [0, 1, 0], [-1, 1, 0], [0, -1, 0.2], [1, -1, 0.2], [1, 1, 0.2], [0, 1, 0.2]]
+    )
+    facets = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    c, at_rest = make(1, facets, friction=0.0), np.zeros((8, 3))
+    last, work = np.array([-0.3, 0.1, 0.1]), 0.0
+
+    def move(*to: float) -> float:
+        """To a place in 40 steps; the force there."""
+        nonlocal last, work
+        f = np.zeros((1, 3))
+        for step, xp in enumerate(np.linspace(last, to, 40)):
+            if step % 10 == 0:
+                c.search(xp[None], corners, 0.1)
+            f = np.zeros((1, 3))
+            c.forces(1e-3, xp[None], np.zeros((1, 3)), corners, at_rest, f, np.zeros((8, 3)))
+            work -= float(f[0] @ (xp - last))
+            last = xp
+        return float(f[0, 2])
+
+    assert move(0.3, 0.1, 0.1) < 1e-8 * c.stiffness
+    assert c.penalty_energy < 1e-16 * c.stiffness
+    assert move(0.3, 0.1, 0.06) == pytest.approx(0.04 * c.stiffness)  # of a depth of 0.14
+    assert c.penalty_energy == pytest.approx(work, rel=0.05)
+    assert move(0.3, 0.1, 0.25) == 0.0
+    assert move(0.3, 0.1, 0.14) == pytest.approx(0.06 * c.stiffness)  # it has been outside: all of it
+    move(-0.3, 0.1, 0.14)
+    assert c.penalty_energy == 0.0
+    assert c.dropped_energy == pytest.approx(work, rel=0.15)  # out of contact by a jump, which gives nothing back
+    assert c.dropped == 0

@@ -10,11 +10,17 @@ from ..errors import CheckpointError, SolverError
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
+from .kernels import UNKNOWN
 from .penalty import ContactState, PointContact, SideBySide
 from .surfaces import Surfaces, neighbours
 
 SKIN = 0.15  # spacings that a search looks farther than it must, so that it holds while surfaces move by that
 JUMP = 0.1  # spacings in one step: bodies move by far less against each other
+
+
+def new_history(nodes: int) -> np.ndarray:
+    """What `BodyContact.history` has for nodes that have never touched."""
+    return np.array([0.0, 0.0, 0.0, 0.0, UNKNOWN]).repeat(nodes).reshape(5, nodes).T.copy()
 
 
 @dataclass
@@ -228,7 +234,7 @@ class BodyContact:
     ) -> None:
         """Find what one side can touch. taken (nodes,): its nodes that bonds hold; speed, fastest: m/s; the rest as in `search`."""
         c = side.contact
-        c.spring[taken], c.depth[taken] = 0.0, 0.0
+        c.spring[taken], c.depth[taken], c.ignored[taken] = 0.0, 0.0, UNKNOWN
         side.clear, side.since = c.spacing + 2.0 * travel, self._way.copy()
         side.near, side.reach = self._around(side, x, side.clear), -np.inf
         side.known[:] = False
@@ -290,17 +296,18 @@ class BodyContact:
             side.reach = -np.inf
 
     def history(self) -> np.ndarray:
-        """Friction springs and depths (N,4) m of all nodes."""
-        history = np.zeros((len(self._held), 4))
+        """Friction springs, depths and ignored depths (N,5) m of all nodes."""
+        history = new_history(len(self._held))
         for side in self._sides:
-            history[side.nodes, :3], history[side.nodes, 3] = side.contact.spring, side.contact.depth
+            c = side.contact
+            history[side.nodes] = np.column_stack([c.spring, c.depth, c.ignored])
         return history
 
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
         """Take over the history of the contact of other bodies. node (N before,): new number of each of its nodes, -1 of one that is
         not here. Friction springs and ledger continue. Heat must have been fetched before.
         """
-        history, kept = np.zeros((len(self._held), 4)), node >= 0
+        history, kept = new_history(len(self._held)), node >= 0
         history[node[kept]] = before.history()[kept]
         self.begin(history, before.lost, before.friction_heat, before.dropped_energy, before.dropped)
 
@@ -309,7 +316,8 @@ class BodyContact:
     ) -> None:
         """Go on from a `history` and a ledger, J."""
         for side in self._sides:
-            side.contact.spring[:], side.contact.depth[:] = history[side.nodes, :3], history[side.nodes, 3]
+            c, own = side.contact, history[side.nodes]
+            c.spring[:], c.depth[:], c.ignored[:] = own[:, :3], own[:, 3], own[:, 4]
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
             side.contact.dropped, side.reach = 0, -np.inf
         if self._sides:

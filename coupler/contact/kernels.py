@@ -1,6 +1,6 @@
 """Contact of points against triangles: closest points, penalty forces, Coulomb friction with history (numba)."""
 
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from numba import njit
@@ -11,6 +11,8 @@ from ..state.loops import ranges
 from .broad import facet_boxes, farthest
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
+# m, depths that are ignored: of a point that has no contact, and of one that has not been looked at
+ALL, UNKNOWN = 1e300, -1.0
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -75,8 +77,8 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 
 
 @njit(cache=True, nogil=True)
-def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, way: float) -> Ints:
-    """Those of `rows` that may have come within reach of the triangles since they were looked at.
+def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, nearest: Ints, way: float) -> Ints:
+    """Those of `rows` without a closest triangle, and that may have come within reach of the triangles since they were looked at.
 
     seen (n,3): where each point was then; room (n,): its gap, m, and the way that the triangles had gone till then; way: till now.
     Point and triangles come closer by no more than both move.
@@ -87,7 +89,7 @@ def due(rows: Ints, xp: Floats, seen: Floats, room: Floats, way: float) -> Ints:
         i = rows[q]
         u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
         left = room[i] - way
-        if left < 0.0 or u * u + v * v + w * w > left * left:
+        if nearest[i] < 0 or left < 0.0 or u * u + v * v + w * w > left * left:
             due_rows[count] = i
             count += 1
     return due_rows[:count]
@@ -151,9 +153,22 @@ def closest_facets(
         gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
 
 
+@njit(cache=True, nogil=True, inline="always")
+def follow(deep: float, before: float, moved: float, ignored: float) -> float:
+    """The part of its depth that a point does not feel, m.
+
+    Where surfaces end on one another the closest facet can be one of which the point lies on the other side: its depth jumps. A spring
+    that had that depth at once would give energy that nobody has put in: what motion does not account for is ignored until the point
+    has moved out again. deep, before: depth now and when it was looked at last (negative outside); moved: how far point and facets
+    have moved since. ignored: before, ALL where the point had lost its contact.
+    """
+    ignored = max(min(ignored, deep), 0.0)
+    return max(ignored, deep - max(before - ignored + moved, 0.0))
+
+
 @njit(cache=True, nogil=True)
 def begin_look(
-    rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats,
+    rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats, nearest: Ints,
 ) -> tuple[Ints, float]:  # fmt: skip
     """Those of the points `rows` that may touch, and how far the facets have gone since the last search, m.
 
@@ -165,32 +180,47 @@ def begin_look(
     for q in range(len(nodes)):
         for d in range(3):
             last[q, d] = x[nodes[q], d]
-    return due(rows, xp, seen, room, way[0]), shift
+    return due(rows, xp, seen, room, nearest, way[0]), shift
 
 
 @njit(cache=True, nogil=True)
 def end_look(
     rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
     x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap:
-    Floats, depth: Floats, spring: Floats,
+    Floats, depth: Floats, ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
     """Find the closest facet of those points `rows` of `begin_look`; the others keep theirs, which they cannot touch.
 
     A point that lies deeper than margin, or by more than jump deeper than before, lies outside: nearer facets are only known to be
     among the candidates within the margin. It loses its contact: lost, [points that had one, squares of their depths (m2) and of
-    their springs (N2)], is added to. The rest as in `closest_facets`, `due` and `note`.
+    their springs (N2)], is added to. For ignored see `follow`, for the rest `closest_facets`, `due` and `note`.
     """
+    before = gap[rows]
     closest_facets(xp, rows, start, boxes, facets, facet_ids, x, low, high, shift, nearest, foot, gap)
     for q in range(len(rows)):
         i = rows[q]
-        if gap[i] < -min(margin, depth[i] + jump):
+        kept = max(ignored[i], 0.0) if ignored[i] < ALL else 0.0
+        if gap[i] < -min(margin, depth[i] + kept + jump):
             nearest[i] = -1
+            ignored[i] = ALL
             stretch = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
             if depth[i] > 0.0 or stretch > 0.0:
                 lost[0] += 1.0
                 lost[1] += depth[i] * depth[i]
                 lost[2] += stretch
             depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
+        elif ignored[i] == UNKNOWN:
+            ignored[i] = 0.0
+        else:
+            moved = 1e-9 * margin
+            if room[i] == -inf:  # at the first search, before anything moves
+                before[q] = -depth[i] - kept
+            else:
+                u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
+                moved += sqrt(u * u + v * v + w * w) + way[0] - (room[i] - before[q])
+            ignored[i] = follow(-gap[i], -before[q], moved, ignored[i])
+            if gap[i] > before[q] + moved:  # out of contact by a jump: what its spring held is lost
+                lost[1] += max(depth[i] ** 2 - max(-gap[i] - ignored[i], 0.0) ** 2, 0.0)
     note(rows, xp, gap, way[0], seen, room)
 
 
@@ -257,20 +287,19 @@ def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
 @njit(cache=True, nogil=True)
 def contact_forces(
     dt: float, tiny: float, stiffness: float, tangential: float, mu: float, xp: Floats, vp: Floats, rows: Ints, boxes: Ints,
-    facet_ids: Ints, nearest: Ints, foot: Floats, gaps: Floats, facets: Ints, x: Floats, v: Floats, f_point: Floats, f_node:
-    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats, depth: Floats,
+    facet_ids: Ints, nearest: Ints, foot: Floats, gaps: Floats, ignored: Floats, facets: Ints, x: Floats, v: Floats, f_point: Floats,
+    f_node: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats, depth: Floats,
 ) -> None:  # fmt: skip
     """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
 
     xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (indices into facet_ids) with
     nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; facets (k,3) nodes
-    with outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface,
-    force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal). spring (n,3):
-    friction force of each point, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet
-    (k,) J receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the
-    step, touching points]. depth (n,): penetration in m, 0 where there is none. The friction pair acts across the gap
-    between the two surfaces; its moment is balanced by a couple on the triangle's nodes, and the slip it works on
-    excludes the triangle's own rotation.
+    with outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface, less what
+    of it is ignored (n,) m, force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal).
+    spring (n,3): friction force of each point, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet (k,) J
+    receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the step, touching points].
+    depth (n,): penetration in m, 0 where there is none. The friction pair acts across the gap between the two surfaces; its moment is
+    balanced by a couple on the triangle's nodes, and the slip it works on excludes the triangle's own rotation.
     """
     sums[0] = sums[1] = sums[2] = sums[3] = 0.0
     for q in range(len(rows)):
@@ -281,7 +310,7 @@ def contact_forces(
             continue
         fid = facet_ids[boxes[nearest[i]]]
         gap = gaps[i]
-        pen = -gap
+        pen = -gap - ignored[i]
         if pen <= 0.0:
             depth[i] = 0.0
             lost = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
@@ -378,7 +407,7 @@ def boxes_of_sides(
 def look_of_sides(
     lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
     nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, seen: Floats, room:
-    Floats, nearest: Ints, foot: Floats, gap: Floats, depth: Floats, spring: Floats, lost: Floats,
+    Floats, nearest: Ints, foot: Floats, gap: Floats, depth: Floats, ignored: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
     for their rows."""
@@ -389,11 +418,12 @@ def look_of_sides(
                 xp[p + row, d] = x[node_of[p + row], d]
         own = way[s : s + 1]
         near, shift = begin_look(
-            rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1]
+            rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1], nearest[p:p1]
         )
         end_look(
             near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], x, start[q:q1], boxes[b:b1],
-            low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], depth[p:p1], spring[p:p1],
+            low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], depth[p:p1], ignored[p:p1],
+            spring[p:p1],
         )  # fmt: skip
 
 
@@ -401,7 +431,7 @@ def look_of_sides(
 def forces_of_sides(
     dt: float, mu: float, share: float, spans: Ints, numbers: Floats, rows: Ints, boxes: Ints, ids: Ints, node_of: Ints, facets:
     Ints, x: Floats, v: Floats, f: Floats, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats, depth:
-    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
+    Floats, ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """`contact_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
     for s in range(len(spans)):
@@ -412,7 +442,7 @@ def forces_of_sides(
                 fp[p + row, d] = 0.0
         contact_forces(
             dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1],
-            nearest[p:p1], foot[p:p1], gap[p:p1], facets[t:t1], x, v, fp[p:p1], f, spring[p:p1], heat_point[p:p1],
+            nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], facets[t:t1], x, v, fp[p:p1], f, spring[p:p1], heat_point[p:p1],
             heat_facet[t:t1], share, sums[s], depth[p:p1],
         )  # fmt: skip
         for row in rows[r:r1]:

@@ -20,15 +20,17 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 
 @dataclass(frozen=True)
 class ContactState:
-    """spring (n,3) m: of friction, depth (n,) m, heat_point (n,) J of each point; heat_facet (k,) J; sums (4,): energy of the
-    penalty and friction springs, heat of the last step, J, and the number of points that touch; friction_heat: so far, J; dropped:
-    points that have lost their contact as too deep so far, dropped_energy: that their springs held, J."""
+    """spring (n,3) m: of friction, depth (n,) m that is felt, ignored (n,) m beside it (`kernels.follow`), heat_point (n,) J of each
+    point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat of the last step, J, and the number of points
+    that touch; friction_heat: so far, J; dropped: points that have lost their contact as too deep so far, dropped_energy: what the
+    springs of these held, and of those whose depth has jumped, J."""
 
     friction_heat: float
     dropped: int
     dropped_energy: float
     spring: Annotated[np.ndarray, Shape(-1, 3)]
     depth: Annotated[np.ndarray, Shape(-1)]
+    ignored: Annotated[np.ndarray, Shape(-1)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
     heat_facet: Annotated[np.ndarray, Shape(-1)]
     sums: Annotated[np.ndarray, Shape(4)]
@@ -67,7 +69,7 @@ class PointContact:
         self.stiffness = factor * bulk_modulus * area / spacing
         self.tangential = 0.5 * self.stiffness
         self.friction, self.share = friction, share
-        self.spring, self.depth = np.zeros((points, 3)), np.zeros(points)
+        self.spring, self.depth, self.ignored = np.zeros((points, 3)), np.zeros(points), np.full(points, k.UNKNOWN)
         self.heat_point, self.heat_facet = np.zeros(points), np.zeros(len(facets))
         self.sums = np.zeros(4)
         self.friction_heat = self.dropped_energy = 0.0
@@ -132,7 +134,10 @@ class PointContact:
         if always is not None:
             held[always] = True
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
-        self._nearest[:], self._room[:] = -1, -np.inf
+        self._nearest[:] = -1
+        way = np.full(len(xp), np.inf)
+        way[self.rows] = self._way[0] + broad.farthest(x, self._nodes, self._last)
+        self._room -= way
         self._note_corners(x)
         self._look(xp, x, rows)
         # a tenth of a spacing for what the surfaces gain in speed
@@ -143,9 +148,11 @@ class PointContact:
         )
         self._ids = self._ids[k.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
-        touched = self.depth[self.rows]
-        self.depth[:] = 0.0
-        self.depth[self.rows] = touched
+        away = np.ones(len(xp), bool)
+        away[self.rows] = False
+        self.depth[away] = 0.0
+        away[rows] = False
+        self.ignored[away] = 0.0
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
@@ -171,16 +178,16 @@ class PointContact:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep."""
         lost = np.zeros((PARTS, 3))
         together(
-            k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room),
+            k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
             (self._way, self._margin, self._jump, xp, self.facets, self._ids, x, self._start, self._boxes, self._low, self._high,
-             self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.spring),
+             self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.ignored, self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
         self._drop(lost.sum(axis=0))
 
     def _drop(self, lost: np.ndarray) -> None:
         """Book what `kernels.end_look` has taken away."""
-        if lost[0]:
+        if lost.any():
             self.dropped += int(lost[0])
             self.dropped_energy += 0.5 * (self.stiffness * float(lost[1]) + float(lost[2]) / self.tangential)
 
@@ -192,13 +199,13 @@ class PointContact:
         self._look(xp, x, self.rows)
         k.contact_forces(
             dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
-            self._boxes, self._ids, self._nearest, self._foot, self.gap, self.facets, x, v, f_point, f_node,
+            self._boxes, self._ids, self._nearest, self._foot, self.gap, self.ignored, self.facets, x, v, f_point, f_node,
             self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
         self.friction_heat += float(self.sums[2])
 
 
-_OF_POINT = ("spring", "depth", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap")
+_OF_POINT = ("spring", "depth", "ignored", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap")
 _OF_FACET = ("facets", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
 
@@ -271,17 +278,17 @@ class SideBySide:
             k.look_of_sides(
                 lo, hi, self._spans, self._numbers, rows, found["_start"], boxes, ids, found["_low"], found["_high"], found["_nodes"],
                 found["_places"], found["_last"], found["_way"], self.node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
-                w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], self._lost,
+                w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"], self._lost,
             )  # fmt: skip
 
         self._lost[:] = 0.0
         share(look, len(self._active), LEAST_SIDES)
-        for i in np.flatnonzero(self._lost[:, 0]):
+        for i in np.flatnonzero(self._lost.any(axis=1)):
             self._active[i]._drop(self._lost[i])
         k.forces_of_sides(
             dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self.node_of, w["facets"], x, v, f,
-            self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["spring"], w["heat_point"],
-            w["heat_facet"], self._sums,
+            self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"],
+            w["heat_point"], w["heat_facet"], self._sums,
         )  # fmt: skip
         for c, slip in zip(self._active, self._sums[:, 2].tolist(), strict=True):
             c.friction_heat += slip

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..contact.bodies import new_history
 from ..contact.bond import Bond, BondRows, BondState
 from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
 from ..fe.state import ElementState, NodeState
@@ -114,7 +115,7 @@ def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
     changed[cut.nodes] = changed[n:] = True
     _put_bonds_back(new, whole, part, cut, node, changed, gain)
     if new.count > 1:
-        history = np.zeros((len(changed), 4))
+        history = new_history(len(changed))
         if whole.contact is not None:
             history[:n] = whole.contact.history()
         if part.contact is not None:
