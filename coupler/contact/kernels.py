@@ -168,7 +168,8 @@ def follow(deep: float, before: float, moved: float, ignored: float) -> float:
 
 @njit(cache=True, nogil=True)
 def begin_look(
-    rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats, nearest: Ints,
+    rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats, nearest:
+    Ints,
 ) -> tuple[Ints, float]:  # fmt: skip
     """Those of the points `rows` that may touch, and how far the facets have gone since the last search, m.
 
