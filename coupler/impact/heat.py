@@ -76,8 +76,10 @@ class HeatPaths:
         if len(rows) == 0:
             return rows, rows, np.zeros(0)
         elements = target.mesh.facet_element[facets].astype(np.int64)
+        touching = np.zeros(len(surface.weights.indptr) - 1, bool)
+        touching[rows] = True
         skin, inside = surface.positions(particle.x), surface.values(particle.x)[rows]
-        area = vertex_areas(skin, surface.triangles)[rows]
+        area = vertex_areas(skin, surface.triangles[touching[surface.triangles].any(axis=1)])[rows]
         T_a, T_b = surface.values(particle.T)[rows], target.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         deep_b = (

@@ -161,6 +161,8 @@ class CompiledParticle(Particle):
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
         """Send rows of arrays (k, ...) to other ranks, and write those that come from there."""
+        if not (sends or receives):
+            return
         widths = np.cumsum([0] + [array.shape[1] for array in arrays])
         inbox = [np.empty((len(rows), widths[-1])) for _, rows in receives]
         requests = [self.comm.Irecv(box, source=rank, tag=8) for box, (rank, _) in zip(inbox, receives, strict=True)]

@@ -17,8 +17,8 @@ from .arrays import Ints
 
 LOOPS = 8  # in a compiled function, at most
 PARTS = 16  # ranges that a loop is divided into, at most
-SPINS = 20000  # looks at a counter before another process may have the processor: some tenths of a millisecond
-PATIENCE = 10000  # looks, a tenth of a millisecond: a thread that sleeps takes as long to wake up
+SPINS = 20_000  # looks at a counter before another process may have the processor: some tenths of a millisecond
+PATIENCE = 100_000  # looks, about a millisecond: longer than what one thread does alone between two loops of a step
 
 _yield_processor = types.ExternalFunction("sched_yield", types.int32())
 
