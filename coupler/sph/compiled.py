@@ -189,5 +189,5 @@ class CompiledParticle(Particle):
     def stress(self) -> np.ndarray:
         s = self._stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         R = self.R.reshape(-1, 3, 3)
-        T = np.einsum("nij,njk,nlk->nil", R, s, R).reshape(-1, 9)
+        T = (R @ s @ R.transpose(0, 2, 1)).reshape(-1, 9)
         return T[:, [0, 4, 8, 5, 2, 1]]
