@@ -166,7 +166,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         (p.local.lmp, ("command",), "LAMMPS itself"),
         (domains.contact, ("forces",), "contact"),
         (domains.contact, ("search",), "search"),
-        (domains.surface, ("contacts", "spread", "support"), "surface to points and back"),
+        (domains.surface, ("contacts", "moving_contacts", "spread", "support"), "surface to points and back"),
     ):
         for name in names:
             setattr(owner, name, timed(getattr(owner, name), part))
