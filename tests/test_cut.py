@@ -13,7 +13,7 @@ from coupler import Scene
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
-from coupler.deposition.run import resume
+from coupler.deposition.run import resume, run
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
@@ -133,3 +133,14 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     result = resume(tmp_path / "out", jobs=jobs)
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)
+
+
+def test_an_impact_on_a_cut_that_is_undecided_at_its_limit_goes_on(tmp_path: Path) -> None:
+    """For as long again as it has had."""
+    limited = SIDE.replace('time = "10 ns"', 'at = "rest"\ntime = "3 ns"')
+    result = run(Scene.from_text(limited, "x"), tmp_path / "out", quiet=True)
+    assert result.undecided is not None
+    before = float(result.end["time_s"])
+    again = resume(tmp_path / "out", quiet=True)
+    assert len(result.impacts) == len(again.impacts) == 1
+    assert 1.5 * before < again.end["time_s"] < 2.3 * before

@@ -60,11 +60,15 @@ class TaskState:
 
 
 def run_task(task: Task, options: RunOptions) -> TaskResult:
-    """Compute a task, or return the result that its folder holds. Raises what `run_impact` and `join` raise."""
+    """Compute a task, or return the result that its folder holds; an impact that has ended undecided goes on.
+
+    Raises what `run_impact` and `join` raise."""
     plan, i, log = task.plan, task.i, options.progress.log
     kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
-    if kept is not None and kept.result is not None and (options.until is None or kept.running is None):
-        return kept.result
+    if kept is not None and kept.result is not None:
+        is_undecided = kept.result.record.values["undecided"] is not None
+        if kept.running is None or not (is_undecided or options.until is not None):
+            return kept.result
     running = kept.running if kept is not None else None
     with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
         if kept is not None:
