@@ -28,7 +28,7 @@ COLUMNS = (
 KEY = COLUMNS[:6]
 # metal, diameter in um, temperature in K, factor on the strength of the film (its range: docs/theory/bonds.md), preset, velocity in m/s
 CASES = (
-    *(("ni", 10.0, 300.0, 1.0, "draft", v) for v in (400, 565, 665, 831, 1039)),
+    *(("ni", 10.0, 300.0, 1.0, "draft", v) for v in (400, 480, 565, 665, 831, 1039)),
     *(("cu", 14.0, 300.0, 1.0, "draft", v) for v in (400, 610, 762, 952)),
     *(("ni", 10.0, 300.0, film, "draft", 665) for film in (0.36, 1.94)),
     *(("cu", 14.0, 300.0, film, "draft", 610) for film in (0.4, 2.0)),

@@ -76,7 +76,7 @@ class Losses:
             return
         bond, rows = hold.bond, hold.rows
         area = vertex_areas(impact.surface.positions(impact.particle.x), impact.surface.triangles)
-        force = contact.stiffness * contact.depth[: len(area)]
+        force = contact.stiffness * impact.surface.at_vertices(contact.depth)
         pressure = ((force + exposure._ring @ force) / (area + exposure._ring @ area))[rows]
         near, facets = contact.touching(len(area), 10.0 * impact.particle.spacing)
         strength = np.full(len(area), np.inf)
@@ -91,14 +91,14 @@ class Losses:
 
 
 class Profile:
-    """A probe: bonds at the instant at which the particle turns back, by their radius."""
+    """A probe: bonds by their radius, as they have formed by the end of the impact."""
 
     def __init__(self) -> None:
         self.values: tuple[np.ndarray, ...] | None = None
 
     def __call__(self, impact: Impact) -> None:
         hold, exposure = impact.hold, impact.exposure
-        if self.values is not None or impact.sinking > 0.0 or hold is None or exposure is None:
+        if impact.sinking > 0.0 or hold is None or exposure is None:
             return
         x, bond = impact.surface.positions(impact.particle.x)[hold.rows], hold.bond
         sound = exposure.sound[hold.rows]
@@ -195,6 +195,8 @@ def profile(name: str, size: float, velocity: float, preset: str) -> list[dict[s
     rows = []
     for low, high in itertools.pairwise(ZONES):
         zone = (radius >= 0.5e-6 * size * low) & (radius < 0.5e-6 * size * high)
+        if not area[zone].any():  # nothing has bonded there
+            continue
         strength, flow, energy, exposure = (float(np.average(field[zone], weights=area[zone])) for field in fields)
         values = (
             scene.particle.material, size, velocity, preset, f"{low:g} to {high:g}", round(exposure, 3),
@@ -208,7 +210,8 @@ def profile_page(rows: list[Row]) -> list[str]:
     """Strength of the bonds over the radius, a line for each run."""
     lines = []
     for key, zones in itertools.groupby(rows, key=lambda row: (row["metal"], row["velocity_m_s"], row["preset"])):
-        cells = [f"{row['strength_MPa']} MPa ({row['over_flow_stress']})" for row in zones]
+        own = {row["zone_r_over_R"]: f"{row['strength_MPa']} MPa ({row['over_flow_stress']})" for row in zones}
+        cells = [own.get(f"{low:g} to {high:g}", "-") for low, high in itertools.pairwise(ZONES)]
         lines.append([f"{key[0]}, {float(key[1]):g} m/s, {key[2]}", *cells])
     head = ["r / R", *(f"{low:g} to {high:g}" for low, high in itertools.pairwise(ZONES))]
     return [*markdown(head, lines), "", versions(rows)]
