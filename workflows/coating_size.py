@@ -1,0 +1,83 @@
+"""How much the size of the substrate shows in a coating, over places of the particles: python workflows/coating_size.py
+
+workflows/coating_size.toml with other seeds, on its substrate and on one of twice the size. Each coating is a row of
+docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the part of the page.
+"""
+
+import tempfile
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+from pages import PAGES, ROOT, column, markdown, options, study_table, table_rows, versions, write_parts
+
+from coupler import Scene, run
+from coupler.progress import Progress
+from coupler.studies import coating
+
+SEEDS = range(3, 11)
+SIZES = ((110, 60), (220, 120))  # um, diameter and height
+RADIUS = 10e-6  # m: of the disc that is measured
+MEASURES = {
+    "thickness_um": "thickness, mean (µm)", "strain": "mean strain", "von_mises_MPa": "mean von Mises stress (MPa)",
+    "impacts_MPa": "stress before the last cooling (MPa)", "thermal_MPa": "stress of cooling (MPa)",
+    "residual_MPa": "residual stress (MPa)",
+}  # fmt: skip
+
+
+def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
+    """The coating of a seed on a substrate, um; stresses are means over the volume of the splats."""
+    settings = {
+        "coating.seed": f"{seed}",
+        "substrate.diameter": f'"{diameter} um"',
+        "substrate.height": f'"{height} um"',
+    }
+    scene = Scene.load(ROOT / "workflows" / "coating_size.toml", tuple(settings.items()))
+    started = process_time()
+    with tempfile.TemporaryDirectory() as place:
+        result = run(scene, Path(place) / "run", threads=1, progress=Progress(quiet=True))
+        measures, closing = coating.measure(coating.read(result), RADIUS), result.summary["closing"]
+    layers = [layer for layer in measures.layers if layer["layer"] > 0]
+    volume = [layer["volume_m3"] for layer in layers]
+    return {
+        "seed": seed, "diameter_um": diameter, "thickness_um": measures.thickness_mean_m * 1e6,
+        "strain": np.average([layer["eps_p_mean"] for layer in layers], weights=volume),
+        "von_mises_MPa": np.average([layer["von_mises_mean"] for layer in layers], weights=volume) * 1e-6,
+        "impacts_MPa": closing["stress_before_Pa"] * 1e-6, "thermal_MPa": closing["thermal_stress_Pa"] * 1e-6,
+        "residual_MPa": closing["residual_stress_Pa"] * 1e-6, "cpu_s": process_time() - started,
+    }  # fmt: skip
+
+
+def lines() -> list[str]:
+    """Means over the seeds, and the mean of the differences with its standard error."""
+    rows = table_rows("coating_size_seeds")
+    small, large = (
+        sorted((r for r in rows if r["diameter_um"] == f"{d}"), key=lambda r: int(r["seed"])) for d, _ in SIZES
+    )
+    pairs = min(len(small), len(large))
+    table = []
+    for name, label in MEASURES.items():
+        a, b = column(small[:pairs], name), column(large[:pairs], name)
+        change, error = (100.0 * v / abs(a.mean()) for v in ((b - a).mean(), (b - a).std(ddof=1) / np.sqrt(pairs)))
+        table.append((label, f"{a.mean():.4g}", f"{b.mean():.4g}", f"{change:+.1f} ± {error:.1f} %"))
+    return [
+        *markdown(f"mean of {pairs} coatings | 110 µm | 220 µm | change, standard error", table),
+        "",
+        versions(rows),
+    ]
+
+
+def main() -> None:
+    """Run what is missing, write the part of the page."""
+    a = options(__doc__, "docs")
+    columns = ("seed", "diameter_um", *MEASURES, "cpu_s")
+    table = study_table("coating_size_seeds", columns, columns[:2], "python workflows/coating_size.py")
+    for seed in () if a.docs else SEEDS:
+        for diameter, height in SIZES:
+            if (str(seed), str(diameter)) not in table:
+                print(table.add(row_of(seed, diameter, height)), flush=True)
+    write_parts(PAGES["coating"], {"size": lines()})
+
+
+if __name__ == "__main__":
+    main()
