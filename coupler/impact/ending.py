@@ -12,7 +12,8 @@ QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
 HELD_STILL = 0.02
 HELD_TIME = 0.5  # ... for this part of D / v, about a period
 SPENT = 0.05  # of the impact's energy: a tied particle that would dissipate less in the next D / v rests
-GLANCING = 0.1  # of the impact speed: a particle that touches nothing and sinks more slowly deforms and bonds no more
+# of the impact speed: a particle that touches nothing and sinks more slowly has less than SPENT of its energy to land with
+GLANCING = math.sqrt(SPENT)
 
 
 @dataclass(frozen=True)
