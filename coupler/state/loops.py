@@ -4,9 +4,9 @@ Both threads call the same compiled function with the same `team`, each when it 
 thread takes, and the next loop begins when all ranges of this one are done. What stands between the loops is done by every thread.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from typing import Protocol
 
-from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
 from numba.core.base import BaseContext
@@ -23,10 +23,14 @@ PATIENCE = 100_000  # looks, about a millisecond: longer than what one thread do
 _yield_processor = types.ExternalFunction("sched_yield", types.int32())
 
 
+class _Builder(Protocol):
+    """What is needed of LLVM's builder of instructions."""
+
+    def atomic_rmw(self, op: str, ptr: object, val: object, ordering: str) -> object: ...
+
+
 def _atomic_add(_: object, counters: types.Array, place: types.Type, amount: types.Type) -> tuple[Signature, object]:
-    def code(
-        context: BaseContext, builder: ir.IRBuilder, signature: Signature, values: tuple[ir.Value, ...]
-    ) -> ir.Value:
+    def code(context: BaseContext, builder: _Builder, signature: Signature, values: Sequence[object]) -> object:
         array = context.make_array(counters)(context, builder, values[0])
         pointer = cgutils.get_item_pointer(context, builder, counters, array, [values[1]])
         return builder.atomic_rmw("add", pointer, values[2], "seq_cst")
