@@ -95,7 +95,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
         "--low",
         "300 m/s",
         "--high",
-        "700 m/s",
+        "560 m/s",
         "--within",
         "90%",
         "--repeat",
