@@ -135,6 +135,7 @@ class PointContact:
             held[always] = True
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
         self._nearest[:] = -1
+        # from here on facets move from zero; of points that were not among `rows` it is not known how near they were
         way = np.full(len(xp), np.inf)
         way[self.rows] = self._way[0] + broad.farthest(x, self._nodes, self._last)
         self._room -= way
@@ -151,7 +152,7 @@ class PointContact:
         away = np.ones(len(xp), bool)
         away[self.rows] = False
         self.depth[away] = 0.0
-        away[rows] = False
+        away[rows] = False  # what has no candidate is outside
         self.ignored[away] = 0.0
 
     def _note_corners(self, x: np.ndarray) -> None:
