@@ -70,7 +70,7 @@ $(STAMP): uv.lock pyproject.toml .ci/uv.txt
 	$(SYNC) --no-dev
 	@echo "setup: compiling the kernels, once"
 	@OMP_NUM_THREADS=1 $(VENV)/bin/coldspray run workflows/single_ni.toml --set 'end.time="3 ns"' --out $(VENV)/first_run --force -q \
-	  >/dev/null || [ $$? -eq 4 ]  # undecided, as it ends long before it is at rest
+	  >$(VENV)/first_run.log 2>&1 || [ $$? -eq 4 ] || { cat $(VENV)/first_run.log >&2; exit 1; }  # 4: undecided, as it ends early
 	@touch $@
 
 # Without root the tests that need a browser are skipped
