@@ -20,7 +20,9 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 def new_history(nodes: int) -> np.ndarray:
     """What `BodyContact.history` has for nodes that have never touched."""
-    return np.array([0.0, 0.0, 0.0, 0.0, UNKNOWN]).repeat(nodes).reshape(5, nodes).T.copy()
+    history = np.zeros((nodes, 5))
+    history[:, 4] = UNKNOWN
+    return history
 
 
 @dataclass

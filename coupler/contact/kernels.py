@@ -214,7 +214,7 @@ def end_look(
             ignored[i] = 0.0
         else:
             moved = 1e-9 * margin
-            if room[i] == -inf:  # at the first search, before anything moves
+            if room[i] == -inf:  # at a search, of a point that was not in question; nothing has moved in it
                 before[q] = -depth[i] - kept
             else:
                 u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]

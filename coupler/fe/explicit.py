@@ -42,9 +42,10 @@ class Target:
     beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is accelerated (mass
     scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive.
 
-    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with Mie-Grueneisen
-    on a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does not expand, nor
-    do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one material.
+    Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
+    Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
+    not expand, nor do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one
+    material.
     """
 
     x: np.ndarray
