@@ -1,4 +1,4 @@
-"""Verdict, and energy of bonds and of rebound, over velocity, size, temperature and film: python workflows/bonding_energy.py
+"""Verdict, and energy of bonds and of rebound, over velocity, size, temperature, film and strength: python workflows/bonding_energy.py
 
 Runs of workflows/critical_ni.toml and critical_cu.toml, kept in runs/bonding_energy (--runs). Writes docs/tables/bonding_energy.csv,
 whose rows are not computed again, critical_velocity.csv from its verdicts, bonding_scatter.csv of several placements of points and
@@ -7,6 +7,7 @@ elements, and their parts of the page on bonding; --docs only these.
 
 import math
 import tomllib
+from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
@@ -17,27 +18,72 @@ from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, v
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.measures import REBOUNDS
-from coupler.physics.materials import material
+from coupler.physics.materials import entry, material
 from coupler.studies.critical import bracket, point_name, rows_at, shares_of
 from coupler.studies.table import Row
 
 COLUMNS = (
-    "metal", "diameter_um", "temperature_K", "film", "preset", "velocity_m_s", "verdict", "restitution", "restitution_measured",
-    "bonded_over_section", "bond_J_m2", "torn_J_m2", "rebound_J_m2",
+    "metal", "diameter_um", "temperature_K", "film", "strength", "preset", "velocity_m_s", "verdict", "restitution",
+    "restitution_measured", "bonded_over_section", "bond_J_m2", "torn_J_m2", "rebound_J_m2",
 )  # fmt: skip
-KEY = COLUMNS[:6]
-# metal, diameter in um, temperature in K, factor on the strength of the film (its range: docs/theory/bonds.md), preset, velocity in m/s
+KEY = COLUMNS[:7]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene (`scene_of`) at some velocities (m/s)."""
+
+    name: str
+    velocities: tuple[float, ...]
+    preset: str = "draft"
+    diameter: float = 0.0
+    temperature: float = 300.0
+    film: float = 1.0
+    strength: str = ""
+
+    @property
+    def metal(self) -> str:
+        """Name in the library."""
+        return METALS[self.name][0]
+
+    @property
+    def size(self) -> float:
+        """Diameter, um."""
+        return self.diameter or METALS[self.name][1]
+
+    @property
+    def set(self) -> str:
+        """Name of the strength set, the first of the metal by default."""
+        return self.strength or entry(self.metal).sets[0]
+
+    def key(self, velocity: float) -> tuple[str, ...]:
+        """As in the table."""
+        size, temperature, film, v = (f"{x:g}" for x in (self.size, self.temperature, self.film, velocity))
+        return self.metal, size, temperature, film, self.set, self.preset, v
+
+    @property
+    def scene(self) -> Scene:
+        """The scene; its velocity is that of the workflow."""
+        return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength)
+
+
+# name of the workflow: metal and diameter, um
+METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
+# Of each metal a set whose fitted rates reach those of an impact (1e7 1/s), chosen before a critical velocity was computed with it
+AT_RATE = {"ni": "Steinberg_1996", "cu": "Preston_2003"}
 CASES = (
-    *(("ni", 10.0, 300.0, 1.0, "draft", v) for v in (400, 480, 565, 665, 831, 1039)),
-    *(("cu", 14.0, 300.0, 1.0, "draft", v) for v in (400, 610, 762, 952)),
-    *(("ni", 10.0, 300.0, film, "draft", 665) for film in (0.36, 1.94)),
-    *(("cu", 14.0, 300.0, film, "draft", 610) for film in (0.4, 2.0)),
-    ("ni", 5.0, 300.0, 1.0, "draft", 665), ("ni", 40.0, 300.0, 1.0, "draft", 665), ("ni", 10.0, 900.0, 1.0, "draft", 665),
-    *(("ni", 10.0, 300.0, 1.0, "standard", v) for v in (665, 565, 480, 400, 831)),
-    *(("cu", 14.0, 300.0, 1.0, "standard", v) for v in (610, 500)),
-    ("ni", 10.0, 300.0, 1.0, "fine", 665), *(("ni", 10.0, 300.0, 1.94, "standard", v) for v in (400, 665, 530)),
-    ("ni", 10.0, 300.0, 0.36, "standard", 665), *(("cu", 14.0, 300.0, film, "standard", 610) for film in (2.0, 0.4)),
-    ("ni", 10.0, 300.0, 1.0, "fine", 565), ("cu", 14.0, 300.0, 1.0, "fine", 610), ("ni", 10.0, 300.0, 1.0, "fine", 831),
+    Case("ni", (400, 480, 565, 665, 831, 1039)), Case("cu", (400, 610, 762, 952)),
+    *(Case("ni", (665,), film=film) for film in (0.36, 1.94)), *(Case("cu", (610,), film=film) for film in (0.4, 2.0)),
+    Case("ni", (665,), diameter=5.0), Case("ni", (665,), diameter=40.0), Case("ni", (665,), temperature=900.0),
+    Case("ni", (665, 565, 480, 400, 831), "standard"), Case("cu", (610, 500), "standard"),
+    Case("ni", (565, 665, 480, 610, 831), strength=AT_RATE["ni"]), Case("cu", (610, 500, 400, 762), strength=AT_RATE["cu"]),
+    Case("ni", (565, 665, 480, 610), "standard", strength=AT_RATE["ni"]),
+    Case("cu", (610, 500, 400), "standard", strength=AT_RATE["cu"]),
+    *(Case("cu", (610,), diameter=size, strength=AT_RATE["cu"]) for size in (5.0, 40.0)),
+    *(Case("cu", (610, 500), strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
+    Case("ni", (665,), "fine"), Case("cu", (610,), "fine"),
+    Case("ni", (400, 665, 530), "standard", film=1.94), Case("ni", (665,), "standard", film=0.36),
+    *(Case("cu", (610,), "standard", film=film) for film in (2.0, 0.4)), Case("ni", (565, 831), "fine"),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
@@ -56,9 +102,11 @@ MEASURED = {
 MEASURED_CRITICAL = {("Ni", 10.0): 660.0, ("OFHC_Cu", 14.0): 568.0}
 
 
-def scene_of(name: str, size: float, temperature: float = 300.0, film: float = 1.0, preset: str = "draft") -> Scene:
+def scene_of(
+    name: str, size: float, temperature: float = 300.0, film: float = 1.0, preset: str = "draft", strength: str = ""
+) -> Scene:
     """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, strength
-    of the oxide film (factor) and preset."""
+    of the oxide film (factor), preset and strength set (the first of the metal by default)."""
     data = tomllib.loads((ROOT / "workflows" / f"critical_{name}.toml").read_text())
     data["preset"] = preset
     own = float(data["particle"]["diameter"].split()[0])
@@ -67,16 +115,17 @@ def scene_of(name: str, size: float, temperature: float = 300.0, film: float = 1
             data[table][key] = f"{float(data[table][key].split()[0]) * size / own:g} um"
     data["particle"]["temperature"] = f"{temperature:g} K"
     metal = data["particle"]["material"]
-    strength = film * (material(metal).oxide_strength or 0.0)
-    data["materials"] = {metal: {"oxide_strength": f"{strength / 1e9:g} GPa"}} if film != 1.0 else {}
-    return Scene.from_dict(data, f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}")
+    changes = {"strength": strength} if strength else {}
+    if film != 1.0:
+        changes["oxide_strength"] = f"{film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
+    data["materials"] = {metal: changes} if changes else {}
+    title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}"
+    return Scene.from_dict(data, f"{title}_{strength}" if strength else title)
 
 
-def row_of(
-    name: str, size: float, temperature: float, film: float, preset: str, velocity: float, runs: Path
-) -> dict[str, object]:
+def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:
     """One run: energies over all the area that bonded."""
-    scene = scene_of(name, size, temperature, film, preset)
+    scene = case.scene
     folder = runs / scene.name
     rows_at(scene, velocity, folder)
     s = Result(folder / f"{velocity:.6g}ms").values
@@ -84,12 +133,10 @@ def row_of(
     torn = s["energies"]["bond"] * s["kinetic_energy_0_J"]
     upwards = s["velocity_z_m_s"]
     rebound = None if upwards is None else 0.5 * s["particle_mass_kg"] * max(upwards, 0.0) ** 2
-    v, e = np.array(MEASURED[name]).T
-    metal = scene.particle.material
-    is_measured = (metal, size) in MEASURED_CRITICAL and temperature == 300.0 and v.min() <= velocity <= v.max()
+    v, e = np.array(MEASURED[case.name]).T
+    is_measured = case.size == METALS[case.name][1] and case.temperature == 300.0 and v.min() <= velocity <= v.max()
     values = (
-        metal, size, temperature, film, preset, velocity, s["verdict"],
-        "" if s["restitution"] is None else round(s["restitution"], 4),
+        *case.key(velocity), s["verdict"], "" if s["restitution"] is None else round(s["restitution"], 4),
         round(float(np.interp(velocity, v, e)), 3) if is_measured else "", round(area / section, 3),
         *(round(energy / area, 1) if area and energy is not None else "" for energy in (s["bond_energy_J"], torn, rebound)),
     )  # fmt: skip
@@ -171,20 +218,23 @@ def critical_page(lines: list[dict[str, object]]) -> list[str]:
         return f"at most {r['sticks_from_m_s']:g}" if r["sticks_from_m_s"] else "undecided"
 
     rows = [
-        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["preset"], words(r), r["measured_m_s"] or "-",
-         r["relative_error"] or "-"] for r in lines
+        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["strength"], r["preset"], words(r),
+         r["measured_m_s"] or "-", r["relative_error"] or "-"] for r in lines
     ]  # fmt: skip
-    return markdown("particle | film | preset | computed, m/s | measured, m/s | error", rows)
+    return markdown("particle | film | strength | preset | computed, m/s | measured, m/s | error", rows)
 
 
 def page(rows: list[Row]) -> list[str]:
     """The rows as a table."""
     lines = [
-        [name_of(row), row["film"], row["preset"], f"{row['velocity_m_s']} m/s",
+        [name_of(row), row["film"], row["strength"], row["preset"], f"{row['velocity_m_s']} m/s",
          row["verdict"], row["restitution"] or "-", row["restitution_measured"] or "-", row["bonded_over_section"],
          *(f"{row[key]} J/m2" if row[key] else "-" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
     ]  # fmt: skip
-    head = "particle | film | preset | velocity | verdict | restitution | measured | bonded / section | to tear it | torn | rebound"
+    head = (
+        "particle | film | strength | preset | velocity | verdict | restitution | measured | bonded / section | to tear it | torn"
+        " | rebound"
+    )
     return [*markdown(head, lines), "", versions(rows)]
 
 
@@ -192,22 +242,21 @@ def main() -> None:
     """Run what is missing and tabulate."""
     a = options(__doc__ or "", "docs", runs="runs/bonding_energy")
     table = study_table("bonding_energy", COLUMNS, KEY, "python workflows/bonding_energy.py")
-    metals = {"ni": "Ni", "cu": "OFHC_Cu"}
-    known = {
-        (row["metal"], *(number(row, k) for k in KEY[1:4]), row["preset"], number(row, "velocity_m_s"))
-        for row in table.rows
-    }
-    for name, *case in CASES if not a.docs else ():
-        if (metals[name], *case) not in known:
-            print(table.add(row_of(name, *case, Path(a.runs))), flush=True)
+    for case in CASES if not a.docs else ():
+        for velocity in case.velocities:
+            if case.key(velocity) not in table:
+                print(table.add(row_of(case, velocity, Path(a.runs))), flush=True)
     scatter = study_table("bonding_scatter", PLACED, PLACED[:5], "python workflows/bonding_energy.py")
     for name, size, preset, velocity, repeat in PLACEMENTS if not a.docs else ():
-        first = metals[name], f"{size:.6g}", preset, str(velocity)
+        first = METALS[name][0], f"{size:.6g}", preset, str(velocity)
         if not all((*first, str(k)) in scatter for k in range(repeat)):
             for row in placed_rows(name, size, preset, velocity, repeat, Path(a.runs)):
                 scatter.add(row)
     lines = criticals(table.rows)
-    about = "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)"
+    about = (
+        "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)\n"
+        "strength: strength set of the metal"
+    )
     write_table(TABLES / "critical_velocity.csv", lines, about)
     write_parts(
         PAGES["bonding"],
