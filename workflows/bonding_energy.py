@@ -54,7 +54,7 @@ class Case:
     @property
     def set(self) -> str:
         """Name of the strength set, the first of the metal by default."""
-        return self.strength or entry(self.metal).sets[0]
+        return self.strength or next(iter(entry(self.metal).sets))
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
