@@ -75,12 +75,27 @@ def test_mixed_mode_meets_both_criteria(pair: Blocks, angle: float) -> None:
     e = np.array([np.sin(a), 0, np.cos(a)])
     path = np.linspace(0, 3e-5, 12001)[:, None] * e
     force = -pull(pair, bond, path) / SIDE**2
-    peak = force[np.argmax(force @ e)]
-    assert (peak[2] / N) ** 2 + (peak[0] / S) ** 2 == pytest.approx(1.0, rel=2e-3)
+    springs = bond.stiffness[0] * path  # tractions until the onset
+    first = int(np.argmax(np.linalg.norm(force - springs, axis=1) > 1e-9 * N))
+    before, at = (springs[first - 1 : first + 1, [2, 0]] ** 2 / [N**2, S**2]).sum(axis=1)
+    assert before <= 1.0 < at
     mean, step = 0.5 * (force[1:] + force[:-1]), np.diff(path, axis=0)
     spent = (mean * step).sum(axis=0)
     assert spent[2] / GI + spent[0] / GII == pytest.approx(1.0, rel=2e-3)
     assert bond.dissipated == pytest.approx(spent.sum() * SIDE**2, rel=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.0, 20.0, 45.0, 75.0, 90.0])
+def test_the_flow_is_normal_to_the_locus(pair: Blocks, angle: float) -> None:
+    """Without softening the traction goes to the place of the locus whose normal is the opening, of the largest power (Drucker)."""
+    bond, a = pair.tie(strength=N, energy=np.inf, shear_strength=S, shear_energy=np.inf), np.deg2rad(angle)
+    e = np.array([np.sin(a), 0, np.cos(a)])
+    path = np.linspace(0, 400 * N / bond.stiffness[0], 4000)[:, None] * e
+    force = -pull(pair, bond, path) / SIDE**2
+    power = np.hypot(N * e[2], S * e[0])
+    assert force[-1] == pytest.approx([S**2 * e[0] / power, 0.0, N**2 * e[2] / power], rel=1e-3, abs=1e-6 * N)
+    assert force[-1] @ e == pytest.approx(power, rel=1e-6)
+    assert (force @ e).max() <= power * (1 + 1e-9)
 
 
 @pytest.mark.parametrize(("toward", "far"), [((0, 0, 1.0), GI / N), ((1.0, 0, 0), GII / S), ((0.6, 0, 0.8), GI / N)])

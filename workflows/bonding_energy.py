@@ -72,18 +72,20 @@ METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
 # Of each metal a set whose fitted rates reach those of an impact (1e7 1/s), chosen before a critical velocity was computed with it
 AT_RATE = {"ni": "Steinberg_1996", "cu": "Preston_2003"}
 CASES = (
-    Case("ni", (400, 480, 565, 665, 831, 1039)), Case("cu", (400, 610, 762, 952)),
+    *(
+        Case(name, velocities, preset, strength=strength)
+        for preset in ("draft", "standard")
+        for name, velocities in (("ni", (665, 565, 480, 400, 831)), ("cu", (610, 500, 400, 762)))
+        for strength in ("", AT_RATE[name])
+    ),
+    *(Case(name, (velocity,), "fine", strength=AT_RATE[name]) for name, velocity in (("ni", 565), ("cu", 500))),
     *(Case("ni", (665,), film=film) for film in (0.36, 1.94)), *(Case("cu", (610,), film=film) for film in (0.4, 2.0)),
-    Case("ni", (665,), diameter=5.0), Case("ni", (665,), diameter=40.0), Case("ni", (665,), temperature=900.0),
-    Case("ni", (665, 565, 480, 400, 831), "standard"), Case("cu", (610, 500), "standard"),
-    Case("ni", (565, 665, 480, 610, 831), strength=AT_RATE["ni"]), Case("cu", (610, 500, 400, 762), strength=AT_RATE["cu"]),
-    Case("ni", (565, 665, 480, 610), "standard", strength=AT_RATE["ni"]),
-    Case("cu", (610, 500, 400), "standard", strength=AT_RATE["cu"]),
+    *(Case("ni", (665,), diameter=size) for size in (5.0, 40.0)), Case("ni", (665,), temperature=900.0),
     *(Case("cu", (610,), diameter=size, strength=AT_RATE["cu"]) for size in (5.0, 40.0)),
     *(Case("cu", (610, 500), strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
-    Case("ni", (665,), "fine"), Case("cu", (610,), "fine"),
-    Case("ni", (400, 665, 530), "standard", film=1.94), Case("ni", (665,), "standard", film=0.36),
-    *(Case("cu", (610,), "standard", film=film) for film in (2.0, 0.4)), Case("ni", (565, 831), "fine"),
+    *(Case(name, (velocity,), "fine") for name, velocity in (("ni", 665), ("ni", 480), ("cu", 610))),
+    *(Case("ni", (velocity,), "standard", film=film) for velocity, film in ((400, 1.94), (665, 0.36))),
+    *(Case("cu", (610,), "standard", film=film) for film in (2.0, 0.4)),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (

@@ -2,6 +2,7 @@
 
 from math import sqrt
 
+import numpy as np
 from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
@@ -45,41 +46,88 @@ def facing(
 
 
 @njit(cache=True, nogil=True)
-def yielding(
-    open2: float, slip2: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
-    D: float, most: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Share of the elastic opening that becomes permanent, and the damage then, of a bond of damage D.
-
-    open2, slip2: squares of the elastic opening and slip, m2; k: stiffness, Pa/m; weakness: 1/strength in tension and shear,
-    1/Pa; ease: 1/fracture energy, m2/J. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of
-    Camanho & Davila (2002), NASA/TM-2002-211737. Beyond it they return along their own direction (c_n, c_s), by the length dp:
-
-        R = 1 / sqrt((c_n/N)^2 + (c_s/S)^2),   dD = R dp / 2 ((c_n^2/G_I)^alpha + (c_s^2/G_II)^alpha)^(1/alpha)
-
-    Then in one direction the softening is linear and ends where (G_I/G_Ic)^alpha + (G_II/G_IIc)^alpha = 1. From the damage `most` on
-    the bond flows at the strength that is left.
-    """
-    size2 = open2 + slip2
-    if size2 == 0.0:
-        return 0.0, D
-    cn, cs = open2 / size2, slip2 / size2
-    q = cn * weakness_n**2 + cs * weakness_s**2  # 1 / R^2
-    trial = k * sqrt(q * size2)
-    over = trial - (1.0 - D)
-    if over <= 0.0:
-        return 0.0, D
+def softening(a: float, b: float, ease_n: float, ease_s: float, alpha: float) -> float:
+    """2 (1 - D) dD / dl of `yielding`, m2/J. a, b: tractions over their strengths."""
     e = 0.0
-    if cn > 0.0:
-        e += (cn * ease_n) ** alpha
-    if cs > 0.0:
-        e += (cs * ease_s) ** alpha
-    slope = e ** (1.0 / alpha) / (2.0 * k * q)  # of softening, over the stiffness
-    softened = D + slope * over / (1.0 - slope) if slope < 1.0 else 1.0
+    if a > 0.0:
+        e += (a * a * ease_n) ** alpha
+    if b > 0.0:
+        e += (b * b * ease_s) ** alpha
+    return e ** (1.0 / alpha)
+
+
+@njit(cache=True, nogil=True)
+def flow(
+    a: float, b: float, soft_n: float, soft_s: float, ease_n: float, ease_s: float, alpha: float, held: float
+) -> float:  # fmt: skip
+    """The multiplier dl of `yielding` that brings tractions back to the locus; infinite where nothing of the bond is left.
+
+    a, b: trial tractions over their strengths; soft = k / strength^2; held: 1 - D before the step. With m = |(a, b)| of the tractions
+    at the end of the step, m + dl softening / 2 m = held: regula falsi (Illinois) in y = c dl / (1 + c dl), which is linear in one
+    direction.
+    """
+    c = 0.0
+    la = lb = 0.0  # direction of the tractions as dl grows without bound
+    if a > 0.0:
+        c, la = soft_n, a / soft_n
+    if b > 0.0:
+        c, lb = max(c, soft_s), b / soft_s
+    low, above = 0.0, sqrt(a * a + b * b) - held
+    high, below = 1.0, softening(la, lb, ease_n, ease_s, alpha) / (2.0 * sqrt(la * la + lb * lb)) - held
+    if below >= 0.0:
+        return np.inf
+    dl, side = 0.0, 0
+    for _ in range(100):
+        y = (low * below - high * above) / (below - above)
+        dl = y / (c * (1.0 - y))
+        ta, tb = a / (1.0 + soft_n * dl), b / (1.0 + soft_s * dl)
+        m = sqrt(ta * ta + tb * tb)
+        h = m + dl * softening(ta, tb, ease_n, ease_s, alpha) / (2.0 * m) - held
+        if abs(h) <= 1e-14 * held:
+            break
+        if h > 0.0:
+            low, above = y, h
+            below *= 0.5 if side == 1 else 1.0
+            side = 1
+        else:
+            high, below = y, h
+            above *= 0.5 if side == -1 else 1.0
+            side = -1
+    return dl
+
+
+@njit(cache=True, nogil=True)
+def yielding(
+    wide: float, slip: float, k: float, weakness_n: float, weakness_s: float, ease_n: float, ease_s: float, alpha: float,
+    D: float, most: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Shares of the elastic opening and of the elastic slip that become permanent, and the damage then, of a bond of damage D.
+
+    wide, slip: elastic opening and slip, m; k: stiffness, Pa/m; weakness: 1/strength in tension and shear, 1/Pa; ease: 1/fracture
+    energy, m2/J. The tractions t = k delta stay within (t_n/N)^2 + (t_s/S)^2 = (1 - D)^2, the onset of Camanho & Davila (2002),
+    NASA/TM-2002-211737. Beyond it the opening flows normal to this locus (Drucker 1951):
+
+        dp_n = dl t_n / N^2,  dp_s = dl t_s / S^2,  dD = ((t_n dp_n / G_I)^alpha + (t_s dp_s / G_II)^alpha)^(1/alpha) / 2 (1 - D)
+
+    Then in one direction the softening is linear, and tractions that keep their ratio end where (G_I/G_Ic)^alpha +
+    (G_II/G_IIc)^alpha = 1. t_n, t_s and D are those of the end of the step. From the damage `most` on the bond flows at the strength
+    that is left.
+    """
+    a, b = k * wide * weakness_n, k * slip * weakness_s
+    if a * a + b * b <= (1.0 - D) ** 2:
+        return 0.0, 0.0, D
+    soft_n, soft_s = k * weakness_n**2, k * weakness_s**2
+    dl = flow(a, b, soft_n, soft_s, ease_n, ease_s, alpha, 1.0 - D)
+    softened = 1.0
+    if dl < np.inf:
+        ta, tb = a / (1.0 + soft_n * dl), b / (1.0 + soft_s * dl)
+        softened = D + dl * softening(ta, tb, ease_n, ease_s, alpha) / (2.0 * sqrt(ta * ta + tb * tb))
     if softened >= most:
-        D = max(D, most)
-        return 1.0 - (1.0 - D) / trial, D
-    return over / ((1.0 - slope) * trial), softened
+        softened = max(D, most)
+        dl = flow(a, b, soft_n, soft_s, 0.0, 0.0, 1.0, 1.0 - softened) if softened < 1.0 else np.inf
+    if dl == np.inf:
+        return 1.0, 1.0, 1.0
+    return soft_n * dl / (1.0 + soft_n * dl), soft_s * dl / (1.0 + soft_s * dl), softened
 
 
 @njit(cache=True, nogil=True)
@@ -137,25 +185,27 @@ def bond_forces(
         slip2 = s0 * s0 + s1 * s1 + s2 * s2
         wide = max(delta, 0.0)
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
-        share, D = yielding(
-            wide * wide, slip2, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i], most
+        slip = sqrt(slip2)
+        share, part, D = yielding(
+            wide, slip, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i], most
         )
-        if share > 0.0:
-            # work of the mean traction of the step
-            along = o0 * (opening[i, 0] + (1.0 - share) * o0) + o1 * (opening[i, 1] + (1.0 - share) * o1)
-            along += o2 * (opening[i, 2] + (1.0 - share) * o2)
-            loss += max(0.5 * k * area[i] * share * along, 0.0)
+        if share + part > 0.0:
             damage[i] = D
             gap[i] += share * wide
-            slid[i] += share * sqrt(slip2)
-            # the foot follows: dw = grad w . (share s)
-            db = share * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
-            dc = share * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
+            slid[i] += part * slip
+            # the foot follows: dw = grad w . (part s)
+            db = part * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
+            dc = part * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
             wa, wb, wc = wa - db - dc, wb + db, wc + dc
             weights[i, 0], weights[i, 1], weights[i, 2] = wa, wb, wc
-            rest = 1.0 - share
-            delta = min(delta, 0.0) + rest * wide
-            o0, o1, o2, s0, s1, s2 = rest * o0, rest * o1, rest * o2, rest * s0, rest * s1, rest * s2
+            p0, p1, p2 = share * wide * n0 + part * s0, share * wide * n1 + part * s1, share * wide * n2 + part * s2
+            o0, o1, o2 = o0 - p0, o1 - p1, o2 - p2
+            # work of the mean traction of the step
+            along = p0 * (opening[i, 0] + o0) + p1 * (opening[i, 1] + o1) + p2 * (opening[i, 2] + o2)
+            loss += max(0.5 * k * area[i] * along, 0.0)
+            delta = min(delta, 0.0) + (1.0 - share) * wide
+            rest = 1.0 - part
+            s0, s1, s2 = rest * s0, rest * s1, rest * s2
             slip2 *= rest * rest
         spent[i] += loss
         lost += loss
