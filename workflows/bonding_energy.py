@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from statistics import fmean, stdev
+from typing import Any
 
 import numpy as np
 from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, versions, write_parts, write_table
@@ -18,7 +19,7 @@ from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, v
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.measures import REBOUNDS
-from coupler.physics.materials import entry, material
+from coupler.physics.materials import material
 from coupler.studies.critical import bracket, point_name, rows_at, shares_of
 from coupler.studies.table import Row
 
@@ -53,8 +54,8 @@ class Case:
 
     @property
     def set(self) -> str:
-        """Name of the strength set, the first of the metal by default."""
-        return self.strength or next(iter(entry(self.metal).sets))
+        """Name of the strength set, that of the workflow by default."""
+        return self.strength or str(data_of(self.name)["materials"][self.metal]["strength"])
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
@@ -67,30 +68,26 @@ class Case:
         return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength)
 
 
-# name of the workflow: metal and diameter, um
+# name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact
 METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
-# Of each metal a set whose fitted rates reach those of an impact (1e7 1/s), chosen before a critical velocity was computed with it
-AT_RATE = {"ni": "Steinberg_1996", "cu": "Preston_2003"}
 CASES = (
     *(
         Case(name, velocities, preset, strength=strength)
         for preset in ("draft", "standard")
         for name, velocities in (("ni", (665, 565, 480, 400, 831)), ("cu", (610, 500, 400, 762)))
-        for strength in ("", AT_RATE[name])
+        for strength in ("", "Johnson_1983")
     ),
-    *(Case(name, (velocity,), "fine", strength=AT_RATE[name]) for name, velocity in (("ni", 565), ("cu", 500))),
+    *(Case(name, (v,), preset) for preset in ("draft", "standard") for name, v in (("ni", 520), ("cu", 555))),
+    Case("ni", (565,), "fine"), Case("cu", (610,), "fine"),
     *(Case("ni", (665,), film=film) for film in (0.36, 1.94)), *(Case("cu", (610,), film=film) for film in (0.4, 2.0)),
     *(Case("ni", (665,), diameter=size) for size in (5.0, 40.0)), Case("ni", (665,), temperature=900.0),
-    *(Case("cu", (610,), diameter=size, strength=AT_RATE["cu"]) for size in (5.0, 40.0)),
+    *(Case("cu", (610,), diameter=size) for size in (5.0, 40.0)),
     *(Case("cu", (610, 500), strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
-    *(Case(name, (velocity,), "fine") for name, velocity in (("ni", 665), ("ni", 480), ("cu", 610))),
-    *(Case("ni", (velocity,), "standard", film=film) for velocity, film in ((400, 1.94), (665, 0.36))),
-    *(Case("cu", (610,), "standard", film=film) for film in (2.0, 0.4)),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
-    *(("ni", 10.0, "draft", v, 6) for v in (565, 665, 831, 480)), ("cu", 14.0, "draft", 610, 6),
-    *(("ni", 10.0, "standard", v, 4) for v in (565, 665, 831)),
+    *(("ni", 10.0, "draft", v, 6) for v in (565, 520, 480, 665)), *(("cu", 14.0, "draft", v, 6) for v in (555, 500, 610)),
+    *(("ni", 10.0, "standard", v, 4) for v in (565, 520)), *(("cu", 14.0, "standard", v, 4) for v in (555, 500)),
 )  # fmt: skip
 OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "let_go_J_m2", "torn_before_J_m2", "rebound_J_m2")
 PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
@@ -104,12 +101,17 @@ MEASURED = {
 MEASURED_CRITICAL = {("Ni", 10.0): 660.0, ("OFHC_Cu", 14.0): 568.0}
 
 
+def data_of(name: str) -> dict[str, Any]:
+    """workflows/critical_NAME.toml."""
+    return tomllib.loads((ROOT / "workflows" / f"critical_{name}.toml").read_text())
+
+
 def scene_of(
     name: str, size: float, temperature: float = 300.0, film: float = 1.0, preset: str = "draft", strength: str = ""
 ) -> Scene:
     """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, strength
-    of the oxide film (factor), preset and strength set (the first of the metal by default)."""
-    data = tomllib.loads((ROOT / "workflows" / f"critical_{name}.toml").read_text())
+    of the oxide film (factor), preset and strength set (that of the workflow by default)."""
+    data = data_of(name)
     data["preset"] = preset
     own = float(data["particle"]["diameter"].split()[0])
     for table, keys in (("particle", ("diameter",)), ("substrate", ("diameter", "height"))):
@@ -117,10 +119,11 @@ def scene_of(
             data[table][key] = f"{float(data[table][key].split()[0]) * size / own:g} um"
     data["particle"]["temperature"] = f"{temperature:g} K"
     metal = data["particle"]["material"]
-    changes = {"strength": strength} if strength else {}
+    changes = data.setdefault("materials", {}).setdefault(metal, {})
+    if strength:
+        changes["strength"] = strength
     if film != 1.0:
         changes["oxide_strength"] = f"{film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
-    data["materials"] = {metal: changes} if changes else {}
     title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}"
     return Scene.from_dict(data, f"{title}_{strength}" if strength else title)
 
