@@ -4,6 +4,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from test_scene import scene_with, several
 
@@ -225,13 +226,31 @@ def test_warns_near_melting():
     assert warning.startswith("particle[1], particle[3] may reach")
 
 
-def test_elements_against_a_mesh():
+@pytest.mark.parametrize("spread", [0.0, 40e-6])
+def test_elements_against_a_mesh(spread):
     from coupler.geometry.mesher import cylinder
 
-    target = plan(scene_with(preset="draft")).target
+    target = plan(
+        several({"offset": [f"{-spread} m", "0 um"]}, {"offset": [f"{spread} m", "0 um"]}, preset="draft")
+    ).target
     size = (target.diameter, target.height, target.element_size, target.refined_radius)
-    _, tets = cylinder(*size, target.growth)
+    _, tets = cylinder(*size, target.growth, spread=target.spread)
+    assert target.spread == pytest.approx(spread)
     assert target.elements_estimate == pytest.approx(len(tets), rel=0.15)
+
+
+def test_the_mesh_is_fine_near_the_disc_of_the_offsets():
+    from coupler.geometry.mesher import cylinder
+
+    points, tets = cylinder(200e-6, 80e-6, 5e-6, 12e-6, 0.3, spread=40e-6)
+    ends = points[tets]
+    edge = np.linalg.norm(ends[:, [0, 0, 0, 1, 1, 2]] - ends[:, [1, 2, 3, 2, 3, 3]], axis=2).mean(axis=1)
+    middle = ends.mean(axis=1)
+    beyond = np.maximum(np.hypot(middle[:, 0], middle[:, 1]) - 40e-6, 0.0)
+    distance = np.hypot(beyond, middle[:, 2])
+    fine, coarse = edge[distance < 10e-6], edge[distance > 50e-6]
+    assert 5e-6 < fine.mean() < 7.5e-6
+    assert coarse.mean() > 2.0 * fine.mean()
 
 
 def test_cost_rises_with_the_preset():

@@ -234,10 +234,11 @@ def test_one_spacing_for_all_that_of_the_largest():
 def test_the_fine_part_of_the_target_holds_all_offsets():
     scene = several({"offset": ["10 um", "0 um"]}, {"offset": ["-20 um", "8 um"]}, {"diameter": "18 um"})
     assert scene.derived.centre == pytest.approx((-5e-6, 4e-6))
-    assert scene.derived.refined_radius == pytest.approx(scene_with().derived.refined_radius + math.hypot(15e-6, 4e-6))
+    assert scene.derived.spread == pytest.approx(math.hypot(15e-6, 4e-6))
+    assert scene.derived.refined_radius == scene_with().derived.refined_radius
     one = scene_with(particle__offset=["7 um", "0 um"])
     assert one.derived.centre == (7e-6, 0.0)
-    assert one.derived.refined_radius == scene_with().derived.refined_radius
+    assert (one.derived.spread, one.derived.refined_radius) == (0.0, scene_with().derived.refined_radius)
 
 
 def test_the_smallest_and_the_largest_are_looked_at():

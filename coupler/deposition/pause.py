@@ -34,7 +34,8 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
     insulated; bodies that lie on each other conduct as in perfect contact. What the impact has left out of balance, such as at the
-    rim of its cut, is none of the cooling's: it is relaxed first. Both reach as far as temperatures have changed by COOLER.
+    rim of its cut, is none of the cooling's: it is relaxed first. Then equilibrium reaches as far as temperatures have changed by
+    COOLER, too.
     """
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
@@ -42,12 +43,12 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     before = t.T.copy()
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
     changed = t.mesh.reach_element[np.abs(t.T - before) > COOLER]
-    radius = max(radius, float(changed.max(initial=0.0)))
     heat = t.heat.copy()
     t.heat[:] = 0.0
     balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius)
     t.heat += heat
-    report = {"balance_steps": balanced["settle_steps"], **cooling, **_settled(bodies, kinetic_0, radius)}
+    settled = _settled(bodies, kinetic_0, max(radius, float(changed.max(initial=0.0))))
+    report = {"balance_steps": balanced["settle_steps"], **cooling, **settled}
     return {**report, "wall_s": clock.perf_counter() - started}
 
 

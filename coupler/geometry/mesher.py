@@ -62,12 +62,13 @@ def cylinder(
     centre: tuple[float, float] = (0.0, 0.0),
     sizes_to: float | None = None,
     sector: float = 2.0 * math.pi,
+    spread: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) and tetrahedra (m,4) of a cylinder whose top face is z = 0, axis z; lengths in m.
 
-    Element edges are `size` within refined_radius of (centre, 0) and grow by `growth` per unit of distance beyond,
-    up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from the x axis on
-    (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
+    Element edges are `size` within refined_radius of a disc on the top face, of radius `spread` about `centre`, and grow by `growth`
+    per unit of distance beyond, up to sizes_to (default: a sixth of the smaller dimension). sector: rad, a part of the cylinder from
+    the x axis on (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
     largest = (sizes_to or COARSEST * min(diameter, height)) / unit
@@ -76,7 +77,11 @@ def cylinder(
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
         x, y = centre[0] / unit, centre[1] / unit
-        distance = f"Sqrt((x-({x:.12g}))^2+(y-({y:.12g}))^2+z^2)"
+        axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
+        if spread > 0.0:
+            beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
+            axis = f"(0.5*({beyond}+Abs({beyond})))^2"
+        distance = f"Sqrt({axis}+z^2)"
         field = gmsh.model.mesh.field.add("MathEval")
         grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
         gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")

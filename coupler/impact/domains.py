@@ -58,7 +58,7 @@ def build_target(plan: Plan) -> Bodies:
     """Mesh the substrate: the bodies that the first impact meets. Starts gmsh."""
     t = plan.target
     sizes = t.diameter, t.height, t.element_size, t.refined_radius, t.growth, t.centre, t.largest_element
-    points, tets = apart(partial(mesher.cylinder, *sizes), MESHING_LIMIT)
+    points, tets = apart(partial(mesher.cylinder, *sizes, spread=t.spread), MESHING_LIMIT)
     law = law_record(t.material, plan.effects.switches, plan.impacts[0].rate_filter)
     fixed, absorbing = t.faces("fixed"), t.faces("absorbing")
     mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))

@@ -78,16 +78,20 @@ def spacing(volume: float, points: int) -> float:
     return (volume / points) ** (1 / 3)
 
 
-def elements(diameter: float, height: float, element_size: float, refined_radius: float, growth: float) -> int:
-    """Tetrahedra of a graded mesh of a cylinder (m): element_size near the impact, growing outside refined_radius.
+def elements(
+    diameter: float, height: float, element_size: float, refined_radius: float, growth: float, spread: float = 0.0
+) -> int:
+    """Tetrahedra of a graded mesh of a cylinder (m): element_size within refined_radius of a disc of radius spread, then growing.
 
-    Sum of TETS_PER_H3 / h(r)^3 over shells of a half ball that has the volume of the cylinder, h(r) = element_size +
-    growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
+    Sum of TETS_PER_H3 / h(r)^3 over the volume at a distance r below and beside the disc, up to that of the cylinder, with h(r) =
+    element_size + growth max(0, r - refined_radius), at most COARSEST of the smaller dimension.
     """
-    outer = (3 / 8 * diameter**2 * height) ** (1 / 3)
-    r, dr = np.linspace(0.0, outer, 401)[:-1] + outer / 800, outer / 400
-    h = np.minimum(element_size + growth * np.maximum(0.0, r - refined_radius), COARSEST * min(diameter, height))
-    return round(float(np.sum(TETS_PER_H3 * 2 * math.pi * r**2 * dr / h**3)))
+    cylinder = math.pi / 4 * diameter**2 * height
+    r = np.linspace(0.0, (1.5 * cylinder / math.pi) ** (1 / 3), 401)  # at most the radius of a half ball
+    volume = np.minimum(math.pi * spread**2 * r + 0.5 * math.pi**2 * spread * r**2 + 2 / 3 * math.pi * r**3, cylinder)
+    middle = 0.5 * (r[1:] + r[:-1])
+    h = np.minimum(element_size + growth * np.maximum(0.0, middle - refined_radius), COARSEST * min(diameter, height))
+    return round(float(np.sum(TETS_PER_H3 * np.diff(volume) / h**3)))
 
 
 def splat_elements(volume: float, element_size: float) -> int:

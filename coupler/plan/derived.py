@@ -46,14 +46,15 @@ class Derived:
         return (min(xs) + max(xs)) / 2, (min(ys) + max(ys)) / 2
 
     @property
-    def refined_radius(self) -> float:
-        """Radius about `centre` of the part of the target with the smallest elements, m.
+    def spread(self) -> float:
+        """Radius about `centre` of the disc that holds all offsets, m."""
+        return max(math.dist(p.offset, self.centre) for p in self.scene.particles)
 
-        It holds the widest particle at the farthest offset.
-        """
+    @property
+    def refined_radius(self) -> float:
+        """How far from the disc of `spread` the target has the smallest elements, m: it holds the widest particle."""
         least = estimates.REFINED_RADIUS_OVER_DIAMETER
-        own = max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
-        return own + max(math.dist(p.offset, self.centre) for p in self.scene.particles)
+        return max(least * p.diameter + 0.5 * max(p.width - p.diameter, 0.0) for p in self.scene.particles)
 
     @property
     def element_size(self) -> float:
@@ -73,7 +74,8 @@ class Derived:
     def elements(self) -> int:
         """Elements of the target before the first impact, an estimate."""
         body, growth = self.scene.substrate, self.scene.resolution.growth
-        return estimates.elements(body.diameter, body.height, self.element_size, self.refined_radius, growth)
+        sizes = self.element_size, self.refined_radius, growth, self.spread
+        return estimates.elements(body.diameter, body.height, *sizes)
 
     @property
     def splat_element_size(self) -> float:

@@ -72,9 +72,8 @@ class ImpactPlan:
 
 @dataclass(frozen=True)
 class TargetPlan:
-    """The target, a cylinder. Lengths m, temperature K; element_size inside refined_radius of centre (x, y), then
-    growing by `growth` per unit of distance to largest_element. sides, bottom: the condition there, "absorbing" only if
-    that effect is on."""
+    """A cylinder. Lengths m, temperature K; element_size within refined_radius of the disc of radius `spread` about `centre` (x, y),
+    then growing by `growth` per unit of distance to largest_element. sides, bottom: "absorbing" only if that effect is on."""
 
     material: Material
     diameter: float
@@ -85,6 +84,7 @@ class TargetPlan:
     element_size: float
     largest_element: float
     centre: tuple[float, float]
+    spread: float
     refined_radius: float
     growth: float
     elements_estimate: int
@@ -357,6 +357,7 @@ def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:
         element_size=scene.derived.element_size,
         largest_element=COARSEST * min(substrate.diameter, substrate.height),
         centre=scene.derived.centre,
+        spread=scene.derived.spread,
         refined_radius=scene.derived.refined_radius,
         growth=scene.resolution.growth,
         elements_estimate=scene.derived.elements,

@@ -23,6 +23,8 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
     middle = f" of {_at(*target.centre)}" if any(target.centre) else ""
+    if target.spread > 0.0:
+        middle = f" of a disc of radius {show(target.spread, 'um')}{middle and ' about' + middle.removeprefix(' of')}"
     lines = [
         f"{plan.name} ({plan.preset})",
         *_impacts(plan, _FEW if brief else _MOST_LINES),
