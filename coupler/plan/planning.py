@@ -268,8 +268,7 @@ def _stays(scene: Scene, particle: Particle) -> bool:
 
 
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
-    """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), whether a
-    splat."""
+    """What impact i meets, the last of the splats that lie under its centre or the substrate: material, temperature (K), if a splat."""
     at = scene.particles[i].offset
     for earlier in reversed(scene.particles[:i]):
         if math.dist(earlier.offset, at) < earlier.diameter / 2 and _stays(scene, earlier):
