@@ -78,16 +78,16 @@ CASES = (
         for strength in ("", "Johnson_1983")
     ),
     *(Case(name, (v,), preset) for preset in ("draft", "standard") for name, v in (("ni", 520), ("cu", 555))),
-    Case("ni", (565,), "fine"), Case("cu", (610,), "fine"),
+    Case("ni", (565, 480), "fine"), Case("cu", (610, 500), "fine"),
     *(Case("ni", (665,), film=film) for film in (0.36, 1.94)), *(Case("cu", (610,), film=film) for film in (0.4, 2.0)),
     *(Case("ni", (665,), diameter=size) for size in (5.0, 40.0)), Case("ni", (665,), temperature=900.0),
-    *(Case("cu", (610,), diameter=size) for size in (5.0, 40.0)),
+    *(Case("cu", (610, 555, 500), diameter=size) for size in (5.0, 40.0)),
     *(Case("cu", (610, 500), strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
     *(("ni", 10.0, "draft", v, 6) for v in (565, 520, 480, 665)), *(("cu", 14.0, "draft", v, 6) for v in (555, 500, 610)),
-    *(("ni", 10.0, "standard", v, 4) for v in (565, 520)), *(("cu", 14.0, "standard", v, 4) for v in (555, 500)),
+    *(("ni", 10.0, "standard", v, 4) for v in (480, 400)), *(("cu", 14.0, "standard", v, 4) for v in (500, 450)),
 )  # fmt: skip
 OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "let_go_J_m2", "torn_before_J_m2", "rebound_J_m2")
 PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
