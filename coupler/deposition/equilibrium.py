@@ -23,6 +23,7 @@ RELAX_STEPS = 2500  # at most
 RAMP = 50  # steps in which a change of temperature becomes pressure
 RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free
 COOLED = 1e-7  # the same after cooling: stresses within a few MPa
+LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
 
@@ -33,11 +34,14 @@ def settle(
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
     after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
-    numbering begins, beyond which all keeps still; pending heat becomes pressure there too.
+    numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
+    there too.
     The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target
+    if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
+        radius = np.inf
     reach = t.reach
     held = _held(bodies) + t.kinetic()
     t.rest()
