@@ -25,7 +25,7 @@ from .mass_scaling import prepare
 from .pause import pause
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
-REST = 1.25  # windows round an impact in which equilibrium is found after it
+REST = 1.75  # windows round an impact in which equilibrium is found after it
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
