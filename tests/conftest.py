@@ -3,12 +3,13 @@
 import json
 import os
 from collections.abc import Iterator
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from runs import SharedRuns
+from runs import SharedMeshes, SharedRuns
 
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
@@ -46,10 +47,24 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def shared_run(tmp_path_factory: pytest.TempPathFactory) -> SharedRuns:
-    """shared_run(text, **options): a finished run, computed once in a session."""
+def of_all_workers(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the session, the same in each of its processes."""
     own = tmp_path_factory.getbasetemp()
-    return SharedRuns((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shared_runs")
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def shared_run(of_all_workers: Path) -> SharedRuns:
+    """shared_run(text, **options): a finished run, computed once in a session."""
+    return SharedRuns(of_all_workers / "shared_runs")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_meshes(of_all_workers: Path) -> Iterator[None]:
+    """Many scenes have the same substrate: gmsh, in a process of its own, costs as much as a short impact."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("coupler.impact.domains.apart", SharedMeshes(of_all_workers / "shared_meshes"))
+        yield
 
 
 @pytest.fixture

@@ -3,8 +3,11 @@
 import fcntl
 import hashlib
 import json
+import pickle
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 
 from coupler import Result, Scene, run
+from coupler.geometry.apart import apart
 
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
 OF_THE_MACHINE = {
@@ -32,13 +36,37 @@ class SharedRuns:
     def __call__(self, text: str, name: str = "shared", **options: Any) -> Result:
         """The run of a scene (TOML) with options of `coupler.run`."""
         key = hashlib.sha256(repr((text, name, sorted(options.items()))).encode()).hexdigest()[:16]
-        self.folder.mkdir(exist_ok=True)
-        with open(self.folder / f"{key}.lock", "w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)  # released as the file is closed
-            out = self.folder / key
+        out = self.folder / key
+        with alone(out):
             if not (out / "summary.json").exists():
                 run(Scene.from_text(text, name), out, force=True, **options)
         return Result(out)
+
+
+class SharedMeshes:
+    """In place of `apart`: meshes of substrates, each computed once in a session of pytest.
+
+    They are known by function and arguments to the last bit. What fails is not kept. Processes that tests start call gmsh.
+    """
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+
+    def __call__(self, call: Callable[[], Any], time_limit: float) -> Any:
+        path = self.folder / hashlib.sha256(pickle.dumps(call)).hexdigest()[:16]
+        with alone(path):
+            if not path.exists():
+                path.write_bytes(pickle.dumps(apart(call, time_limit)))
+            return pickle.loads(path.read_bytes())
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """No other process of pytest is at the same path."""
+    path.parent.mkdir(exist_ok=True)
+    with open(path.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # released as the file is closed
+        yield
 
 
 class Stopped(Exception):

@@ -18,12 +18,14 @@ def scene(
     of_substrate: str = "",
     more: str = "",
     tied: bool = True,
+    every: float = 10,
 ) -> str:
     """TOML of impacts on SS304, one after another.
 
     particles: material, diameter in um, velocity in m/s of each. spacing, element_size, diameter, height: um. end: ns.
     of_particle, of_substrate: further lines of these tables. more: further tables. tied: splats of several
-    impacts stick wherever they touch, and come one at once after another.
+    impacts stick wherever they touch, and come one at once after another. every: ns between written steps; to write one costs as
+    much as to compute for some ns.
     """
     head = "[particle]" if len(particles) == 1 else '[[particle]]\ndwell = "0 us"'
     lines = [
@@ -34,15 +36,16 @@ def scene(
     lines.append(f'[resolution]\nspacing = "{spacing} um"\nelement_size = "{element_size} um"\n')
     if end is not None or len(particles) > 1:
         lines.append(f'[end]\ntime = "{end} ns"\n' if end is not None else '[end]\nat = "rest"\n')
+    lines.append(f'[output]\nevery = "{every} ns"\n')
     if tied and len(particles) > 1:
         lines.append('[adhesion]\nkind = "tied"\n')
     return "".join(lines) + more
 
 
-NI = scene(("Ni", 25, 500))  # 300 points, to its end at about 50 ns
+NI = scene(("Ni", 25, 500), every=2)  # 300 points, to its end at about 50 ns
 TINY = {"spacing": 3.4, "element_size": 6.0, "diameter": 100, "height": 50}
-WHOLE = scene(("Ni", 25, 500), **TINY, more='[output]\nevery = "5 ns"\n')  # 200 points, to its end at about 50 ns
+WHOLE = scene(("Ni", 25, 500), **TINY, every=5)  # 200 points, to its end at about 50 ns
 # 200 points; 10 ns: deep in contact, still going down
-SHORT = scene(("Ni", 25, 500), **TINY, end=10, more='[output]\nevery = "2 ns"\n')
+SHORT = scene(("Ni", 25, 500), **TINY, end=10, every=2)
 # the first splat becomes a body, the second particle is in contact with it for its last 10 ns
-SHORT_DOUBLE = scene(("Ni", 25, 500), ("Ti", 25, 450), **TINY, end=15)
+SHORT_DOUBLE = scene(("Ni", 25, 500), ("Ti", 25, 450), **TINY, end=15, every=2)

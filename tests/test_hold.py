@@ -99,7 +99,7 @@ class Sheet:
 def test_parting_a_known_area_costs_the_fracture_energy_at_any_spacing(mode: str, n: int) -> None:
     sheet = Sheet(n)
     reach = 3.0 * ENERGY / STRENGTH
-    for s in np.linspace(0.0, 1.0, 4000)[1:]:
+    for s in np.linspace(0.0, 1.0, 1000)[1:]:
         to = sheet.xp.copy()
         if mode == "tear":
             to[:, 2] += s * reach
@@ -124,7 +124,7 @@ def test_unloading_from_pressure_is_no_opening() -> None:
         assert sheet.hold.bond.damage.max() == 0.0
         assert sheet.hold.energy == pytest.approx(0.0, abs=1e-30)
     assert sheet.move(sheet.xp + np.array([0.0, 0.0, 2e-9]))[2] == pytest.approx(-STIFFNESS * 2e-9 * SIDE**2, rel=1e-6)
-    for lift in np.linspace(2e-9, 1e-6, 2000):
+    for lift in np.linspace(2e-9, 1e-6, 1000):
         sheet.move(sheet.xp + np.array([0.0, 0.0, lift]))
     assert sheet.hold.energy == pytest.approx(ENERGY * SIDE**2, rel=0.01)
 
@@ -157,7 +157,7 @@ def test_what_slides_under_pressure_welds_again(share: float) -> None:
     way = 4.0 * 2.0 * SHEAR / STRENGTH
     pressed.move(pressed.xp + deep)
     pressed.work = 0.0  # not that of pressing
-    for slip in np.linspace(0.0, way, 4000):
+    for slip in np.linspace(0.0, way, 1000):
         force = pressed.move(pressed.xp + deep + np.array([slip, 0.0, 0.0]))
         free.move(free.xp + np.array([slip, 0.0, 0.0]))
     assert force[0] == pytest.approx(-share * STRENGTH * SIDE**2, rel=1e-6)
@@ -167,7 +167,7 @@ def test_what_slides_under_pressure_welds_again(share: float) -> None:
     assert not free.hold.whole.any()
     slid = pressed.hold.bond.dissipated + pressed.hold.bond.stored
     still = pressed.xp + np.array([way - STRENGTH / STIFFNESS * share, 0.0, 0.0])  # no shear is left
-    for lift in np.linspace(-30e-9, 3.0 * ENERGY / STRENGTH, 4000):
+    for lift in np.linspace(-30e-9, 3.0 * ENERGY / STRENGTH, 1000):
         pressed.move(still + np.array([0.0, 0.0, lift]))
     assert not pressed.hold.whole.any()
     unloaded = 0.5 * (share * STRENGTH) ** 2 / STIFFNESS * SIDE**2
@@ -244,7 +244,7 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     xp, area = t.x[top].mean(axis=1), np.full(6, 1e-13)
     hold = Hold(np.arange(6), top, xp, t.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY)
     f, g = np.zeros((6, 3)), np.zeros_like(t.x)
-    for lift in np.linspace(0.0, 1e-6, 2000):
+    for lift in np.linspace(0.0, 1e-6, 1000):
         hold.forces(xp + np.array([0.0, 0.0, lift]), t.x, f, g)
 
     class Points:

@@ -36,13 +36,14 @@ def assert_same_impact(alone: dict[str, Any], summary: dict[str, Any]) -> None:
 
 # On all ranks, one run after another: starting two processes costs more than these runs.
 PROGRAM = """
-from coupler import Scene, run
+from coupler import Scene, report, run
 from coupler.commands.main import main
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
 from coupler.impact import retry
 from coupler.progress import Progress
 
+report.section_picture = lambda result, file=None: None  # it costs as much as the run
 retry.KEEP_EVERY = 1  # so that so short a run has a state to go back to
 out, options = {out!r}, dict(progress=Progress(quiet=True))
 short = Scene.from_text({short!r}, "shared")

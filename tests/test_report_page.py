@@ -47,6 +47,12 @@ def page(finished):
     return report(Result(finished))
 
 
+@pytest.fixture
+def without_pictures(monkeypatch):
+    """Pictures of the cut are empty: `page` has them, and a browser opens it."""
+    monkeypatch.setattr("coupler.report.page.embedded", lambda figure: "data:,")
+
+
 def light(finished: Path, folder: Path) -> Path:
     """A copy without fields: its page is made at once."""
     return shutil.copytree(finished, folder, ignore=shutil.ignore_patterns("*.vtkhdf"))
@@ -108,7 +114,7 @@ def test_a_run_of_several_impacts(finished, tmp_path):
     assert rows(table)["mean velocity upwards, m/s"] == ["", "3"]
 
 
-def test_an_unfinished_run_says_so(finished, tmp_path):
+def test_an_unfinished_run_says_so(finished, tmp_path, without_pictures):
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
     page = report(Result(copy))
@@ -226,7 +232,7 @@ def test_pictures_are_taken_on_the_way_and_at_the_end(finished):
     assert picks(Result(finished)) == [1, 2, 3, 4]  # at 10, 20, 30 (greatest deformation) and 40 ns
 
 
-def test_each_of_several_impacts_has_its_picture(finished, tmp_path):
+def test_each_of_several_impacts_has_its_picture(finished, tmp_path, without_pictures):
     copy = shutil.copytree(finished, tmp_path / "run")
     (copy / "summary.json").unlink()
     one = {"greatest": {"time_s": 10e-9}, "end": {"time_s": 20e-9}}

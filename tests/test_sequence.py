@@ -34,7 +34,7 @@ from coupler.sph import compiled, frequency, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
 
-DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n')
+DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
 
 
 def block(corner: tuple[float, float, float], stress: float, J: float, law: np.ndarray) -> BodyState:

@@ -108,6 +108,13 @@ FAULTS: dict[str, tuple[Tamper, str]] = {
     "a measure of shape": (record("end", "thickness_m", lambda h: 1.02 * h), "thickness_m is"),
     "a measure of heat": (record("end", "T_max_K", lambda T: T + 5.0), "T_max_K is"),
     "a strain beyond the scheme": (field("target", "CellData/eps_p", at(0, 30.0)), "target_eps_p_max 30 is a number"),
+    "a temperature of the target that is no number": (field("target", "CellData/T", at(3, np.nan)), "T is not a number"),
+    "a velocity of the surface that is no number": (field("surface", "PointData/velocity", at(3, np.nan)), "velocity is not a number"),
+    "a strain of the target that falls": (field("target", "CellData/eps_p", lambda e: 0.9 * e), "plastic strain of the target fell"),
+    "a cold target": (field("target", "CellData/T", lambda T: T - 20.0), "colder than all at the start"),
+    "a molten point": (field("particle", "PointData/T", at(0, 1900.0)), "T over T_m, without a warning"),
+    "elastic energy": (column("elastic_target", lambda c: at(-1, c[-1] + 1e-8)(c)), "columns do not add up"),
+    "flattening beyond its range": (record("end", "flattening_ratio_total", lambda _: 1.2), "flattening_ratio_total is 1.2"),
 }  # fmt: skip
 
 
