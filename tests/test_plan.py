@@ -10,7 +10,8 @@ from test_scene import scene_with, several
 
 from coupler.errors import StoreError
 from coupler.plan import cost as estimates
-from coupler.plan import effects
+from coupler.plan import effects, forecast
+from coupler.plan.batches import batches
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text, read_plan
@@ -110,7 +111,7 @@ def test_what_lies_between_impacts_costs_time():
     E, splat = plain.target.elements_estimate, plain.impact.splat_elements
     for made, closed in ((plain, False), (cold, True)):
         cooled = made.effects.cooling
-        between = estimates.between_impacts((E, E + splat), (splat, splat), cooled, closed)
+        between = estimates.between_impacts((E, E + splat), (splat, splat), {0, 1} if cooled else set(), closed)
         assert made.cost.rest == pytest.approx(estimates.run_time(E) + sum(between))
         (first, own), (second, last) = made.shares
         whole = made.cost.steps + made.cost.points + sum(between) + estimates.SECONDS_PER_RUN
@@ -119,6 +120,19 @@ def test_what_lies_between_impacts_costs_time():
         assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
         assert (between[1] > 0.0) == closed
         assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if cooled else 0.0)
+
+
+def test_impacts_on_cuts_cost_what_is_in_their_window_and_one_pause_for_a_batch():
+    places = [{"offset": [f"{x} um", "0 um"]} for x in (-100, 100)] * 6
+    made = plan(several(*places, preset="draft", substrate__diameter="500 um", adhesion__kind="tied"))
+    met, computed = (of(made.impacts, made.target) for of in (forecast.elements_met, forecast.elements_computed))
+    ranges = batches(made.impacts)
+    assert max(map(len, ranges)) > 1
+    assert max(computed) < 0.5 * met[0] < min(met)
+    between = forecast.time_between(made.impacts, made.target, True, False)
+    without = forecast.time_between(made.impacts, made.target, False, False)
+    paused = [i for i, (a, b) in enumerate(zip(between, without, strict=True)) if a > b]
+    assert paused == [each[-1] for each in ranges[:-1]]  # the last needs none
 
 
 def test_a_particle_that_rebounds_leaves_no_splat_in_the_forecast():

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -184,11 +184,13 @@ def run_time(n_elements: float) -> float:
     return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
 
 
-def between_impacts(elements: Sequence[float], splats: Sequence[int], cooled: bool, closed: bool) -> tuple[float, ...]:
+def between_impacts(
+    elements: Sequence[float], splats: Sequence[int], paused: Collection[int], closed: bool
+) -> tuple[float, ...]:
     """Time after each impact on one core, s: conversion of its splat, rest, pause; after the last only with a closing stage.
 
-    elements: tetrahedra that each impact meets; splats: of its own splat, 0 where it rebounds; cooled: heat flows in
-    pauses; closed: all cools to ambient.
+    elements: tetrahedra that each impact meets; splats: of its own splat, 0 where it rebounds; paused: the impacts after which heat
+    flows; closed: all cools to ambient.
     """
     times = []
     for i, (before, own) in enumerate(zip(elements, splats, strict=True)):
@@ -197,7 +199,7 @@ def between_impacts(elements: Sequence[float], splats: Sequence[int], cooled: bo
             PAUSE_STEPS * each if last else PAUSE_STEPS * each + HEAT_STEPS * SECONDS_PER_HEAT_ELEMENT * (before + own)
         )
         joining = JOIN_STEPS * each + (SECONDS_PER_CONVERSION + SECONDS_PER_SPLAT_ELEMENT * own if own else 0.0)
-        times.append(joining + pause * (closed if last else cooled) if closed or not last else 0.0)
+        times.append(joining + pause * (closed if last else i in paused) if closed or not last else 0.0)
     return tuple(times)
 
 

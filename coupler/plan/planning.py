@@ -16,7 +16,7 @@ from ..physics.adhesion import Adhesion, critical_velocity
 from ..physics.materials import Material, fitted_at
 from ..scene.tables import End, Face, Particle
 from . import cost as estimates
-from . import effects
+from . import effects, forecast
 from .bands import Band, Kind, of_measures
 from .budget import ACCURACY, REST, Budget, decide
 from .effects import Effects, Situation
@@ -157,10 +157,8 @@ class Plan:
     def shares(self) -> tuple[tuple[float, float], ...]:
         """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it. The whole
         includes the files and pictures at the end."""
-        elements = _met([each.splat_elements for each in self.impacts], self.target.elements_estimate)
-        after = estimates.between_impacts(
-            elements, [each.splat_elements for each in self.impacts], self.effects.cooling, self.ambient is not None
-        )
+        elements = forecast.elements_computed(self.impacts, self.target)
+        after = forecast.time_between(self.impacts, self.target, self.effects.cooling, self.ambient is not None)
         own = []
         for impact, met in zip(self.impacts, elements, strict=True):
             steps = impact.expected / impact.dt_expected
@@ -194,12 +192,11 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         impacts = tuple(map(_to_greatest, impacts))
     target = _target(scene, base, decided)
     steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
-    splats = [i.splat_elements for i in impacts]  # each but the first finds those before it among the target's elements
-    elements = _met(splats, target.elements_estimate)
+    elements = forecast.elements_computed(impacts, target)
     costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
     weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
     loads = [estimates.target_load(points, n, scene.resolution.engine) for _, points, n in costs]
-    between = estimates.between_impacts(elements, splats, decided.cooling, scene.derived.ambient is not None)
+    between = forecast.time_between(impacts, target, decided.cooling, scene.derived.ambient is not None)
     adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
@@ -215,11 +212,11 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         budget=budget,
         dt_estimate=min(i.dt_expected for i in impacts),
         steps_estimate=sum(steps),
-        memory_bytes=estimates.memory(scene.derived.points, elements[-1]),
+        memory_bytes=estimates.memory(scene.derived.points, forecast.elements_met(impacts, target)[-1]),
         cost=estimates.Cost(
             steps=sum(estimates.step_time(n, E) for n, _, E in costs),
             points=sum(estimates.point_time(n, N, scene.resolution.engine) for n, N, _ in costs),
-            rest=estimates.run_time(elements[0]) + sum(between),
+            rest=estimates.run_time(target.elements_estimate) + sum(between),
         ),
         target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
@@ -231,11 +228,6 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         spray=_spray(scene),
         solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
     )
-
-
-def _met(splats: Sequence[int], substrate: int) -> list[int]:
-    """Elements that each impact meets: those of the substrate and of the splats before it."""
-    return list(itertools.accumulate(splats[:-1], initial=substrate))
 
 
 def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Budget:
