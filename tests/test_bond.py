@@ -6,6 +6,7 @@ from blocks import Blocks, cubes, touching
 from scipy.spatial.transform import Rotation
 
 from coupler.contact.bond import Bond
+from coupler.contact.bond_kernels import yielding
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit, stability
@@ -96,6 +97,18 @@ def test_the_flow_is_normal_to_the_locus(pair: Blocks, angle: float) -> None:
     assert force[-1] == pytest.approx([S**2 * e[0] / power, 0.0, N**2 * e[2] / power], rel=1e-3, abs=1e-6 * N)
     assert force[-1] @ e == pytest.approx(power, rel=1e-6)
     assert (force @ e).max() <= power * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("damage", [0.0, 0.5, 1.0 - 1e-12, 1.0 - 2.0**-53])
+def test_any_opening_of_any_bond_has_an_end(damage: float) -> None:
+    k = 1e18
+    for wide, slip in ((1e-3, 0.0), (1e-9, 1e-3), (1e-3, 1e-3), (1e-30, 1e-9)):
+        for ease_n, ease_s in ((1 / GI, 1 / GII), (0.0, 0.0), (np.inf, np.inf)):
+            *shares, after = yielding(wide, slip, k, 1 / N, 1 / S, ease_n, ease_s, 1.0, damage, 1.0)
+            assert damage <= after <= 1.0
+            assert all(0.0 <= share <= 1.0 for share in shares)
+            left = np.hypot((1 - shares[0]) * wide * k / N, (1 - shares[1]) * slip * k / S)
+            assert left == pytest.approx(1.0 - after, rel=1e-6, abs=1e-6)  # shares are near one here
 
 
 @pytest.mark.parametrize(("toward", "far"), [((0, 0, 1.0), GI / N), ((1.0, 0, 0), GII / S), ((0.6, 0, 0.8), GI / N)])

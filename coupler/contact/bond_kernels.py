@@ -74,7 +74,7 @@ def flow(
         c, lb = max(c, soft_s), b / soft_s
     low, above = 0.0, sqrt(a * a + b * b) - held
     high, below = 1.0, softening(la, lb, ease_n, ease_s, alpha) / (2.0 * sqrt(la * la + lb * lb)) - held
-    if below >= 0.0:
+    if below >= -1e-14 * above:  # what is left is lost in rounding
         return np.inf
     dl, side = 0.0, 0
     for _ in range(100):
