@@ -141,8 +141,8 @@ def rest(
     """The bodies after a batch of impacts and all the time until the next: heat has flowed, all is in equilibrium, and splats that are
     not held have left. places: of the impacts, m; kinetic_0: J, of the last; report: of its joining, to which this is added.
 
-    Equilibrium is found round the places, up to REST windows from them and where temperatures have changed: beyond the windows only
-    what their edges have borne is out of balance. What little remains there is relaxed after later impacts, or in the closing stage.
+    Where that is less than all, equilibrium is found round the places up to REST windows from them, and after a pause as far as
+    temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage.
     """
     radius = REST * max(plan.impacts[i].window for i in impacts)
     bodies, report["detached"] = without_detached(plan, bodies.renumbered(*places), impacts.stop, "impact")
