@@ -13,7 +13,15 @@ from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
 from coupler.impact.exchange import Impact
 from coupler.physics import materials
-from coupler.physics.adhesion import EXTRUSION, ligament_bonds, oxide_film, sound_fraction
+from coupler.physics.adhesion import (
+    EXTRUSION,
+    clean_share,
+    ligament_bonds,
+    ligament_width,
+    overlap,
+    oxide_film,
+    sound_fraction,
+)
 
 FILM = {"oxide_thickness": "2.5 nm", "oxide_strength": "10 GPa", "oxide_threshold": 0.1}
 EXPOSURE = """[adhesion]
@@ -27,24 +35,34 @@ oxide_threshold = 0.1
 TEXT = scene(("OFHC_Cu", 20, 600), spacing=2.7, element_size=4.0, diameter=100, height=50, more=EXPOSURE)
 
 
-def test_clean_metal_under_pressure_bonds_and_nothing_else_does() -> None:
-    """f = (Y - Y') / (1 - Y') min((p - p_E) / sigma_0, 1)."""
+def test_clean_metal_under_pressure_meets_and_nothing_else_does() -> None:
+    """f = c min((p - p_E) / sigma_0, 1)."""
     sigma = 400e6
-
-    def f(exposed: float, threshold: float, pressure: float) -> float:
-        return float(sound_fraction(np.array([exposed]), threshold, np.array([pressure]), np.array([sigma]))[0])
-
-    assert f(0.5, 0.0, EXTRUSION * sigma) == 0.0
-    assert f(0.5, 0.0, (EXTRUSION + 0.5) * sigma) == pytest.approx(0.25)
-    assert f(0.5, 0.0, (EXTRUSION + 3.0) * sigma) == pytest.approx(0.5)
-    assert f(0.5, 0.2, 1e10) == pytest.approx(0.375)
-    assert f(0.2, 0.2, 1e10) == 0.0
-    assert f(-0.3, 0.0, 1e10) == 0.0
+    pressure = np.array([EXTRUSION * sigma, (EXTRUSION + 0.5) * sigma, (EXTRUSION + 3.0) * sigma])
+    share = sound_fraction(np.full(3, 0.5), pressure, np.full(3, sigma))
+    assert share == pytest.approx([0.0, 0.25, 0.5])
+    molten = sound_fraction(np.full(3, 0.5), np.array([0.0, 1e6, -1e6]), np.zeros(3))
+    assert molten.tolist() == [0.0, 0.5, 0.0]
 
 
-def test_molten_metal_under_pressure_meets_and_without_pressure_does_not() -> None:
-    molten, exposed = np.zeros(3), np.full(3, 0.5)
-    assert sound_fraction(exposed, 0.0, np.array([0.0, 1e6, -1e6]), molten).tolist() == [0.0, 0.5, 0.0]
+def test_a_film_stretches_to_its_threshold_and_no_further() -> None:
+    """Lengths of a strip of 100: its film covers 100 / (1 - Y') once it has cracked."""
+    length = np.array([90.0, 100.0, 125.0, 160.0, 400.0])
+    covered = np.minimum(length, 100.0 / (1.0 - 0.2))
+    assert clean_share(1.0 - 100.0 / length, 0.2) == pytest.approx(1.0 - covered / length, abs=1e-15)
+
+
+def test_strips_that_have_slid_overlap_as_two_patterns_do() -> None:
+    """Counted on two gratings of the period L + w, with the share c clean: at once q = 1, then 1 - s / w, and c in the mean of all
+    positions."""
+    c, period = 0.3, 1000
+    width = round(c * period)
+    clean = np.arange(period) < width
+    for slip in (0, 100, 200):
+        counted = np.count_nonzero(clean & np.roll(clean, slip)) / width
+        assert overlap(np.array([c]), np.array([width]), np.array([slip])) == pytest.approx(counted)
+    mean = np.mean([np.count_nonzero(clean & np.roll(clean, slip)) for slip in range(period)]) / width
+    assert overlap(np.array([c]), np.array([width]), np.array([50.0 * period])) == pytest.approx(mean)
 
 
 def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
@@ -61,15 +79,20 @@ def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
 
 
 def test_ligaments_are_torn_by_the_work_of_their_limit_load() -> None:
-    """G = 3/4 (2 + pi) h sigma_f f Y / (1 - Y), whatever the flow stress (docs/theory/bonds.md); a fifth of it in shear."""
-    f, Y, force = np.array([0.5, 0.4]), np.array([0.5, 0.8]), np.array([16.5, 7.0])
+    """G = 3/4 (2 + pi) h sigma_f f c / (1 - c), whatever the flow stress (docs/theory/bonds.md); a fifth of it in shear."""
+    f, c, force = np.array([0.5, 0.4]), np.array([0.5, 0.8]), np.array([16.5, 7.0])
+
+    def law_of(sigma: float, stiffness: float) -> dict[str, np.ndarray]:
+        strength = np.full(2, sigma)
+        return ligament_bonds(f, ligament_width(c, force, strength), strength, stiffness, c)
+
     for sigma in (3e8, 9e8):
-        law = ligament_bonds(f, Y, force, np.full(2, sigma), stiffness=1e19)
-        assert law["energy"] == pytest.approx(0.75 * (2.0 + np.pi) * force * f * Y / (1.0 - Y), rel=1e-12)
+        law = law_of(sigma, 1e19)
+        assert law["energy"] == pytest.approx(0.75 * (2.0 + np.pi) * force * f * c / (1.0 - c), rel=1e-12)
         assert law["shear_energy"] == pytest.approx(law["energy"] / (2.0 + np.pi), rel=1e-12)
         assert law["strength"] == pytest.approx((2.0 + np.pi) / np.sqrt(3.0) * sigma * f, rel=1e-12)
-        assert np.all(law["rewelds"] == Y)
-    soft = ligament_bonds(f, Y, force, np.full(2, 3e8), stiffness=1e15)  # the spring opens by w before its strength
+        assert np.all(law["rewelds"] == c)
+    soft = law_of(3e8, 1e15)  # the spring opens by w before its strength
     assert np.all(soft["energy"] >= soft["strength"] ** 2 / 2e15)
 
 
@@ -86,11 +109,11 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
 
     def probe(impact: Impact) -> None:
         e = impact.exposure
-        if e is not None and "exposed" in seen:
-            assert np.all(e.exposed >= seen["exposed"])
-            assert np.all(e.sound >= seen["sound"])
         if e is not None:
-            seen.update(exposed=e.exposed.copy(), sound=e.sound.copy())
+            for name in ("clean", "slip", "sound"):
+                now = getattr(e, name)[:, 0] if name == "clean" else getattr(e, name)
+                assert np.all(now >= seen.get(name, 0.0))
+                seen[name] = now.copy()
         if impact.hold is not None and "sinking" not in seen:
             seen["sinking"] = np.array(impact.sinking)
         if impact.hold is not None:
@@ -107,8 +130,10 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, dict[str,
 
 def test_an_impact_exposes_metal_and_bonds_it(exposed: tuple[Result, dict[str, np.ndarray]]) -> None:
     result, seen = exposed
-    assert 0.1 < seen["exposed"][seen["rows"]].mean() < 0.9
-    assert np.all(seen["sound"] <= np.clip((seen["exposed"] - 0.1) / 0.9, 0.0, 1.0) + 1e-12)
+    assert 0.1 < seen["clean"][seen["rows"]].mean() < 0.9
+    assert np.all(seen["sound"] <= seen["clean"] + 1e-12)
+    assert np.all(seen["slip"][seen["clean"] == 0.0] == 0.0)
+    assert 0.1e-6 < np.median(seen["slip"][seen["rows"]]) < 10e-6  # of a particle of 20 um
     assert np.ptp(seen["strength"]) > 50e6  # each place has its own bond
     assert seen["strength"].max() < 2.97 * 600e6  # no more than work-hardened copper bears between cracks
     assert result.verdict in ("sticks", "rebounds")

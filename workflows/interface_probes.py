@@ -23,7 +23,7 @@ from coupler import Scene, run
 from coupler.geometry.triangles import vertex_areas
 from coupler.impact.exchange import Impact
 from coupler.impact.exposure import softer_strength
-from coupler.physics.adhesion import CONSTRAINT, EXTRUSION
+from coupler.physics.adhesion import EXTRUSION
 from coupler.progress import Progress
 from coupler.studies.critical import at_velocity
 from coupler.studies.sweep import toml_text
@@ -53,7 +53,7 @@ PROFILE = (
     "velocity_m_s",
     "preset",
     "zone_r_over_R",
-    "exposure",
+    "clean_share",
     "strength_MPa",
     "over_flow_stress",
     "energy_J_m2",
@@ -61,6 +61,14 @@ PROFILE = (
 PROFILE_CASES = tuple(("al", 22.0, 1100.0, preset) for preset in ("draft", "standard"))
 ZONES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # of the particle's radius, at the greatest deformation
 WINDOW = (0.1, 0.2)  # of D / v: the edge is free, the jet forms
+
+
+def flow_stresses(impact: Impact) -> np.ndarray:
+    """Flow stress (v,) Pa of the softer metal at the vertices of the particle's surface; infinite far from the target."""
+    stresses = np.full(impact.surface.weights.shape[0], np.inf)
+    near, facets = impact.contact.touching(len(stresses), 10.0 * impact.particle.spacing)
+    stresses[near] = softer_strength(impact.domains, near, facets)
+    return stresses
 
 
 class Losses:
@@ -78,9 +86,7 @@ class Losses:
         area = vertex_areas(impact.surface.positions(impact.particle.x), impact.surface.triangles)
         force = contact.stiffness * impact.surface.at_vertices(contact.depth)
         pressure = ((force + exposure._ring @ force) / (area + exposure._ring @ area))[rows]
-        near, facets = contact.touching(len(area), 10.0 * impact.particle.spacing)
-        strength = np.full(len(area), np.inf)
-        strength[near] = softer_strength(impact.domains, near, facets)
+        strength = flow_stresses(impact)
         before = np.array([min(self._damage.get(row, 0.0), now) for row, now in zip(rows, bond.damage, strict=True)])
         lost = bond.area * bond.energy[:, 0] * ((1.0 - before) ** 2 - bond.soundness)
         classes = 3 - np.searchsorted(PRESSURES, pressure / strength[rows], side="left")
@@ -101,13 +107,8 @@ class Profile:
         if impact.sinking > 0.0 or hold is None or exposure is None:
             return
         x, bond = impact.surface.positions(impact.particle.x)[hold.rows], hold.bond
-        sound = exposure.sound[hold.rows]
-        values = (
-            bond.strength[:, 0],
-            bond.strength[:, 0] / (CONSTRAINT * sound),
-            bond.energy[:, 0],
-            exposure.exposed[hold.rows],
-        )
+        flow = flow_stresses(impact)[hold.rows]
+        values = bond.strength[:, 0], flow, bond.energy[:, 0], exposure.clean[hold.rows, 0]
         self.values = np.hypot(x[:, 0], x[:, 1]), bond.area, *values
 
 
@@ -197,9 +198,9 @@ def profile(name: str, size: float, velocity: float, preset: str) -> list[dict[s
         zone = (radius >= 0.5e-6 * size * low) & (radius < 0.5e-6 * size * high)
         if not area[zone].any():  # nothing has bonded there
             continue
-        strength, flow, energy, exposure = (float(np.average(field[zone], weights=area[zone])) for field in fields)
+        strength, flow, energy, clean = (float(np.average(field[zone], weights=area[zone])) for field in fields)
         values = (
-            scene.particle.material, size, velocity, preset, f"{low:g} to {high:g}", round(exposure, 3),
+            scene.particle.material, size, velocity, preset, f"{low:g} to {high:g}", round(clean, 3),
             round(strength * 1e-6), round(strength / flow, 2), round(energy, 1),
         )  # fmt: skip
         rows.append(dict(zip(PROFILE, values, strict=True)))

@@ -175,6 +175,15 @@ class PointContact:
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
+    def sliding(self, rows: np.ndarray, vp: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Speed (k,) m/s of points `rows` (k,) that touch along the facets they are on. vp (k,3) of these points; x, v (N,3)."""
+        nodes = self.facets[self._ids[self._boxes[self._nearest[rows]]]]
+        relative = vp - np.einsum("ki,kij->kj", self._foot[rows], v[nodes])
+        corners = x[nodes]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        along = np.einsum("kj,kj->k", relative, normal) / np.einsum("kj,kj->k", normal, normal)
+        return np.linalg.norm(relative - along[:, None] * normal, axis=1)
+
     def _look(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep."""
         lost = np.zeros((PARTS, 3))

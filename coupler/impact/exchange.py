@@ -17,7 +17,7 @@ from ..contact.penalty import ContactState
 from ..errors import SolverError
 from ..geometry.points import depths
 from ..geometry.triangles import rings, vertex_areas
-from ..physics.adhesion import HELD_STIFFNESS, ligament_bonds, oxide_film
+from ..physics.adhesion import HELD_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
 from ..plan.planning import ImpactPlan, Plan
@@ -182,7 +182,7 @@ class Impact:
             self.exposure = Exposure(self.domains)
         if self._films is None:
             self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
-        self.exposure.update(self.domains, self._films[:, 0])
+        self.exposure.update(self.domains, self._films[:, 0], self.time)
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
@@ -217,8 +217,7 @@ class Impact:
             rows, facets, area = rows[chosen], facets[chosen], area[chosen]
             law_of = t.law_of[t.mesh.facet_element[facets]]
             if self.exposure is not None and self._films is not None:
-                force = self._films[law_of, 1]
-                law = ligament_bonds(sound[chosen], self.exposure.exposed[rows], force, strength[chosen], stiffness)
+                law = self.exposure.bonds(rows, self._films[law_of, 1], strength[chosen], stiffness)
             else:
                 metals = self._metals(plan)
                 law = adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])

@@ -47,21 +47,48 @@ def _tensile_strength(material: Material) -> float:
     return material.sigma_TS
 
 
-def sound_fraction(
-    exposed: np.ndarray, threshold: float | np.ndarray, pressure: np.ndarray, strength: np.ndarray
-) -> np.ndarray:
-    """Share (n,) of an interface at which clean metal has bonded to clean metal: the film theory of cold pressure welding.
+def clean_share(expansion: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
+    """Share of a surface that is clean metal between the fragments of its film: c = (Y - Y') / (1 - Y'), Y = 1 - A_0 / A.
 
-        f = (Y - Y') / (1 - Y') min((p - p_E) / sigma_0, 1),   Y = 1 - A_0 / A,   p_E = 2 sigma_0 / sqrt(3)
-
-    The brittle film cracks at the exposure Y' (threshold) and does not stretch; metal comes through the cracks under a pressure
-    above p_E and meets that of the other side. exposed Y (n,); pressure p, strength sigma_0 (n,) Pa: flow stress of the softer
-    metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: a strength that grows with surface exposure and
-    normal pressure; the linear form is quoted at second hand. p_E is the least value that plasticity allows, plane strain yield
-    below a crack free of traction; Bay's is from slip lines.
+    The brittle film stretches with the metal to the expansion Y' (threshold), cracks, and stretches no further.
     """
-    clean = np.clip((exposed - threshold) / (1.0 - threshold), 0.0, 1.0)
+    return np.clip((expansion - threshold) / (1.0 - threshold), 0.0, 1.0)
+
+
+def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Share (n,) of an interface at which clean metal comes to clean metal: the film theory of cold pressure welding.
+
+        f = c min((p - p_E) / sigma_0, 1),   p_E = 2 sigma_0 / sqrt(3)
+
+    Metal comes through the cracks under a pressure above p_E and meets that of the other side, as long as the cracks of both films
+    coincide (`overlap`). clean c (n,): `clean_share`, of the two surfaces the smaller; pressure p, strength sigma_0 (n,) Pa: flow
+    stress of the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: a strength that grows with surface
+    exposure and normal pressure; the linear form is quoted at second hand. p_E is the least value that plasticity allows, plane
+    strain yield below a crack free of traction; Bay's is from slip lines.
+    """
     return clean * np.clip(pressure / np.maximum(strength, 1.0) - EXTRUSION, 0.0, 1.0)  # molten metal has no strength
+
+
+def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Width w (n,) m of the clean metal between two fragments of the film.
+
+        w = L c / (1 - c),   L = 3/2 h sigma_f / k,   k = sigma_0 / sqrt(3)
+
+    L: mean length of the fragments, where the shear flow stress k of the metal loads a film of thickness h and strength sigma_f (Kelly
+    & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). clean c (n,); film_force h sigma_f
+    (n,) N/m; strength sigma_0 (n,) Pa.
+    """
+    return 1.5 * film_force * math.sqrt(3.0) / strength * clean / (1.0 - clean)
+
+
+def overlap(clean: np.ndarray, width: np.ndarray, slip: np.ndarray) -> np.ndarray:
+    """Share q (n,) of the clean strips of one surface that lies on clean strips of the other: q = max(1 - s / w, c).
+
+    Where nothing slides both films crack together, and their cracks coincide. A slip s takes the strips off each other; of all
+    positions the mean is the share c of the other surface that is clean. clean c (n,): of the two surfaces the larger; width w, slip
+    s (n,) m, since the films have cracked.
+    """
+    return np.maximum(1.0 - slip / np.maximum(width, 1e-300), clean)
 
 
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
@@ -78,29 +105,26 @@ def oxide_film(first: Material, second: Material) -> tuple[float, float]:
 
 
 def ligament_bonds(
-    sound: np.ndarray, exposed: np.ndarray, film_force: np.ndarray, strength: np.ndarray, stiffness: float
+    sound: np.ndarray, width: np.ndarray, strength: np.ndarray, stiffness: float, rewelds: np.ndarray
 ) -> dict[str, np.ndarray]:
     """Bond laws at n places where metal has bonded through a cracked film: ligaments between its fragments, torn plastically.
 
-        L = 3/2 h sigma_f / k,   w = L Y / (1 - Y),   N = (2 + pi) k f,   S = k f,   G = N w / 2,   k = sigma_0 / sqrt(3)
+        N = (2 + pi) k f,   S = k f,   G = N w / 2,   k = sigma_0 / sqrt(3)
 
-    L: mean length of the fragments, where the shear flow stress k of the metal loads a film of thickness h and strength sigma_f (Kelly
-    & Tyson (1965), J. Mech. Phys. Solids 13, 329: between L_c / 2 and L_c = 2 h sigma_f / k). w: width of the ligaments. N: limit
-    load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has opened or
-    slid by its width (McClintock (1971), in Fracture III), so that strength falls linearly. With the half width a = w / 2 this is
-    G = 2.97 f sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6. What slides under pressure welds
-    again where clean metal meets clean metal: strips of the share Y on both sides overlap by Y w in the mean (rewelds).
+    N: limit load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has
+    opened or slid by its width w (McClintock (1971), in Fracture III), so that strength falls linearly. With the half width a = w / 2
+    this is G = 2.97 f sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
 
-    sound f (n,); exposed Y (n,); film_force h sigma_f (n,) N/m; strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, which hold no
-    more than at an opening w. Returns the arguments of `contact.bond.Bond`.
+    sound f (n,): share of the area that is welded; width w (n,) m: of what is welded; strength sigma_0 (n,) Pa; stiffness Pa/m: of the
+    springs, which hold no more than at an opening w; rewelds (n,): as in `contact.bond.BondRows`. Returns the arguments of
+    `contact.bond.Bond`.
     """
     shear = strength / math.sqrt(3.0)
-    width = 1.5 * film_force / shear * exposed / (1.0 - exposed)
     most = 0.999 * stiffness * width
     normal, shear = np.minimum(CONSTRAINT * strength * sound, most), np.minimum(shear * sound, most)
     return {
         "strength": normal, "energy": 0.5 * normal * width, "shear_strength": shear, "shear_energy": 0.5 * shear * width,
-        "rewelds": exposed,
+        "rewelds": rewelds,
     }  # fmt: skip
 
 
