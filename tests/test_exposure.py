@@ -22,6 +22,7 @@ from coupler.physics.adhesion import (
     oxide_film,
     sound_fraction,
 )
+from coupler.plan.planning import plan
 
 FILM = {"oxide_thickness": "2.5 nm", "oxide_strength": "10 GPa", "oxide_threshold": 0.1}
 EXPOSURE = """[adhesion]
@@ -101,6 +102,14 @@ def test_the_smaller_fragments_and_the_tougher_film_decide() -> None:
     assert oxide_film(nickel, copper) == oxide_film(copper, nickel) == pytest.approx((0.10, 7.0))
     with pytest.raises(ColdsprayError, match=r"Ti has no oxide film.*\[materials.Ti\]"):
         oxide_film(nickel, materials.material("Ti"))
+
+
+def test_a_particle_of_few_points_is_told_that_its_bonds_come_out_too_weak() -> None:
+    few = [text for text in plan(Scene.from_text(TEXT, "few")).warnings if "too few for bonds by exposure" in text]
+    assert len(few) == 1
+    many = TEXT.replace("2.7 um", "1 um")
+    assert many != TEXT
+    assert not any("too few" in text for text in plan(Scene.from_text(many, "many")).warnings)
 
 
 @pytest.fixture(scope="module")

@@ -71,23 +71,21 @@ class Case:
 # name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact
 METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
 CASES = (
-    *(
-        Case(name, velocities, preset, strength=strength)
-        for preset in ("draft", "standard")
-        for name, velocities in (("ni", (665, 565, 480, 400, 831)), ("cu", (610, 500, 400, 762)))
-        for strength in ("", "Johnson_1983")
-    ),
-    *(Case(name, (v,), preset) for preset in ("draft", "standard") for name, v in (("ni", 520), ("cu", 555))),
-    Case("ni", (565, 480), "fine"), Case("cu", (610, 500), "fine"),
-    *(Case("ni", (665,), film=film) for film in (0.36, 1.94)), *(Case("cu", (610,), film=film) for film in (0.4, 2.0)),
-    *(Case("ni", (665,), diameter=size) for size in (5.0, 40.0)), Case("ni", (665,), temperature=900.0),
-    *(Case("cu", (610, 555, 500), diameter=size) for size in (5.0, 40.0)),
-    *(Case("cu", (610, 500), strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
+    Case("ni", (665, 598, 565, 532, 400, 831), "standard"), Case("cu", (610, 580, 549, 488, 400, 762), "standard"),
+    *(Case(name, velocities) for name, velocities in (("ni", (665, 831)), ("cu", (610, 488, 762)))),
+    Case("ni", (565,), "fine"), Case("cu", (549,), "fine"),
+    *(Case("ni", (665,), "standard", film=film) for film in (0.36, 1.94)),
+    *(Case("cu", (610,), "standard", film=film) for film in (0.4, 2.0)),
+    *(Case("cu", (610, 580, 549), "standard", diameter=size) for size in (5.0, 40.0)),
+    *(Case("ni", (565,), "standard", diameter=size) for size in (5.0, 40.0)),
+    Case("ni", (532,), "standard", temperature=900.0),
+    Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488), "standard", strength="Johnson_1983"),
+    *(Case("cu", (580, 488), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
-    *(("ni", 10.0, "draft", v, 6) for v in (565, 520, 480, 665)), *(("cu", 14.0, "draft", v, 6) for v in (555, 500, 610)),
-    *(("ni", 10.0, "standard", v, 4) for v in (480, 400)), *(("cu", 14.0, "standard", v, 4) for v in (500, 450)),
+    *(("ni", 10.0, "standard", v, 3) for v in (665, 598, 565, 532)), *(("cu", 14.0, "standard", v, 3) for v in (610, 580, 549, 488)),
+    *(("ni", 10.0, "draft", v, 3) for v in (665, 831)), *(("cu", 14.0, "draft", v, 3) for v in (610, 488)),
 )  # fmt: skip
 OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "let_go_J_m2", "torn_before_J_m2", "rebound_J_m2")
 PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
