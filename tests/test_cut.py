@@ -62,6 +62,33 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     assert same.energy == pytest.approx(whole.energy, rel=1e-12)
 
 
+def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: np.random.Generator) -> None:
+    """Of two cubes whose bonds and friction springs are under load one is in the cut: its energy is that of its first step, and the
+    whole has its own again once the cut is put back."""
+    loaded = Bodies.from_state(whole.state(), whole.fixed, whole.absorbing, whole.friction, conduction=False)
+    loaded.target.x += rng.normal(scale=2e-9, size=loaded.target.x.shape)
+
+    def one_step(bodies: Bodies) -> None:
+        bodies.search(1e-8)
+        bodies.forces(0.0)
+
+    one_step(loaded)
+    assert loaded.bond is not None
+    assert loaded.contact is not None
+    assert loaded.contact.penalty_energy > 0.0
+    part, cut = cut_out(loaded, (-24e-6, 0.0, 10e-6), 10e-6)
+    assert part.bond is not None
+    assert 0.2 * loaded.bond.stored < part.bond.stored < 0.8 * loaded.bond.stored
+    before, stored = part.energy, part.bond.stored
+    one_step(part)
+    assert part.bond.stored == pytest.approx(stored, rel=1e-9)
+    assert part.energy == pytest.approx(before, rel=1e-9)
+    again = put_back(loaded, cut, part)
+    assert again.energy == pytest.approx(loaded.energy, rel=1e-9)
+    one_step(again)
+    assert again.energy == pytest.approx(loaded.energy, rel=1e-9)
+
+
 def three(*offsets: float) -> str:
     """200-point particles for 10 ns, windows of 32 um, at these places (um) along x."""
     head, *particles = scenes.scene(

@@ -298,7 +298,7 @@ class BodyContact:
             side.reach = -np.inf
 
     def history(self) -> np.ndarray:
-        """Friction springs, depths and ignored depths (N,5) m of all nodes."""
+        """Friction springs (N), depths and ignored depths (m) of all nodes, (N,5)."""
         history = new_history(len(self._held))
         for side in self._sides:
             c = side.contact
@@ -319,7 +319,7 @@ class BodyContact:
         """Go on from a `history` and a ledger, J."""
         for side in self._sides:
             c, own = side.contact, history[side.nodes]
-            c.spring[:], c.depth[:], c.ignored[:] = own[:, :3], own[:, 3], own[:, 4]
+            c.remember(own[:, :3], own[:, 3], own[:, 4])
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
             side.contact.dropped, side.reach = 0, -np.inf
         if self._sides:

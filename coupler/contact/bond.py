@@ -167,6 +167,11 @@ class Bond:
             return np.where(self.broken, 0.0, self.area * self.energy[:, 0] * self.soundness)
 
     @property
+    def springs(self) -> np.ndarray:
+        """Energy (n,) J that each bond stores."""
+        return 0.5 * self.area * (self.traction**2).sum(axis=1) / self.stiffness
+
+    @property
     def soundness(self) -> np.ndarray:
         """Share (n,) of the fracture energy that each bond has left: the triangle of the strength that is left."""
         return (1.0 - self.damage) ** 2
@@ -207,9 +212,9 @@ class Bond:
 
     def drop(self, gone: np.ndarray) -> None:
         """Take bonds (mask) out. What they hold is dissipated."""
-        held = 0.5 * self.area[gone] @ ((self.traction[gone] ** 2).sum(axis=1) / self.stiffness[gone])
+        held = float(self.springs[gone].sum())
         rows = take(collect(BondRows, self), ~gone)
-        self.restore(BondState(rows, self.exponent, self.stored - float(held), self.dissipated + float(held)))
+        self.restore(BondState(rows, self.exponent, self.stored - held, self.dissipated + held))
 
     def renumber(self, node: np.ndarray) -> None:
         """Follow a new numbering of the domain. node (N,): new number of each old one."""

@@ -20,7 +20,7 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 
 @dataclass(frozen=True)
 class ContactState:
-    """spring (n,3) m: of friction, depth (n,) m that is felt, ignored (n,) m beside it (`kernels.follow`), heat_point (n,) J of each
+    """spring (n,3) N: of friction, depth (n,) m that is felt, ignored (n,) m beside it (`kernels.follow`), heat_point (n,) J of each
     point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat of the last step, J, and the number of points
     that touch; friction_heat: so far, J; dropped: points that have lost their contact as too deep so far, dropped_energy: what the
     springs of these held, and of those whose depth has jumped, J."""
@@ -104,6 +104,12 @@ class PointContact:
         if not len(state.depth) == len(state.spring) == points or len(state.heat_facet) != len(self.facets):
             raise CheckpointError("a state does not fit: the contact has other surfaces")
         assign(self, state)
+
+    def remember(self, spring: np.ndarray, depth: np.ndarray, ignored: np.ndarray) -> None:
+        """Go on from what points have of another contact: spring (n,3) N, depth and ignored depth (n,) m; its energies follow."""
+        self.spring[:], self.depth[:], self.ignored[:] = spring, depth, ignored
+        self.sums[0] = 0.5 * self.stiffness * float(depth @ depth)
+        self.sums[1] = 0.5 * float(np.einsum("ij,ij->", spring, spring)) / self.tangential
 
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
