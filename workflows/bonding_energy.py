@@ -79,8 +79,8 @@ CASES = (
     *(Case("cu", (610, 580, 549), "standard", diameter=size) for size in (5.0, 40.0)),
     *(Case("ni", (565,), "standard", diameter=size) for size in (5.0, 40.0)),
     Case("ni", (532,), "standard", temperature=900.0),
-    Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488), "standard", strength="Johnson_1983"),
-    *(Case("cu", (580, 488), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
+    Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
+    *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
