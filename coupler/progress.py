@@ -45,6 +45,7 @@ class Progress:
         self._first: tuple[float, float] | None = None
         self._clock = 0.0
         self._looped, self._part = 0.0, 0.0  # wall time of the loops of the impacts before, and their part of the whole
+        self._batches: tuple[float, float] | None = None  # clock and part done at the end of the first batch of impacts
         self._next = 0.0
         self._ticker: threading.Thread | None = None
         self._stopped = threading.Event()
@@ -89,10 +90,13 @@ class Progress:
     def stage(self, text: str, of_impact: bool = True, done: float | None = None) -> None:
         """Begin something that has no simulated time; it lasts until the next call of `stage`, `update` or `stop`, and goes on if it
         is begun again. of_impact: it belongs to the impact that was started last; done: part of the whole that lies before it."""
-        self._done = self._done if done is None else done
-        if self._stage is not None and self._stage[0] == text:
+        again = self._stage is not None and self._stage[0] == text
+        if not again:
+            self._show_last()
+        if done is not None:
+            self._done, self._share = done, 0.0
+        if again:
             return
-        self._show_last()
         self._stage = (text, time.monotonic())
         self._impact = self._impact if of_impact else ""
         self.record(f"{self._impact}{text}")
@@ -103,6 +107,12 @@ class Progress:
             self._stopped.clear()
             self._ticker = threading.Thread(target=self._tick, daemon=True)
             self._ticker.start()
+
+    def batch_ended(self, done: float) -> None:
+        """A batch of impacts side by side has ended; done: part of the whole that lies before the next. Time to go follows the pace of
+        batches from the first one on, at whose end the kernels of all processes are there."""
+        if self._batches is None:
+            self._batches = time.monotonic() - self.compiling, done
 
     def log(self, text: str) -> None:
         """A line of its own, above the bar."""
@@ -138,18 +148,24 @@ class Progress:
         """The state as text. now: time.monotonic()."""
         kinetic, dt, step = self._state
         text = f"{self._impact}{self.time * 1e9:.1f} ns  kinetic energy left {kinetic:.1%}  dt {dt * 1e12:.1f} ps  step {step}"
-        left = self.time_to_go(now)
-        return text if math.isnan(left) else f"{text}  about {left:.0f} s to go"
+        return f"{text}{_words(self.time_to_go(now))}"
 
     def time_to_go(self, now: float) -> float:
         """Wall time that is left, s; nan as long as too little is done to tell. now: time.monotonic().
 
         The pace is that of the time loops alone: between impacts the forecast knows less, as it takes each particle for a splat.
+        Of impacts in batches it is that of whole batches.
         """
+        if self._batches is not None:
+            return self._to_go_of_batches(now, self._fraction())
         begun, at_first = self._first or (math.inf, 0.0)
         done = self._fraction()
         spent, part = self._looped + now - self.compiling - begun, self._part + done - at_first
         return spent * (1.0 - done) / part if spent > _TELLS_AFTER and part > 0.0 else math.nan
+
+    def _to_go_of_batches(self, now: float, done: float) -> float:
+        begun, first = self._batches or (math.inf, 1.0)
+        return (now - self.compiling - begun) * (1.0 - done) / (done - first) if done > first else math.nan
 
     def _fraction(self) -> float:
         """The part of all steps of all impacts that is done, as their expected wall time goes.
@@ -204,12 +220,18 @@ class Progress:
             stage, now = self._stage, time.monotonic()
             if stage is None or now - stage[1] < _STAGE_AFTER:
                 continue
-            text = f"{self._impact}{stage[0]} ... {now - stage[1]:.0f} s"
+            left = math.nan if self._impact else self._to_go_of_batches(stage[1], self._done)
+            text = f"{self._impact}{stage[0]} ... {now - stage[1]:.0f} s{_words(left)}"
             if self._bar:
                 self._draw(text)
             elif now >= self._next:
                 print(text, file=self.stream, flush=True)
                 self._next = now + _LINE_EVERY
+
+
+def _words(left: float) -> str:
+    """Time to go in words; nothing where it is not known."""
+    return "" if math.isnan(left) else f"  about {left:.0f} s to go"
 
 
 def _bar(stream: TextIO) -> Bar:

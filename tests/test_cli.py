@@ -247,6 +247,27 @@ def test_an_attempt_that_failed_does_not_count_for_time_to_go(monkeypatch):
     assert progress.time_to_go(now[0]) == pytest.approx(5.0)
 
 
+def test_time_to_go_of_batches_follows_their_pace(monkeypatch):
+    """Ten batches of 10 s, of which the first compiles for 30 s more in other processes; one is a single impact in this process."""
+    now, stream = [0.0], io.StringIO()
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now[0])
+    progress = Progress(stream=stream)
+    monkeypatch.setattr(progress, "_tick", lambda: None)
+    shares = [(0.1 * k, 0.03) for k in range(10)]
+    for k in range(10):
+        if k == 5:
+            progress.start(50e-9, i=k, shares=shares)
+            progress.update(1e-12, 1.0, 1e-10, 1)
+            assert progress.time_to_go(now[0]) == pytest.approx(50.0, rel=0.02)
+        else:
+            progress.stage(f"batch {k}", of_impact=False, done=shares[k][0])
+            if k > 1:
+                assert progress.time_to_go(now[0]) == pytest.approx(100.0 - 10.0 * k)
+        now[0] += 10.0 if k else 40.0
+        progress.batch_ended(0.1 * (k + 1))
+    progress.stop()
+
+
 def test_a_state_is_printed_once(monkeypatch):
     """The last of an impact may be due as a line just before its end."""
     now, stream = [100.0], io.StringIO()

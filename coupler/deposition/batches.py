@@ -60,7 +60,8 @@ def compute(tasks: Sequence[Task], options: RunOptions, pool: Executor | None) -
     if pool is None or len(tasks) == 1:
         return [_here(task, options) for task in tasks]
     numbers = f"{tasks[0].i + 1} to {tasks[-1].i + 1}"
-    options.progress.stage(f"impacts {numbers} side by side", of_impact=False)
+    plan = tasks[0].plan
+    options.progress.stage(f"impacts {numbers} side by side", of_impact=False, done=plan.shares[tasks[0].i][0])
     with StopSignals() as signals:
         futures = [
             pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)

@@ -332,6 +332,8 @@ class Deposition:
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
         if self.records[-1].values["verdict"] != UNDECIDED:
             clear(self.folder)
+        if len(self.records) < len(self.plan.impacts):
+            options.progress.batch_ended(self.plan.shares[len(self.records)][0])
         return whole
 
     def _without_impact(self, error: ColdsprayError) -> Bodies:
