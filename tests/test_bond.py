@@ -327,6 +327,20 @@ def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) ->
     assert contact.penalty_energy + contact.lost == pytest.approx(energy, rel=1e-9)
 
 
+def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once(pair: Blocks) -> None:
+    """Springs of nodes that bonds hold are lost, those of the other side become heat or are dropped: together what they stored."""
+    bond, contact = cohesive(pair), pair.touch(friction=0.4)
+    history = contact.history()
+    history[:, :3] = [0.3, 0.4, 0.0]  # N
+    contact.begin(history, 0.0, 0.0, 0.0, 0)
+    stored = contact.penalty_energy
+    assert stored > 0.0
+    contact.search(shifted(pair, np.array([0.0, 0.0, 0.01 * SIDE])), 0.0, bond)
+    assert contact.friction_heat > 0.1 * stored
+    spent = contact.friction_heat + contact.dropped_energy + contact.lost
+    assert contact.penalty_energy + spent == pytest.approx(stored, rel=1e-9)
+
+
 def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_contact(pair: Blocks) -> None:
     bond, contact = pair.tie(strength=S, energy=1e6), pair.touch()  # so tough that it lasts for ten spacings
     up, still = pair.nodes(1), np.zeros_like(pair.target.x)

@@ -124,6 +124,11 @@ class BodyContact:
         return sum(side.contact.penalty_energy for side in self._sides)
 
     @property
+    def _energy(self) -> float:
+        """What it stores, has turned into heat and has dropped, J."""
+        return self.penalty_energy + self.friction_heat + self.dropped_energy
+
+    @property
     def friction_heat(self) -> float:
         """Heat of friction so far, J."""
         return sum(side.contact.friction_heat for side in self._sides)
@@ -178,7 +183,7 @@ class BodyContact:
         if bond is not None:
             held[bond.held] = True
         changed = bool(np.any(held != self._held))
-        before, before_held, self._held = self.penalty_energy, self._held, held
+        before, before_held, self._held = self._energy, self._held, held
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
         speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else np.zeros(0)
         fastest, searched = float(speed.max(initial=0.0)), False
@@ -195,7 +200,7 @@ class BodyContact:
         if changed:  # a step of no time tells what the contact holds with its new nodes
             rest = np.zeros_like(x)
             self.forces(0.0, x, rest, rest.copy())
-            self.lost += given_up + before - self.penalty_energy
+            self.lost += given_up + before - self._energy
 
     @staticmethod
     def _own_travel(side: _Side, travel: float, speed: np.ndarray, fastest: float) -> float:
