@@ -2,7 +2,7 @@
 
 Runs of workflows/critical_ni.toml and critical_cu.toml, kept in runs/bonding_energy (--runs). Writes docs/tables/bonding_energy.csv,
 whose rows are not computed again, critical_velocity.csv from its verdicts, bonding_scatter.csv of several placements of points and
-elements, and their parts of the page on bonding; --docs only these.
+elements, and their parts and the figure of the page on bonding; --docs only these.
 """
 
 import math
@@ -14,12 +14,25 @@ from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
-from pages import PAGES, ROOT, TABLES, markdown, number, options, study_table, versions, write_parts, write_table
+from pages import (
+    PAGES,
+    ROOT,
+    TABLES,
+    figure_path,
+    markdown,
+    number,
+    options,
+    study_table,
+    versions,
+    write_parts,
+    write_table,
+)
 
 from coupler import Scene
 from coupler.files.result import Result
 from coupler.measures import REBOUNDS
 from coupler.physics.materials import material
+from coupler.report.picture import blank, save
 from coupler.studies.critical import bracket, point_name, rows_at, shares_of
 from coupler.studies.table import Row
 
@@ -241,6 +254,34 @@ def page(rows: list[Row]) -> list[str]:
     return [*markdown(head, lines), "", versions(rows)]
 
 
+def draw(rows: list[Row]) -> None:
+    """Restitution over velocity beside the measured one, a panel for each metal; verdicts of the workflow's own scene."""
+    figure = blank(9.6, 4.0, 110)
+    for left, (name, title) in zip((0.07, 0.57), (("ni", "nickel, 10 µm"), ("cu", "copper, 14 µm")), strict=True):
+        axes = figure.add_axes((left, 0.13, 0.42, 0.78))
+        v, e = np.array(MEASURED[name]).T
+        axes.plot(v, e, "o", mfc="none", color="k", ms=5, label="measured")
+        critical = MEASURED_CRITICAL[METALS[name]]
+        axes.axvline(critical, color="k", ls="--", lw=1, label="measured critical velocity")
+        for preset, colour, mark in (("standard", "#0072b2", "s-"), ("draft", "#d55e00", "^:")):
+            case = Case(name, (), preset)
+            own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == case.key(0.0)[:-1]]
+            points = sorted(
+                (number(row, "velocity_m_s"), float(row["restitution"])) for row in own if row["restitution"]
+            )
+            axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {preset}")
+            found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
+            if found.low is not None and found.high is not None:
+                axes.axvspan(
+                    found.low, found.high, color=colour, alpha=0.2, lw=0, label=f"computed critical velocity, {preset}"
+                )
+        axes.set(title=title, xlabel="velocity of impact (m/s)", ylim=(-0.003, None))
+        axes.set_ylabel("coefficient of restitution" if name == "ni" else "")
+        if name == "cu":
+            axes.legend(fontsize=7, loc="upper right")
+    save(figure, figure_path("bonding", "critical.png"))
+
+
 def main() -> None:
     """Run what is missing and tabulate."""
     a = options(__doc__ or "", "docs", runs="runs/bonding_energy")
@@ -256,6 +297,7 @@ def main() -> None:
             for row in placed_rows(name, size, preset, velocity, repeat, Path(a.runs)):
                 scatter.add(row)
     lines = criticals(table.rows)
+    draw(table.rows)
     about = (
         "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)\n"
         "strength: strength set of the metal"
