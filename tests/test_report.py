@@ -16,7 +16,7 @@ from coupler.geometry.sections import crossing, cut_tets, section_loops
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
-from coupler.report import screen, section_picture
+from coupler.report import picture, screen, section_picture
 from coupler.report.compare import _change
 from coupler.report.fields import FIELDS, from_points, in_tets
 from coupler.report.page import report
@@ -62,6 +62,18 @@ def test_outline_of_a_hollow_ball(plane):
     assert abs(large) == pytest.approx(np.pi * (1 - plane**2), rel=0.01)
     assert abs(small) == pytest.approx(np.pi * (0.81 - plane**2), rel=0.02)
     assert section_loops(points, both, 1.5) == []
+
+
+@pytest.mark.parametrize("length", [0.9, 1.3, 3.0])
+def test_the_label_of_a_colour_bar_is_no_longer_than_the_bar(length: float) -> None:
+    """A coating is wide and flat: 'equivalent plastic strain' at its full size is longer than the section is high."""
+    figure = picture.blank(8.0, 4.0, dpi=100)
+    box = picture.axes_at(figure, 6.0, 0.3, 0.1, length)
+    picture.colour_bar(box, "eps_p", picture.Range(0.0, 2.0), length)
+    label = box.yaxis.label
+    assert label.get_text() == "equivalent plastic strain"
+    assert label.get_window_extent().height <= 100 * length
+    assert (label.get_fontsize() == 11.0) == (length > 2.0)
 
 
 def test_picture_shows_both_fields(folder, tmp_path):

@@ -106,7 +106,8 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
             picture.draw(axis, section, name, ends)
             if row == 0:
                 picture.scale_bar(axis, section.window, 10)
-        picture.colour_bar(picture.axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall), name, ends)
+        place = picture.axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall)
+        picture.colour_bar(place, name, ends, 0.96 * tall)
     for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
         left = (margin + k * (wide + margin)) / width
         figure.text(left, 1 - 0.25 / height, name, fontsize=11, weight="bold", va="center", parse_math=False)

@@ -246,7 +246,8 @@ def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
     axis = picture.axes_at(figure, 0, bar, wide, tall)
     picture.draw(axis, section, name, ends)
     picture.scale_bar(axis, section.window, 10)
-    picture.colour_bar(picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar), name, ends, across=True)
+    place = picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
+    picture.colour_bar(place, name, ends, wide - 0.5, across=True)
     return figure
 
 

@@ -36,6 +36,7 @@ MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
 RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
 PIXELS = 500  # along the longer side of the particle
+LETTER = 0.6  # width of a letter over the size of its font, at most, in words
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
 
 Window = tuple[float, float, float, float]  # left, right, bottom, top, um
@@ -258,14 +259,14 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     axis.set_axis_off()
 
 
-def colour_bar(box: Axes, name: str, ends: Range, across: bool = False) -> None:
-    """Draw the colours of a field with their values. across: lying down."""
+def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = False) -> None:
+    """Draw the colours of a field with their values. length: of the bar, inches; across: lying down."""
     field = FIELDS[name]
     bar = box.figure.colorbar(
         ScalarMappable(Normalize(ends.low, ends.high), field.colours), cax=box,
         extend="max" if ends.exceeded else "neither", orientation="horizontal" if across else "vertical",
     )  # fmt: skip
-    bar.set_label(field.words, fontsize=11)
+    bar.set_label(field.words, fontsize=min(11.0, 72.0 * length / (LETTER * len(field.words))))
 
 
 def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
@@ -316,7 +317,7 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
     for row, (name, ends) in enumerate(ranges.items()):
         axis = axes_at(figure, margin, margin + (count - 1 - row) * (tall + gap), width, tall)
         draw(axis, section, name, ends)
-        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends)
+        colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, 0.96 * tall)
     scale_bar(figure.axes[0], section.window)
     height = 1 - 0.27 / size[1]
     font = 13 * min(1.0, LONGEST_HEADING / max(len(heading), 1))
