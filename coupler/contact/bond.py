@@ -167,7 +167,7 @@ class Bond:
             return np.where(self.broken, 0.0, self.area * self.energy[:, 0] * self.soundness)
 
     @property
-    def springs(self) -> np.ndarray:
+    def stored_by_each(self) -> np.ndarray:
         """Energy (n,) J that each bond stores."""
         return 0.5 * self.area * (self.traction**2).sum(axis=1) / self.stiffness
 
@@ -212,7 +212,7 @@ class Bond:
 
     def drop(self, gone: np.ndarray) -> None:
         """Take bonds (mask) out. What they hold is dissipated."""
-        held = float(self.springs[gone].sum())
+        held = float(self.stored_by_each[gone].sum())
         rows = take(collect(BondRows, self), ~gone)
         self.restore(BondState(rows, self.exponent, self.stored - held, self.dissipated + held))
 

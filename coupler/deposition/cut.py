@@ -67,7 +67,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
         state = whole.bond.state()
         held = ((number[state.rows.nodes] >= 0) & (number[state.rows.triangles] >= 0).all(axis=1)).nonzero()[0]
         part.bond = Bond.from_state(BondState(take(state.rows, held), state.exponent, 0.0, state.dissipated))
-        part.bond.stored = float(part.bond.springs.sum())
+        part.bond.stored = float(part.bond.stored_by_each.sum())
         part.bond.renumber(number)
     elements = np.flatnonzero(inside)
     return part, Cut(selected, np.unique(conn[elements]), elements, _ledgers(part))

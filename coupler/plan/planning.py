@@ -407,12 +407,11 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
         warnings.append(
             f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
         )
-    if (
-        scene.derived.adhesion_law.criterion == "exposure"
-        and (fewest := min(i.points for i in impacts)) < EXPOSURE_POINTS
-    ):
-        text = 'too few for bonds by exposure, which come out too weak: take preset = "standard"'
-        warnings.append(f"{fewest} points to a particle are {text}")
+    fewest = min(i.points for i in impacts)
+    if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
+        warnings.append(
+            f'{fewest} points to a particle are too few for bonds by exposure, which come out too weak: take preset = "standard"'
+        )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
         warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
