@@ -55,7 +55,7 @@ def test_rigid_motion_of_both_sides_is_no_slip(rng: np.random.Generator) -> None
 def test_points_slide_at_the_speed_they_have_along_their_facets(rng: np.random.Generator) -> None:
     """Points on a turning plane that move off along it and out of it: only what is along the plane and relative counts."""
     x, facets = sheet(rng)
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0] * 1.0
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     turn *= np.linalg.det(turn)
     xp = rng.uniform(-0.8, 0.8, (50, 3)) * [1, 1, 0] - [0, 0, 0.01]
     own = rng.standard_normal((50, 3))

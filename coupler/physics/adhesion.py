@@ -47,12 +47,12 @@ def _tensile_strength(material: Material) -> float:
     return material.sigma_TS
 
 
-def clean_share(expansion: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
+def clean_share(exposure: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
     """Share of a surface that is clean metal between the fragments of its film: c = (Y - Y') / (1 - Y'), Y = 1 - A_0 / A.
 
-    The brittle film stretches with the metal to the expansion Y' (threshold), cracks, and stretches no further.
+    The brittle film stretches with the metal to the exposure Y' (threshold), cracks, and stretches no further. exposure Y (n,).
     """
-    return np.clip((expansion - threshold) / (1.0 - threshold), 0.0, 1.0)
+    return np.clip((exposure - threshold) / (1.0 - threshold), 0.0, 1.0)
 
 
 def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray) -> np.ndarray:
