@@ -1,14 +1,16 @@
 """Coming to rest between impacts: dynamic relaxation, with masses and damping made for it and for nothing else.
 
 Real masses would make a handful of crushed elements dictate the step, and hundreds of them the way to equilibrium. Here every
-element is given the mass with which it just bears the same step, so that the number of steps follows from how many elements
-there are across the bodies and not from their sizes. Damping is that of the lowest frequency now in motion, which a Rayleigh
-quotient of forces and velocities says in each step (Underwood 1983, in Belytschko & Hughes, Computational methods for transient
-analysis, section 5.5). Positions, stresses, plastic flow, bonds, contact and friction go their way as in the explicit solver.
+element is given the mass with which it just bears the same step, so that the number of steps does not follow from their sizes, and
+a coarse grid moves whole regions at once (`fe.coarse`), so that it does not follow from how many elements there are across the
+bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh quotient of forces and velocities says in each step
+(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). Positions, stresses, plastic
+flow, bonds, contact and friction go their way as in the explicit solver.
 """
 
 import numpy as np
 
+from ..fe.coarse import CoarseGrid
 from ..fe.explicit import Target
 from ..fe.stability import HighestFrequency, masses_for
 from ..impact.bodies import Bodies
@@ -79,23 +81,24 @@ def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
         dt = _weigh(bodies, free)
         t.dt_last = dt
         steps, left, n = 0, np.inf, t.active_nodes
+        grid, along, momentum = CoarseGrid(t, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
         before, damping, inverse = t.total[:n].copy(), MOST_DAMPING, t.inv_mass
         t.inv_mass = inverse.copy()
         while steps < RELAX_STEPS and left > enough:
             if steps % SEARCH_EVERY == 0:
                 _search(bodies, dt)
-            # v = ((1 - a) v + dt f / m) / (1 + a), stable up to the step without damping
-            t.v[:n] *= (1.0 - damping) / (1.0 + damping)
+            motion.damp(free[:n], dt, damping, t.total[:n], along, t.v[:n], momentum)
             np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
             if steps < portions:
                 t.heat[:m] += portion
             _step(bodies, dt)
             steps += 1
-            kinetic, omega2 = _lowest(t, before, free, dt)
+            along = grid.acceleration(t.total[:n])
+            kinetic, omega2 = _lowest(t, momentum, before, free, dt)
             before[:] = t.total[:n]
             damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
             if steps > max(2 * SEARCH_EVERY, portions):
-                left = max(kinetic, _loose(t, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
+                left = max(kinetic, _loose(t, along, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
         return {"settle_steps": float(steps), "left_J": float(left)}
     finally:
         t.rest()
@@ -121,17 +124,18 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
     return dt
 
 
-def _lowest(t: Target, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
+def _lowest(t: Target, momentum: np.ndarray, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
     """Kinetic energy (J) in the masses of the relaxation, and the squared frequency (1/s2) of what moves now."""
     n = len(before)  # those that are active
-    twice, power = motion.moving(free[:n], t.mass[:n], t.v[:n], t.total[:n], before)
+    twice, power = motion.moving(free[:n], momentum, t.v[:n], t.total[:n], before)
     return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0
 
 
-def _loose(t: Target, free: np.ndarray) -> float:
-    """Sum of f^2 / 2 m over the forces that nothing balances; over omega^2 an energy, J."""
+def _loose(t: Target, along: np.ndarray, free: np.ndarray) -> float:
+    """f M^-1 f / 2 of the forces that nothing balances; over omega^2 an energy, J. along (n,3) m/s2: the grid's part of M^-1 f."""
     n = t.active_nodes
-    return float(motion.unbalanced(free[:n], t.mass[:n], t.total[:n]))
+    own = float(motion.unbalanced(free[:n], t.mass[:n], t.total[:n]))
+    return own + 0.5 * float(np.einsum("ai,ai->", t.total[:n], along))
 
 
 def _run_for(bodies: Bodies, time: float) -> float:

@@ -1,0 +1,129 @@
+"""Coarse grid of the dynamic relaxation: with its masses alone a long wave takes as many steps as there are elements across the bodies.
+
+A grid of boxes lies over the mesh. The displacements that are linear in each direction between its points get an inverse mass of their
+own beside that of the nodes, in proportion to their flexibility, so that all of them have about the same frequency:
+
+    M^-1 = D^-1 + P (A / s + e P^T D P)^-1 P^T,   A = P^T K P,   s = (omega dt)^2 / dt^2
+
+D: masses of the nodes, P: interpolation from the grid, K: elastic stiffness of the elements and of the half-space. M is positive
+definite, and what adds to the highest frequency is bounded by s: the additive two-level method of domain decomposition (Toselli &
+Widlund 2005, Domain Decomposition Methods) in the place of a mass matrix. The small number e gives a mass to motions that nothing
+resists.
+"""
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from ..state.arrays import Floats, Ints, Laws
+from .blocks import edge_cofactors
+from .explicit import Target
+
+FREQUENCY = 0.5  # omega dt of the grid's displacements: adds a sixteenth to the bound of the step, 4 / dt^2
+NODES, MOST = 150, 1000  # nodes in a box of the grid, about, and boxes at most
+CORNERS = 8  # of a box
+LEAST = 1e-4  # part of the nodes' masses that is left to the grid
+
+
+@njit(cache=True, nogil=True)
+def _stiffness(
+    m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats
+) -> None:
+    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T (3g,3g) is it then.
+
+    points, weights (n,8): of the grid, for each node; weight 0 where it is held.
+    """
+    own, gradients = np.empty(4 * CORNERS, np.int64), np.empty((4 * CORNERS, 3))
+    shape = np.empty((4, 3))
+    for e in range(m):
+        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
+        shape[1, 0], shape[1, 1], shape[1, 2] = c00 / det, c01 / det, c02 / det
+        shape[2, 0], shape[2, 1], shape[2, 2] = c10 / det, c11 / det, c12 / det
+        shape[3, 0], shape[3, 1], shape[3, 2] = c20 / det, c21 / det, c22 / det
+        for d in range(3):
+            shape[0, d] = -shape[1, d] - shape[2, d] - shape[3, d]
+        count = 0
+        for corner in range(4):
+            a = conn[e, corner]
+            for c in range(CORNERS):
+                w = weights[a, c]
+                if w == 0.0:
+                    continue
+                place = 0
+                while place < count and own[place] != points[a, c]:
+                    place += 1
+                if place == count:
+                    own[place] = points[a, c]
+                    gradients[place] = 0.0
+                    count += 1
+                for d in range(3):
+                    gradients[place, d] += w * shape[corner, d]
+        law = laws[law_of[e]]
+        for i in range(count):
+            g = gradients[i]
+            for j in range(i, count):
+                h, V = gradients[j], det / 6.0 if i < j else det / 12.0
+                G, lame = V * law.G, V * (law.K - 2.0 / 3.0 * law.G)
+                dot = G * (g[0] * h[0] + g[1] * h[1] + g[2] * h[2])
+                for d in range(3):
+                    for k in range(3):
+                        A[3 * own[i] + d, 3 * own[j] + k] += lame * g[d] * h[k] + G * g[k] * h[d]
+                    A[3 * own[i] + d, 3 * own[j] + d] += dot
+
+
+class CoarseGrid:
+    """The grid over the active part of a target."""
+
+    def __init__(self, t: Target, free: np.ndarray, dt: float):
+        """free (n,) bool: nodes that can move; dt s: the step, which the target's masses bear."""
+        n, m = t.active_nodes, t.active_elements
+        points, weights = _interpolation(t.x[:n])
+        weights[~free[:n]] = 0.0
+        used, points = np.unique(points, return_inverse=True)
+        points = points.reshape(n, CORNERS)
+        P = sparse.csr_array(
+            (weights.ravel(), points.ravel(), np.arange(0, weights.size + 1, CORNERS)), shape=(n, len(used))
+        )
+        self._P, self._PT = P, P.T.tocsr()
+        A = np.zeros((3 * len(used), 3 * len(used)))
+        _stiffness(m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
+        stiff = sparse.csr_array(A)
+        stiff = stiff + stiff.T + _of_springs(P, t)
+        heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
+        alone = sparse.diags_array(np.full(len(A), 1e-9 * heavy.diagonal().max()))  # points that no node depends on
+        inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
+        self._inertia = splu(
+            inertia.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+
+    def acceleration(self, force: np.ndarray) -> np.ndarray:
+        """Acceleration (n,3) m/s2 by forces (n,3) N beside that by the masses of the nodes."""
+        return self._P @ self._inertia.solve((self._PT @ force).ravel()).reshape(-1, 3)
+
+
+def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the grid and their weights (n,8) for each node x (n,3): the corners of the box that it lies in.
+
+    Between two planes of the grid lie equally many nodes, so that the boxes are small where elements are.
+    """
+    span = np.quantile(x, 0.95, axis=0) - np.quantile(x, 0.05, axis=0)
+    width = np.cbrt(span.prod() / min(len(x) / NODES, MOST))
+    points, weights = np.zeros((len(x), 1), np.int64), np.ones((len(x), 1))
+    for values, extent in zip(x.T, span, strict=True):
+        planes = np.unique(np.quantile(values, np.linspace(0.0, 1.0, max(round(extent / width), 1) + 1)))
+        box = np.clip(np.searchsorted(planes, values, side="right") - 1, 0, len(planes) - 2)[:, None]
+        part = (values[:, None] - planes[box]) / (planes[box + 1] - planes[box])
+        points = np.concatenate([points * len(planes) + box, points * len(planes) + box + 1], axis=1)
+        weights = np.concatenate([weights * (1.0 - part), weights * part], axis=1)
+    return points, weights
+
+
+def _of_springs(P: sparse.csr_array, t: Target) -> sparse.csr_array:
+    """Stiffness of the half-space for displacements of the grid."""
+    active = t.spring_nodes < t.active_nodes
+    own = sparse.kron(P[t.spring_nodes[active]], sparse.eye_array(3), format="csr")
+    springs = t.springs[active]
+    size = len(springs)
+    return own.T @ sparse.bsr_array((springs, np.arange(size), np.arange(size + 1)), shape=(3 * size, 3 * size)) @ own
