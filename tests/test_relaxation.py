@@ -106,7 +106,7 @@ def test_strain_that_the_grid_can_have_comes_back_with_its_frequency(monkeypatch
     with t.quasi_static():
         t.advance(dt)
     expected = -((FREQUENCY / dt) ** 2) * way
-    assert np.abs(grid.acceleration(t.f) - expected).max() < 0.02 * np.abs(expected).max()
+    assert np.abs(grid.acceleration(t.f) - expected).max() < 0.005 * np.abs(expected).max()
 
 
 def test_half_the_elements_do_not_double_the_steps() -> None:
@@ -119,8 +119,8 @@ def test_half_the_elements_do_not_double_the_steps() -> None:
             patch.setattr("coupler.fe.coarse.FREQUENCY", frequency)
             steps.append(settle(bodies, STRICT)["settle_steps"])
         stresses.append(bodies.target.stress())
-    assert steps[1] < 1.5 * steps[0]
-    assert steps[2] > 1.5 * steps[1]
+    assert steps[1] < 1.2 * steps[0]
+    assert steps[2] > 3.0 * steps[1]
     assert np.sqrt(np.mean((stresses[2] - stresses[1]) ** 2)) < 0.01 * np.sqrt(np.mean(stresses[1] ** 2))
 
 

@@ -21,9 +21,11 @@ from .blocks import edge_cofactors
 from .explicit import Target
 
 FREQUENCY = 0.5  # omega dt of the grid's displacements: adds a sixteenth to the bound of the step, 4 / dt^2
-NODES, MOST = 150, 1000  # nodes in a box of the grid, about, and boxes at most
+NODES, MOST = 150, 1000  # nodes in a box of the grid, and boxes, about
+MOST_ACROSS = 16  # boxes in one direction, at most
 CORNERS = 8  # of a box
-LEAST = 1e-4  # part of the nodes' masses that is left to the grid
+LEAST = 1e-4  # of the nodes' masses, in the mass of motions that nothing resists
+ALONE = 1e-9  # of the largest mass, for points of the grid that no free node depends on
 
 
 @njit(cache=True, nogil=True)
@@ -92,7 +94,7 @@ class CoarseGrid:
         stiff = sparse.csr_array(A)
         stiff = stiff + stiff.T + _of_springs(P, t)
         heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
-        alone = sparse.diags_array(np.full(len(A), 1e-9 * heavy.diagonal().max()))  # points that no node depends on
+        alone = sparse.diags_array(np.full(len(A), ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
         self._inertia = splu(
             inertia.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
@@ -106,13 +108,13 @@ class CoarseGrid:
 def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points of the grid and their weights (n,8) for each node x (n,3): the corners of the box that it lies in.
 
-    Between two planes of the grid lie equally many nodes, so that the boxes are small where elements are.
+    Between two neighbouring planes of the grid lie equally many nodes, so that the boxes are small where elements are.
     """
-    span = np.quantile(x, 0.95, axis=0) - np.quantile(x, 0.05, axis=0)
-    width = np.cbrt(span.prod() / min(len(x) / NODES, MOST))
+    extent = x.std(axis=0)
+    across = np.cbrt(min(len(x) / NODES, MOST) / extent.prod()) * extent
     points, weights = np.zeros((len(x), 1), np.int64), np.ones((len(x), 1))
-    for values, extent in zip(x.T, span, strict=True):
-        planes = np.unique(np.quantile(values, np.linspace(0.0, 1.0, max(round(extent / width), 1) + 1)))
+    for values, boxes in zip(x.T, np.clip(across.round(), 1, MOST_ACROSS).astype(int), strict=True):
+        planes = np.unique(np.quantile(values, np.linspace(0.0, 1.0, boxes + 1)))
         box = np.clip(np.searchsorted(planes, values, side="right") - 1, 0, len(planes) - 2)[:, None]
         part = (values[:, None] - planes[box]) / (planes[box + 1] - planes[box])
         points = np.concatenate([points * len(planes) + box, points * len(planes) + box + 1], axis=1)
