@@ -48,9 +48,11 @@ SECONDS_PER_RUN = 0.3  # files and pictures; not the start of the program
 SECONDS_PER_MESHED_ELEMENT = 1e-4
 SECONDS_PER_SPLAT_ELEMENT = 2e-4  # of the conversion of points to elements: 1 s for 5000 ...
 SECONDS_PER_CONVERSION = 0.3  # ... and of its own process
-# Between impacts (`deposition`): steps of the target alone in which a new splat, or a pause, comes to rest, and of implicit conduction.
-JOIN_STEPS = 110
-PAUSE_STEPS = 590  # before it and after it: the means of a coating of 40
+# Between impacts (`deposition`): steps of the target alone in which a new splat, or a pause, comes to rest, and of implicit conduction:
+# the means of a coating of 40.
+GRID = 1.6  # cost of a step with the coarse grid over one without
+JOIN_STEPS = 30 * GRID
+PAUSE_STEPS = 190 * GRID  # before it and after it
 HEAT_STEPS = 23
 SECONDS_PER_HEAT_ELEMENT = 1.3e-6  # of one of those
 SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
