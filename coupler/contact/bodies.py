@@ -88,20 +88,26 @@ class BodyContact:
         count = len(surfaces.facets)
         self._all = np.arange(count)
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
+        broad.facet_boxes(x, surfaces.facets, self._all, self._low, self._high)
         low, high = surfaces.boxes(x)
-        # bodies farther apart than half the size of the largest splat do not come together while they are here
+        # surfaces farther apart than half the size of the largest splat do not come together while they are here
         reach = 0.5 * float((high[1:] - low[1:]).max(initial=0.0))
         bodies = range(surfaces.bodies) if surfaces.bodies > 1 else ()
-        self._sides = [self._side(body, x, factor, neighbours(low, high, body, reach)) for body in bodies]
+        self._sides = []
+        for body in bodies:
+            partners = neighbours(low, high, body, reach)
+            facets = surfaces.facets_of(*partners)
+            near = broad.boxes_within(facets, self._low, self._high, low[body] - reach, high[body] + reach)
+            self._sides.append(self._side(body, x, factor, partners, near))
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
         corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
         self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
-    def _side(self, body: int, x: np.ndarray, factor: float, partners: Sequence[int]) -> _Side:
+    def _side(self, body: int, x: np.ndarray, factor: float, partners: Sequence[int], ids: np.ndarray) -> _Side:
         s, alike = self.surfaces, max(body, 1)  # the stiffness does not change when later bodies join
-        nodes, ids, spacing = s.nodes_of(body), s.facets_of(*partners), s.spacing(x, alike)
+        nodes, spacing = s.nodes_of(body), s.spacing(x, alike)
         area = 0.5 * np.sqrt(3.0) * spacing**2  # two equilateral triangles for each node
         softer = min(self.bulk_modulus[: alike + 1])
         contact = PointContact(

@@ -27,7 +27,7 @@ class Surfaces:
         body = np.asarray(body_of_element)[facet_element]
         return cls(np.ascontiguousarray(facets, np.int64), body.astype(np.int64), np.asarray(facet_element, np.int64))
 
-    @property
+    @cached_property
     def bodies(self) -> int:
         """How many bodies there are."""
         return int(self.body.max()) + 1
@@ -41,7 +41,7 @@ class Surfaces:
         """Ids of the facets of these bodies, ascending."""
         order, start = self._by_body
         parts = [order[start[b] : start[b + 1]] for b in bodies if b < self.bodies]
-        return np.sort(np.concatenate(parts)) if parts else order[:0]
+        return np.sort(np.concatenate(parts), kind="stable") if parts else order[:0]
 
     def boxes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest corner (bodies,3) m of a box round each body; x (N,3) m."""
@@ -153,8 +153,11 @@ def _facing(
     x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
     (n,3) of its closest point; gap (n,) m, negative inside).
     """
-    corners = x[facets[ids]]
-    low, high = corners.min(axis=1) - reach, corners.max(axis=1) + reach
+    low, high = np.empty((len(ids), 3)), np.empty((len(ids), 3))
+    broad.facet_boxes(x, facets, ids, low, high)
+    least, most = broad.bounds(points, points)
+    near = broad.boxes_within(np.arange(len(ids)), low, high, least - reach, most + reach)
+    ids, low, high = ids[near], low[near] - reach, high[near] + reach
     start, boxes, _ = broad.pairs_within(points, low, high, cell, 64 * len(points))
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
     bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)

@@ -10,10 +10,11 @@ to the tolerance of the linear solver.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.lib.recfunctions import repack_fields
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import LinearOperator, cg
 from skfem import Basis, ElementTetP1, MeshTet
 
@@ -28,7 +29,7 @@ STEP_GROWTH = (
 )
 FIRST_STEP = 0.1  # first step, in the shortest time that heat takes through an element
 LINK_RESISTANCE = 0.01  # of a link of perfect contact, in that of an element
-CG_TOLERANCE = 1e-10  # of the linear solver
+CG_TOLERANCE = 1e-6  # of the linear solver: some microkelvin after a pause
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ def cool(
     matrix = _Conduction.of(t, links, from_gas)
     free = np.ones(n)
     free[held] = 0.0
-    between = free[matrix.rows] * free[matrix.indices]
+    between = free[matrix.indices] * np.repeat(free, np.diff(matrix.indptr))
     conducting = repack_fields(laws[["k_0", "k_slope", "k_T0", "k_T1"]])[law_of]
     dt, left, steps, taken = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
@@ -130,15 +131,20 @@ def cool(
 class _Conduction:
     """The matrix (n,n) W/K of elements, links and film, whose pattern stays as conductivities change.
 
-    rows, indices (z,), indptr (n+1,): the pattern; diagonal (n,): where it is in the data; parts (z,m+2): the data for a unit of each
-    element's k, of the smallest k (links) and of the film; grad2 (m,) 1/m2: tr(sum b b^T) of the elements.
+    Rows of elements and links add up to zero: the matrix is that of conductances between pairs of nodes. low, high (p,): the pairs;
+    parts (p,m+1): their conductances for a unit of each element's k, and of the smallest k (links); from_gas (n,) W/K; indices, indptr,
+    source (z,): the pattern, and which of the pairs, the pairs turned round and the nodes each entry is; diagonal (n,): where it is
+    in the data; grad2 (m,) 1/m2: tr(sum b b^T) of the elements.
     """
 
-    rows: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    parts: csr_matrix
+    from_gas: np.ndarray
     indices: np.ndarray
     indptr: np.ndarray
+    source: np.ndarray
     diagonal: np.ndarray
-    parts: csr_matrix
     grad2: np.ndarray
 
     @classmethod
@@ -147,28 +153,29 @@ class _Conduction:
         n, m, conn = len(t.x), len(t.mesh.conn), t.mesh.conn.astype(np.int64)
         mesh = MeshTet(np.ascontiguousarray(t.x.T), np.ascontiguousarray(conn.T), sort_t=False)
         basis = Basis(mesh, ElementTetP1(), intorder=1)
-        g = np.stack([np.broadcast_to(b[0].grad, (3, m, 1))[:, :, 0] for b in basis.basis])
-        values, column = (
-            [(np.einsum("ade,bde->eab", g, g) * basis.dx[:, :, None]).ravel()],
-            [np.repeat(np.arange(m), 16)],
-        )
-        key = [(conn[:, :, None] * n + conn[:, None, :]).ravel()]
+        g = [b[0].grad[:, :, 0] for b in basis.basis]  # (3,m) each
+        first, second = np.array(list(combinations(range(4), 2))).T
+        one, other = [conn[:, first].T.ravel()], [conn[:, second].T.ravel()]
+        values = [-np.einsum("de,de->e", g[a], g[b]) * basis.dx[:, 0] for a, b in zip(first, second, strict=True)]
+        column = [np.tile(np.arange(m), len(first))]
         for link in links:  # conductance k sqrt(area) / LINK_RESISTANCE, 0 where there is no area, times d d^T
             ends = np.concatenate([link.nodes[:, None], link.triangles], axis=1)
             d = np.concatenate([np.ones((len(ends), 1)), -link.weights], axis=1)  # a node less its place on a triangle
             d *= np.sqrt(np.sqrt(link.area) / LINK_RESISTANCE)[:, None]
-            key.append((ends[:, :, None] * n + ends[:, None, :]).ravel())
-            values.append((d[:, :, None] * d[:, None, :]).ravel())
-            column.append(np.full(16 * len(ends), m))
-        key.append(np.arange(n) * (n + 1))
-        values.append(from_gas)
-        column.append(np.full(n, m + 1))
-        entries, place = np.unique(np.concatenate(key), return_inverse=True)
-        rows, indices = (ids.astype(np.int32) for ids in np.divmod(entries, n))
-        size = len(entries), m + 2
-        parts = csr_matrix((np.concatenate(values), (place, np.concatenate(column))), shape=size)
-        indptr = np.searchsorted(rows, np.arange(n + 1)).astype(np.int32)
-        return cls(rows, indices, indptr, np.flatnonzero(rows == indices), parts, np.einsum("ade,ade->e", g, g))
+            one.append(ends[:, first].ravel())
+            other.append(ends[:, second].ravel())
+            values.append(-(d[:, first] * d[:, second]).ravel())
+            column.append(np.full(one[-1].size, m))
+        a, b = np.concatenate(one), np.concatenate(other)
+        pairs, place = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+        low, high = np.divmod(pairs, n)
+        parts = csr_matrix((np.concatenate(values), (place, np.concatenate(column))), shape=(len(pairs), m + 1))
+        nodes = np.arange(n)
+        rows, columns = np.concatenate([low, high, nodes]), np.concatenate([high, low, nodes])
+        pattern = coo_matrix((np.arange(len(rows)), (rows, columns)), shape=(n, n)).tocsr()
+        diagonal = np.flatnonzero(pattern.data >= 2 * len(pairs))
+        grad2 = np.sum([np.einsum("de,de->e", each, each) for each in g], axis=0)
+        return cls(low, high, parts, from_gas, pattern.indices, pattern.indptr, pattern.data, diagonal, grad2)
 
     def filled(self, data: np.ndarray) -> csr_matrix:
         """A matrix of this pattern."""
@@ -177,7 +184,9 @@ class _Conduction:
 
     def assemble(self, k: np.ndarray) -> csr_matrix:
         """The matrix for conductivities k (m,) W/mK; links of perfect contact have the smallest."""
-        return self.filled(self.parts @ np.concatenate([k, [k.min(), 1.0]]))
+        n, between = len(self.from_gas), self.parts @ np.append(k, k.min())
+        own = np.bincount(self.low, between, n) + np.bincount(self.high, between, n) + self.from_gas
+        return self.filled(np.concatenate([-between, -between, own])[self.source])
 
 
 def _extremes(t: Target) -> tuple[float, float]:
