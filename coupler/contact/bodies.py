@@ -101,8 +101,9 @@ class BodyContact:
             self._sides.append(self._side(body, x, factor, partners, near))
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
-        corners = np.stack([surfaces.facets.ravel(), np.repeat(surfaces.element, 3)])
-        self._behind = np.unique(corners, axis=1)  # pairs of surface node and element
+        elements = int(surfaces.element.max(initial=0)) + 1
+        pairs = np.unique(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
+        self._behind = np.divmod(pairs, elements)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _side(self, body: int, x: np.ndarray, factor: float, partners: Sequence[int], ids: np.ndarray) -> _Side:
@@ -252,7 +253,7 @@ class BodyContact:
         side.near, side.reach = self._around(side, x, side.clear), -np.inf
         side.known[:] = False
         side.known[np.searchsorted(side.facets, side.near)] = True
-        side.corners, side.places = np.unique(self.surfaces.facets[side.near]), (x[:0], x[:0])
+        side.corners, side.places = broad.corners(self.surfaces.facets, side.near, len(x)), (x[:0], x[:0])
         reach = self._own_travel(side, travel, speed, fastest) + SKIN * c.spacing
         if self._inactive(side, active):
             side.idle = True

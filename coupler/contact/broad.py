@@ -30,6 +30,16 @@ def bounds(low: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 @njit(cache=True, nogil=True)
+def corners(facets: Ints, ids: Ints, n: int) -> NDArray[np.int64]:
+    """Nodes of the triangles `ids`, ascending; n: how many nodes there are in all."""
+    has = np.zeros(n, np.bool_)
+    for r in range(len(ids)):
+        for i in range(3):
+            has[facets[ids[r], i]] = True
+    return np.flatnonzero(has)
+
+
+@njit(cache=True, nogil=True)
 def points_within(points: Floats, low: Floats, high: Floats) -> Ints:
     """Which of points (n,3) lie in the box [low, high], ascending."""
     inside = np.empty(len(points), np.int64)

@@ -125,7 +125,7 @@ class PointContact:
         `rows` has in any case. Raises SolverError when the positions are no longer numbers.
         """
         ids = np.arange(len(self.facets)) if among is None else among
-        if not (np.isfinite(xp).all() and np.isfinite(x[self.facets[ids]]).all()):
+        if not (np.isfinite(xp).all() and np.isfinite(x).all()):
             raise SolverError("positions are no longer numbers: try a smaller time step or more points")
         margin = 0.5 * self.spacing + travel  # half a spacing deep is as deep as a point may be lost
         self._margin = margin
@@ -164,7 +164,7 @@ class PointContact:
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
         broad.facet_boxes(x, self.facets, self._ids, self._low, self._high)
-        self._nodes = np.unique(self.facets[self._ids])
+        self._nodes = broad.corners(self.facets, self._ids, len(x))
         self._places = x[self._nodes]
         self._last, self._way[0] = self._places.copy(), 0.0
 
