@@ -5,6 +5,7 @@ import pytest
 from blocks import Blocks, cubes, touching
 from scipy.spatial.transform import Rotation
 
+from coupler.contact import broad
 from coupler.contact.bodies import BodyContact
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.overlap import overlaps
@@ -195,6 +196,26 @@ def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
     assert not f.any()
     assert contact.stable_dt(t.mass, 1e-6) == 1e-6
     assert contact.penalty_energy == 0.0
+
+
+def test_a_body_on_a_wide_plate_keeps_the_facets_near_it_and_has_the_forces_of_all(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    b = Blocks(((8.0, 8.0, 1.0), 0.5, (0, 0, 0)), ((1.0,) * 3, 0.3, (3.0, 3.0, 0.99)))
+    t, forces = b.target, []
+    for near in (True, False):
+        with monkeypatch.context() as patched:
+            if not near:
+                patched.setattr(broad, "boxes_within", lambda ids, *_: ids)
+            contact = b.touch(friction=0.3)
+        kept = len(contact._sides[1].facets)
+        assert (kept < 0.2 * len(b.surfaces.facets_of(0))) == near
+        contact.search(t.x, 1e-3)
+        v = np.where(b.body_of_node[:, None] == 1, np.array([20.0, 5.0, -10.0]), 0.0)
+        forces.append(np.zeros_like(t.x))
+        contact.forces(1e-7, t.x, v, forces[-1])
+    assert np.abs(forces[0]).max() > 0.0
+    assert np.array_equal(*forces)
 
 
 @pytest.mark.parametrize("fine", [0, 1])

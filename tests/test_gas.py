@@ -12,7 +12,7 @@ from scipy.special import erf
 from coupler.errors import ColdsprayError
 from coupler.physics.materials import material
 from coupler.spray import gas, nozzles
-from coupler.spray.flight import carlson_hoglund, fly, henderson, integrate, nusselt
+from coupler.spray.flight import carlson_hoglund, fly, fly_together, henderson, integrate, nusselt
 from coupler.spray.gas import GASES, Flow, Piece, State
 
 N2, D42 = GASES["N2"], nozzles.library()["D42PBI"]
@@ -165,7 +165,7 @@ STEADY = State(800.0, 300.0, 0.5)
 
 def through_steady_gas(length, D=20e-6, v=1e-3, T=300.0, rho=8900.0, cp=450.0, state=STEADY, **options):
     pieces = (Piece(0.0, length, lambda x: state),)
-    return integrate(pieces, N2, rho, lambda T: cp, D, v, T, **options)
+    return integrate(pieces, N2, rho, lambda T: cp, [D], v, T, **options)[0]
 
 
 @pytest.mark.parametrize("length", [1e-3, 0.02, 0.2])
@@ -209,6 +209,15 @@ def test_what_the_gas_gives_off_is_what_the_particle_holds():
     T = np.linspace(293.15, flown.temperature, 2001)
     held = metal.rho * math.pi / 6 * D**3 * trapezoid([metal.cp_at(t) for t in T], T)
     assert given == pytest.approx(held, rel=5e-3)  # the sum over 80 points a piece is what is coarse
+
+
+@pytest.mark.parametrize("law", [henderson, carlson_hoglund])
+def test_spheres_that_fly_together_fly_as_each_alone(law):
+    sizes, metal = [5e-6, 60e-6, 18e-6], material("Ni")
+    for D, flown in zip(sizes, fly_together(flow(bow_shock=True), metal, sizes, 400.0, law), strict=True):
+        alone = fly(flow(bow_shock=True), metal, D, 400.0, law)
+        for name in ("x", "u", "T_gas", "v", "T", "t"):
+            assert getattr(flown, name) == pytest.approx(getattr(alone, name), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["N2", "He"])

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     material = materials.material(arguments.material)
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
     law = flight.DRAG_LAWS[conditions.drag]
-    flights = [flight.fly(flow, material, D, conditions.powder_temperature, law) for D in diameters]
+    flights = flight.fly_together(flow, material, diameters, conditions.powder_temperature, law)
     print("\n".join(_table(flow, material.name, diameters, flights)))
     if arguments.csv:
         _write_csv(arguments, flow, diameters, flights)

@@ -48,7 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     metal = materials.material(arguments.material)
     flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), flight.DRAG_LAWS[conditions.drag]
     spray = window.spray(
-        metal, (sizes[0], sizes[1], sizes[2]), lambda D: flight.fly(flow, metal, D, conditions.powder_temperature, law)
+        metal,
+        (sizes[0], sizes[1], sizes[2]),
+        lambda D: flight.fly_together(flow, metal, D, conditions.powder_temperature, law),
     )
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:

@@ -1,18 +1,18 @@
 """How far bodies lie in each other, and how a new one is moved out of those that are there."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from ..geometry.raycast import RaySurface
-from .surfaces import Surfaces
+from .surfaces import Surfaces, neighbours
 
 
 def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
     """Depth (N,) m to which each surface node lies inside another body, where one of both is in `bodies`; 0 outside. x (N,3) m."""
-    depth, asked = np.zeros(len(x)), set(bodies)
+    depth, asked, boxes = np.zeros(len(x)), set(bodies), surfaces.boxes(x)
     for body in range(surfaces.bodies):
-        others = [other for other in range(surfaces.bodies) if other != body and (body in asked or other in asked)]
+        others = [other for other in neighbours(*boxes, body, 0.0) if body in asked or other in asked]
         nodes, away, *_ = _inside(surfaces, x, body, others)
         np.maximum.at(depth, nodes, np.linalg.norm(away, axis=1))
     return depth
@@ -25,7 +25,7 @@ def ways_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
     of the closest facet go in by the least displacements that put the facet on the node. Of several the largest counts.
     """
     way = np.zeros((len(x), 3))
-    others = [other for other in range(surfaces.bodies) if other != body]
+    others = neighbours(*surfaces.boxes(x), body, 0.0)
 
     def take(nodes: np.ndarray, moves: np.ndarray) -> None:
         for node, move in zip(nodes, moves, strict=True):
@@ -42,7 +42,7 @@ def ways_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
 
 
 def _inside(
-    surfaces: Surfaces, x: np.ndarray, body: int, others: list[int]
+    surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Surface nodes (k,) of the others that lie inside a body, the way (k,3) m out of it, the facet (k,) there, its weights (k,3)."""
     own = surfaces.facets_of(body)

@@ -134,10 +134,13 @@ class Derived:
         return max(usual, flight + estimates.STOPS * stopping)
 
     @cached_property
-    def _underneath(self) -> set[tuple[str, float]]:
-        """Material and temperature (K) of all that a particle may meet."""
+    def _underneath(self) -> list[tuple[str, float]]:
+        """Each material that a particle may meet, and the highest temperature (K) at which: there it is softest."""
+        hottest: dict[str, float] = {}
         bodies: list[Particle | Substrate] = [self.scene.substrate, *self.scene.particles[:-1]]
-        return {(body.material, body.temperature) for body in bodies}
+        for body in bodies:
+            hottest[body.material] = max(body.temperature, hottest.get(body.material, 0.0))
+        return list(hottest.items())
 
     @property
     def spray(self) -> Spray:

@@ -1,7 +1,7 @@
 """What the [gas] table of a scene does: it gives a particle the velocity and temperature that the scene leaves out."""
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 
 from pydantic_core import ErrorDetails
@@ -35,13 +35,22 @@ def flow(conditions: GasConditions, nozzle: Nozzle) -> Flow:
 
 
 @cache
-def arrival(conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float) -> dict[str, str]:
+def _flights(
+    conditions: GasConditions, nozzle: Nozzle, material: Material, diameters: tuple[float, ...]
+) -> dict[float, flight.Flight]:
+    law = flight.DRAG_LAWS[conditions.drag]
+    flown = flight.fly_together(flow(conditions, nozzle), material, diameters, conditions.powder_temperature, law)
+    return dict(zip(diameters, flown, strict=True))
+
+
+def arrival(
+    conditions: GasConditions, nozzle: Nozzle, material: Material, diameter: float, among: Iterable[float]
+) -> dict[str, str]:
     """Velocity and temperature of a sphere (diameter m) at impact, as a scene writes them.
 
-    Raises ColdsprayError, beginning with the field at fault.
+    among: all diameters (m) of the scene, which are computed together. Raises ColdsprayError, beginning with the field at fault.
     """
-    law = flight.DRAG_LAWS[conditions.drag]
-    flown = flight.fly(flow(conditions, nozzle), material, diameter, conditions.powder_temperature, law)
+    flown = _flights(conditions, nozzle, material, tuple(sorted(set(among))))[diameter]
     if not _SLOWEST <= flown.velocity <= _FASTEST:
         limits = f"{_SLOWEST:g} to {_FASTEST:g} m/s"
         raise ColdsprayError(
@@ -74,14 +83,14 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
     particles = particles if isinstance(particles, list) else [particles]
     if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
         conditions = None
-    for particle in particles:
-        if not isinstance(particle, dict):
-            continue
-        arriving = _STAND_IN
-        material, diameter = _material(particle, catalogue), _diameter(particle)
-        if conditions is not None and material is not None and diameter is not None:
+    tables_of = [particle for particle in particles if isinstance(particle, dict)]
+    sizes = [_diameter(particle) for particle in tables_of]
+    among = [size for size in sizes if size is not None]
+    for particle, size in zip(tables_of, sizes, strict=True):
+        arriving, material = _STAND_IN, _material(particle, catalogue)
+        if conditions is not None and material is not None and size is not None:
             try:
-                arriving = arrival(conditions, known[conditions.nozzle], material, diameter)
+                arriving = arrival(conditions, known[conditions.nozzle], material, size, among)
             except ColdsprayError as error:
                 problems.append(f"gas.{error}")
         particle |= {field: text for field, text in arriving.items() if field not in particle}
@@ -114,7 +123,8 @@ def describe(scene: SceneData) -> list[str]:
 
 def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle: Particle) -> str:
     """What the gas gives one particle, and whether it is used."""
-    arriving = arrival(conditions, nozzle, Derived(scene).material(particle.material), particle.diameter)
+    material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
+    arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
     away = [field for field in arriving if units.rounded(getattr(particle, field), *_UNITS[field]) != arriving[field]]
     used = f"the scene's own {' and '.join(of_scene[field] for field in away)} used instead" if away else "used here"

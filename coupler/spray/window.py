@@ -1,6 +1,6 @@
 """The window of deposition: where a spray's particles lie between critical and erosion velocity, and how much of the powder stays."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
@@ -50,14 +50,16 @@ class Spray:
         return float(np.mean((ratio >= 1.0) & (ratio < EROSION)))
 
 
-def spray(material: Material, sizes: tuple[float, float, float], fly: Callable[[float], Flight]) -> Spray:
-    """A powder at impact. sizes: diameters (m) below which 10, 50 and 90 % of its mass are; fly: the flight of a diameter (m).
+def spray(
+    material: Material, sizes: tuple[float, float, float], fly: Callable[[Sequence[float]], list[Flight]]
+) -> Spray:
+    """A powder at impact. sizes: diameters (m) below which 10, 50 and 90 % of its mass are; fly: the flights of diameters (m).
 
     Raises ColdsprayError where a particle cannot be followed or the material has no sigma_TS.
     """
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([quantile(*sizes, u) for u in share])
-    flights = [fly(D) for D in diameter]
+    flights = fly(diameter.tolist())
     velocity, temperature = (
         np.array([getattr(flight, name) for flight in flights]) for name in ("velocity", "temperature")
     )
