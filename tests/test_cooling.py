@@ -10,8 +10,10 @@ from conftest import elastic
 from coupler.fe import mesh as meshes
 from coupler.fe.cooling import Film, Links, cool
 from coupler.fe.explicit import Target
+from coupler.fe.heat import LEAST
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
+from coupler.state.threads import second_thread
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -100,6 +102,19 @@ def test_a_jet_heats_a_small_body_as_one_lump() -> None:
     report = cool(t, time, NONE, 0.0, film=Film(top.ravel(), np.repeat(size / 3, 3), h, 500.0))
     assert float(np.average(t.T, weights=m.V0)) == pytest.approx(500.0 - 200.0 * np.exp(-0.7), abs=2.0)
     assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.T - 300.0)), rel=1e-8)
+
+
+def test_two_threads_cool_as_one_does_to_the_last_bit() -> None:
+    m = block(0.045)
+    assert len(m.points) > 2 * LEAST
+    after = []
+    for threads in (1, 2):
+        t = Target(m, law_record(elastic()), np.where(m.points[m.conn][:, 0, 0] > 0.5, 900.0, 300.0), fixed=())
+        with second_thread(threads):
+            cool(t, 0.1 / ALPHA, np.unique(m.facets[m.sets["bottom"]]), 300.0)
+        after.append(t.T)
+    assert np.ptp(after[0]) > 10.0
+    assert np.array_equal(*after)
 
 
 def _links(m: meshes.TetMesh, nodes: np.ndarray, triangles: np.ndarray) -> Links:

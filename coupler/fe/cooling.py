@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numba import njit
 from numpy.lib.recfunctions import repack_fields
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import LinearOperator, cg
@@ -20,8 +21,10 @@ from skfem import Basis, ElementTetP1, MeshTet
 
 from ..errors import SolverError
 from ..physics.constitutive import conductivities
+from ..state.arrays import Floats, Ints
+from ..state.threads import share
 from .explicit import Target
-from .heat import gains, means, shares, take_heat
+from .heat import LEAST, gains, means, shares, take_heat
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 STEP_GROWTH = (
@@ -63,12 +66,12 @@ def cool(
     """
     t = target
     n, m = len(t.x), len(t.mesh.conn)
-    share, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
+    carried, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
     heat, laws, law_of, V0 = np.zeros(m), t.laws, t.law_of, t.mesh.V0
 
     def nodal(values: np.ndarray) -> np.ndarray:
-        shares(0, m, V0, laws, law_of, t.T, share)
-        means(0, n, t.start, t.table, share, values, capacity, mean)
+        shares(0, m, V0, laws, law_of, t.T, carried)
+        means(0, n, t.start, t.table, carried, values, capacity, mean)
         return mean.copy()
 
     before = _extremes(t)
@@ -89,7 +92,7 @@ def cool(
         k = conductivities(conducting, T_mean)
         if np.abs(T - known).max() > 1.0:  # K: until then the matrix is good enough
             K, known = matrix.assemble(k), T.copy()
-        rate = k * matrix.grad2 / (4.0 * share / V0)
+        rate = k * matrix.grad2 / (4.0 * carried / V0)
         dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
         own[:] = (t.T - T_mean) * -np.expm1(-dt * rate)
@@ -104,14 +107,14 @@ def cool(
         stage = np.zeros(n)
         for weight in ((1.0 - GAMMA) / GAMMA, 1.0):
             b = GAMMA * free * (source - dt * (K @ (T + change) - from_gas * T_gas))
-            stage, failed = cg(A, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
+            stage, failed = cg(_on_two_cores(A), b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
             if failed:
                 raise SolverError(
                     "the heat conduction of the pause does not converge: give a shorter dwell or a finer preset"
                 )
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
-        gains(0, m, t.mesh.conn, share, change, own, gain)
+        gains(0, m, t.mesh.conn, carried, change, own, gain)
         take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y, t.eps_p)
         taken -= float(gain.sum())
         T += change
@@ -187,6 +190,27 @@ class _Conduction:
         n, between = len(self.from_gas), self.parts @ np.append(k, k.min())
         own = np.bincount(self.low, between, n) + np.bincount(self.high, between, n) + self.from_gas
         return self.filled(np.concatenate([-between, -between, own])[self.source])
+
+
+def _on_two_cores(A: csr_matrix) -> LinearOperator:
+    """A matrix (n,n) that multiplies its rows on both cores, where there is a second thread."""
+
+    def times(x: np.ndarray) -> np.ndarray:
+        product = np.empty(len(x))
+        share(lambda lo, hi: products(lo, hi, A.indptr, A.indices, A.data, x, product), len(x), LEAST)
+        return product
+
+    return LinearOperator(A.shape, times, dtype=float)
+
+
+@njit(cache=True, nogil=True)
+def products(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats, x: Floats, product: Floats) -> None:
+    """Rows lo to hi of a sparse matrix times x (n,), into product (n,)."""
+    for i in range(lo, hi):
+        total = 0.0
+        for z in range(indptr[i], indptr[i + 1]):
+            total += data[z] * x[indices[z]]
+        product[i] = total
 
 
 def _extremes(t: Target) -> tuple[float, float]:
