@@ -63,6 +63,29 @@ def test_no_cut_through_a_body_without_load_carries_a_mean_stress() -> None:
     )  # while stresses that balance themselves stay: the floor does not give way
 
 
+def test_an_equilibrium_goes_on_from_what_one_before_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    grids: list[int] = []
+
+    def counted(*arguments: object) -> CoarseGrid:
+        grids.append(1)
+        return CoarseGrid(*arguments)
+
+    monkeypatch.setattr(relaxation, "CoarseGrid", counted)
+    places, made = [], []
+    for known in (relaxation.Known(), None):
+        bodies = substrate()
+        press(bodies)
+        settle(bodies, 0.1 * KINETIC, known=known)
+        bodies.target.energy *= 1.5
+        grids.clear()
+        assert settle(bodies, 0.1 * KINETIC, known=known)["left_J"] <= RELAXED * 0.1 * KINETIC
+        places.append(bodies.target.x.copy())
+        made.append(len(grids))
+    assert made == [0, 1]
+    moved = np.abs(places[1] - bodies.target.mesh.points).max()
+    assert np.abs(places[0] - places[1]).max() < 0.01 * moved
+
+
 def test_what_is_left_is_what_was_asked_for_and_is_not_set_free() -> None:
     bodies = substrate()
     press(bodies)

@@ -29,15 +29,40 @@ LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part 
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
 
+class Known:
+    """What one equilibrium leaves to the next of the same bodies: the coarse grid and the fastest motion of the elements."""
+
+    def __init__(self) -> None:
+        self._highest: HighestFrequency | None = None
+        self._grid: tuple[int, CoarseGrid] | None = None
+
+    def highest(self, t: Target) -> HighestFrequency:
+        """Of the elements; it begins with the motion found before."""
+        if self._highest is None:
+            self._highest = HighestFrequency(len(t.x), len(t.mesh.conn))
+        return self._highest
+
+    def grid(self, t: Target, free: np.ndarray, dt: float) -> CoarseGrid:
+        """Of the active elements: that of before where they are the same ones."""
+        if self._grid is None or self._grid[0] != t.active_elements:
+            self._grid = t.active_elements, CoarseGrid(t, free, dt)
+        return self._grid[1]
+
+
 def settle(
-    bodies: Bodies, kinetic_0: float, release_time: float = RELEASE_TIME, ramp: bool = False, radius: float = np.inf
+    bodies: Bodies,
+    kinetic_0: float,
+    release_time: float = RELEASE_TIME,
+    ramp: bool = False,
+    radius: float = np.inf,
+    known: Known | None = None,
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
     after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
     numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
-    there too.
+    there too. known: of an equilibrium of these bodies before, and for the next.
     The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
@@ -51,7 +76,7 @@ def settle(
     try:
         with t.active_within(radius, RELAX_STEP):
             with t.quasi_static():
-                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp)
+                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known())
             taken = held - _held(bodies)
             released = _run_for(bodies, release_time)
             t.rest()
@@ -67,8 +92,8 @@ def _held(bodies: Bodies) -> float:
     return t.elastic() + float(t.sums[0]) + bodies.energy
 
 
-def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
-    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp: see `settle`."""
+def _relax(bodies: Bodies, enough: float, ramp: bool, known: Known) -> dict[str, float]:
+    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known: see `settle`."""
     t = bodies.target
     m = t.active_elements
     portion, portions = t.heat[:m] / RAMP, RAMP if ramp else 0
@@ -78,10 +103,10 @@ def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
     own = t.mass, t.inv_mass, t.dt_last
     free = own[1] > 0.0
     try:
-        dt = _weigh(bodies, free)
+        dt = _weigh(bodies, free, known.highest(t))
         t.dt_last = dt
         steps, left, n = 0, np.inf, t.active_nodes
-        grid, along, momentum = CoarseGrid(t, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
+        grid, along, momentum = known.grid(t, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
         before, damping, inverse = t.total[:n].copy(), MOST_DAMPING, t.inv_mass
         t.inv_mass = inverse.copy()
         while steps < RELAX_STEPS and left > enough:
@@ -105,7 +130,7 @@ def _relax(bodies: Bodies, enough: float, ramp: bool) -> dict[str, float]:
         t.mass, t.inv_mass, t.dt_last = own
 
 
-def _weigh(bodies: Bodies, free: np.ndarray) -> float:
+def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float:
     """Give the nodes the masses with which elements and all springs between bodies bear one step; that step, s.
 
     The elements' bound is safe but short (`fe.stability`): the step is the one that the elements really bear with the masses for
@@ -114,7 +139,6 @@ def _weigh(bodies: Bodies, free: np.ndarray) -> float:
     t = bodies.target
     n, mass = len(t.x), masses_for(t, RELAX_STEP)
     t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
-    highest = HighestFrequency(n, len(t.mesh.conn))
     dt = RELAX_SAFETY * highest.longest_step(t, RELAX_STEP, t.active_nodes, t.active_elements)
     for springs in (bodies.bond, bodies.contact):
         if springs is not None:

@@ -22,7 +22,7 @@ from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan
 from .detaching import held_at_rest
-from .equilibrium import settle
+from .equilibrium import Known, settle
 
 COOLER = 0.25  # K: makes some 2 MPa
 _EXACT = 1e-6  # K: to which all comes to ambient
@@ -45,9 +45,10 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     changed = t.mesh.reach_element[np.abs(t.T - before) > COOLER]
     heat = t.heat.copy()
     t.heat[:] = 0.0
-    balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius)
+    known = Known()
+    balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
     t.heat += heat
-    settled = _settled(bodies, kinetic_0, max(radius, float(changed.max(initial=0.0))))
+    settled = _settled(bodies, kinetic_0, max(radius, float(changed.max(initial=0.0))), known)
     report = {"balance_steps": balanced["settle_steps"], **cooling, **settled}
     return {**report, "wall_s": clock.perf_counter() - started}
 
@@ -62,7 +63,10 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
-    settle(bodies, kinetic_0, 0.0, ramp=True)  # as before a pause: what is out of balance is none of the cooling's
+    known = Known()
+    settle(
+        bodies, kinetic_0, 0.0, ramp=True, known=known
+    )  # as before a pause: what is out of balance is none of the cooling's
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
@@ -76,7 +80,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     shrunk = 1.0 + _contraction(*came[0], ambient)
     t.x *= shrunk
     t.spring_rest *= shrunk
-    report = {**before, **_settled(bodies, kinetic_0), "ambient_K": ambient}
+    report = {**before, **_settled(bodies, kinetic_0, np.inf, known), "ambient_K": ambient}
     bodies, report["detached"] = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
     t, splats = bodies.target, bodies.body > 0
     report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
@@ -86,11 +90,12 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     return bodies, report | {"wall_s": clock.perf_counter() - started}
 
 
-def _settled(bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
+def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> Values:
     """Relax thermal stresses, and add what the cooling has changed to those."""
     t = bodies.target
     before = t.stress()
-    settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius)  # within COOLED of equilibrium: nothing to watch
+    # within COOLED of equilibrium: nothing to watch
+    settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
     t.thermal_stress += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 
