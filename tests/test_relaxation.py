@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
-from blocks import pinched
+from blocks import Blocks, pinched
 
+from coupler.contact.bond import Bond, penalty
+from coupler.contact.surfaces import interface
 from coupler.deposition import equilibrium as relaxation
 from coupler.deposition.equilibrium import RELAXED, settle
 from coupler.fe import mesh as meshes
@@ -130,6 +132,30 @@ def test_strain_that_the_grid_can_have_comes_back_with_its_frequency(monkeypatch
         t.advance(dt)
     expected = -((FREQUENCY / dt) ** 2) * way
     assert np.abs(grid.acceleration(t.f) - expected).max() < 0.005 * np.abs(expected).max()
+
+
+def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper of two blocks moves as a whole, the lower one is held, as at the edge of a window: only springs resist."""
+    monkeypatch.setattr("coupler.fe.coarse.LEAST", 1e-9)
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
+    t, s, up, dt = b.target, b.surfaces, b.nodes(1), 1e-6
+    free = np.zeros(len(t.x), bool)
+    free[up] = True
+    t.activate_all()
+    way, x = np.array([2e-5, 1e-5, -1e-4]), t.x.copy()
+    x[up] += way
+    expected = -((FREQUENCY / dt) ** 2) * way
+    bond, f = Bond(interface(s, t.x, 1, 0.01), s, t.x, penalty(b.K, 0.3)), np.zeros_like(t.x)
+    bond.forces(x, f)
+    bonded = CoarseGrid(t, free, dt, [bond.springs()]).acceleration(f)[up]
+    assert np.abs(bonded - expected).max() < 1e-3 * np.abs(expected).max()
+    contact, f = b.touch(), np.zeros_like(t.x)
+    contact.search(x, 1e-3)
+    contact.forces(1e-9, x, np.zeros_like(x), f)
+    pressed = CoarseGrid(t, free, dt, contact.springs()).acceleration(f)[up]
+    share = pressed.mean(axis=0)[2] / expected[2]
+    assert 0.3 < share < 1.001  # not all that may touch do, and their forces are along the normal
+    assert np.abs(CoarseGrid(t, free, dt).acceleration(f)[up]).max() > 1e3 * np.abs(expected).max()  # without them
 
 
 def test_half_the_elements_do_not_double_the_steps() -> None:

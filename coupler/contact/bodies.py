@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
+from ..state.arrays import SpringTable
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
@@ -172,6 +173,10 @@ class BodyContact:
                 load[side.nodes] += 2.0 * side.contact.stiffness
                 load[side.corners] += 4.0 * side.contact.stiffness
         return load
+
+    def springs(self) -> list[SpringTable]:
+        """Of all that may touch before the next search."""
+        return [side.contact.springs(side.nodes) for side in self._sides if not side.idle]
 
     def search(
         self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None, v: np.ndarray | None = None

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from ..errors import SolverError
+from ..state.arrays import SpringTable
 from ..state.records import Rows, collect, concatenate, rows_of, take
 from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
@@ -185,6 +186,13 @@ class Bond:
     def resist(self, w: np.ndarray, f: np.ndarray) -> None:
         """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1."""
         k.spring_forces(self.nodes, self.triangles, self.weights, self.stiffness * self.area, w, f)
+
+    def springs(self) -> SpringTable:
+        """Those that are not broken."""
+        whole = ~self.broken
+        return SpringTable.of(
+            self.nodes[whole], self.triangles[whole], self.weights[whole], (self.stiffness * self.area)[whole]
+        )
 
     @property
     def held(self) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
-from ..state.arrays import Floats, Ints
+from ..state.arrays import Floats, Ints, SpringTable
 from ..state.loops import PARTS
 from ..state.records import Shape, assign, collect
 from ..state.threads import share, together
@@ -180,6 +180,12 @@ class PointContact:
             rows = np.flatnonzero(self.depth[:first] > 0.0)
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
+
+    def springs(self, nodes: np.ndarray) -> SpringTable:
+        """Those of all points that may touch before the next search, at the places closest to them. nodes (n,): that the points are."""
+        rows = self.rows[self._nearest[self.rows] >= 0]
+        corners = self.facets[self._ids[self._boxes[self._nearest[rows]]]]
+        return SpringTable.of(nodes[rows], corners, self._foot[rows], np.full(len(rows), self.stiffness))
 
     def sliding(self, rows: np.ndarray, vp: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Speed (k,) m/s of points `rows` (k,) that touch along the facets they are on. vp (k,3) of these points; x, v (N,3)."""

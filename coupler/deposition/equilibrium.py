@@ -42,10 +42,11 @@ class Known:
             self._highest = HighestFrequency(len(t.x), len(t.mesh.conn))
         return self._highest
 
-    def grid(self, t: Target, free: np.ndarray, dt: float) -> CoarseGrid:
-        """Of the active elements: that of before where they are the same ones."""
+    def grid(self, bodies: Bodies, free: np.ndarray, dt: float) -> CoarseGrid:
+        """Of the active elements and what acts between them: that of before where they are the same ones."""
+        t = bodies.target
         if self._grid is None or self._grid[0] != t.active_elements:
-            self._grid = t.active_elements, CoarseGrid(t, free, dt)
+            self._grid = t.active_elements, CoarseGrid(t, free, dt, bodies.springs())
         return self._grid[1]
 
 
@@ -106,7 +107,7 @@ def _relax(bodies: Bodies, enough: float, ramp: bool, known: Known) -> dict[str,
         dt = _weigh(bodies, free, known.highest(t))
         t.dt_last = dt
         steps, left, n = 0, np.inf, t.active_nodes
-        grid, along, momentum = known.grid(t, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
+        grid, along, momentum = known.grid(bodies, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
         before, damping, inverse = t.total[:n].copy(), MOST_DAMPING, t.inv_mass
         t.inv_mass = inverse.copy()
         while steps < RELAX_STEPS and left > enough:

@@ -5,18 +5,21 @@ own beside that of the nodes, in proportion to their flexibility, so that all of
 
     M^-1 = D^-1 + P (A / s + e P^T D P)^-1 P^T,   A = P^T K P,   s = (omega dt)^2 / dt^2
 
-D: masses of the nodes, P: interpolation from the grid, K: elastic stiffness of the elements and of the half-space. M is positive
-definite, and what adds to the highest frequency is bounded by s: the additive two-level method of domain decomposition (Toselli &
-Widlund 2005, Domain Decomposition Methods) in the place of a mass matrix. The small number e gives a mass to motions that nothing
-resists.
+D: masses of the nodes, P: interpolation from the grid, K: elastic stiffness of the elements, of the half-space and of the springs
+between bodies. M is positive definite, and what adds to the highest frequency is bounded by s: the additive two-level method of domain
+decomposition (Toselli & Widlund 2005, Domain Decomposition Methods) in the place of a mass matrix. That holds for what is in K: springs
+that are missing there, such as bonds at the edge of what is free, would have a frequency without bound. The small number e gives a mass
+to motions that nothing resists.
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from ..state.arrays import Floats, Ints, Laws
+from ..state.arrays import Floats, Ints, Laws, SpringTable
 from .blocks import edge_cofactors
 from .explicit import Target
 
@@ -78,8 +81,8 @@ def _stiffness(
 class CoarseGrid:
     """The grid over the active part of a target."""
 
-    def __init__(self, t: Target, free: np.ndarray, dt: float):
-        """free (n,) bool: nodes that can move; dt s: the step, which the target's masses bear."""
+    def __init__(self, t: Target, free: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
+        """free (n,) bool: nodes that can move; dt s: the step, which the target's masses bear; links: springs between its bodies."""
         n, m = t.active_nodes, t.active_elements
         points, weights = _interpolation(t.x[:n])
         weights[~free[:n]] = 0.0
@@ -92,7 +95,9 @@ class CoarseGrid:
         A = np.zeros((3 * len(used), 3 * len(used)))
         _stiffness(m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
         stiff = sparse.csr_array(A)
-        stiff = stiff + stiff.T + _of_springs(P, t)
+        stiff = stiff + stiff.T + _of_half_space(P, t)
+        for springs in links:
+            stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
         heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
         alone = sparse.diags_array(np.full(len(A), ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
@@ -122,7 +127,16 @@ def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return points, weights
 
 
-def _of_springs(P: sparse.csr_array, t: Target) -> sparse.csr_array:
+def _between(P: sparse.csr_array, springs: SpringTable) -> sparse.csr_array:
+    """Stiffness (g,g) N/m of springs between bodies, alike in all directions: 0 where both ends move alike, as they do but at the edge
+    of what is free, or where they have slid apart."""
+    n, (ends, weights, stiffness) = P.shape[0], springs
+    row, end = np.nonzero(ends < n)  # all others keep still
+    apart = sparse.csr_array((weights[row, end], (row, ends[row, end])), shape=(len(ends), n)) @ P
+    return (apart.T @ sparse.diags_array(stiffness) @ apart).tocsr()
+
+
+def _of_half_space(P: sparse.csr_array, t: Target) -> sparse.csr_array:
     """Stiffness of the half-space for displacements of the grid."""
     active = t.spring_nodes < t.active_nodes
     own = sparse.kron(P[t.spring_nodes[active]], sparse.eye_array(3), format="csr")

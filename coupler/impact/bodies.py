@@ -22,6 +22,7 @@ from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import correct_volume
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
+from ..state.arrays import SpringTable
 from ..state.records import Shape, check_indices
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
@@ -114,6 +115,11 @@ class Bodies:
         t = self.target
         dt = t.stable_dt(enough, ahead, self.bond)[0]
         return dt if self.contact is None else self.contact.stable_dt(t.mass, dt)
+
+    def springs(self) -> list[SpringTable]:
+        """Those of bonds and contact between the bodies; after a search."""
+        springs = self.contact.springs() if self.contact is not None else []
+        return [*springs, self.bond.springs()] if self.bond is not None else springs
 
     @property
     def energy(self) -> float:

@@ -1,6 +1,6 @@
 """Types of arrays and of small matrices in the kernels."""
 
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,3 +13,21 @@ Arrays: TypeAlias = tuple[Any, ...]  # arguments of a kernel, as they follow eac
 Vector: TypeAlias = tuple[float, float, float]
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float]  # xx yy zz yz xz xy
 Matrix: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]  # row by row
+
+
+class SpringTable(NamedTuple):
+    """Springs between nodes and places on triangles. ends (k,4): the node and the corners; weights (k,4): 1 and less those of the
+    place, so that their sum over the ends is how far they are apart; stiffness (k,) N/m: the largest of all directions."""
+
+    ends: Ints
+    weights: Floats
+    stiffness: Floats
+
+    @classmethod
+    def of(cls, nodes: Ints, triangles: Ints, weights: Floats, stiffness: Floats) -> "SpringTable":
+        """Of nodes (k,) and triangles (k,3), with weights (k,3) of the places."""
+        return cls(
+            np.concatenate([nodes[:, None], triangles], axis=1),
+            np.concatenate([np.ones((len(nodes), 1)), -weights], axis=1),
+            stiffness,
+        )
