@@ -63,10 +63,8 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
-    known = Known()
-    settle(
-        bodies, kinetic_0, 0.0, ramp=True, known=known
-    )  # as before a pause: what is out of balance is none of the cooling's
+    known = Known()  # as before a pause: what is out of balance is none of the cooling's
+    settle(bodies, kinetic_0, 0.0, ramp=True, known=known)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
