@@ -1,6 +1,7 @@
 """An impact on its own cut of the target, and impacts side by side."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     part, cut = cut_out(whole, (-24e-6, 0.0, 10e-6), 10e-6)
     assert part.count == 2
     assert 0 < len(cut.elements) < len(part.target.mesh.conn) < len(whole.target.mesh.conn)
-    same = put_back(whole, cut, part)
+    same = put_back(whole, [(cut, part)])
     for name in ("nodes", "elements"):
         before, after = getattr(whole.target.state(), name), getattr(same.target.state(), name)
         for row in rows_of(before):
@@ -60,6 +61,24 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     np.testing.assert_array_equal(same.contact.history(), whole.contact.history())
     np.testing.assert_array_equal(same.buried, whole.buried)
     assert same.energy == pytest.approx(whole.energy, rel=1e-12)
+
+
+def test_cuts_put_back_together_are_those_put_back_one_after_another(whole: Bodies, rng: np.random.Generator) -> None:
+    """Two cuts that share no node, each changed in what its impact can change."""
+    parts = []
+    for x in (-24e-6, 24e-6):
+        part, cut = cut_out(whole, (x, 0.0, 10e-6), 10e-6)
+        own = np.isin(part.state().target.nodes.node_number, cut.nodes)
+        part.target.x[own] += rng.normal(scale=1e-9, size=(int(own.sum()), 3))
+        part.target.sums[0] += 2.0**-30
+        parts.append((cut, part))
+    assert not np.intersect1d(parts[0][0].nodes, parts[1][0].nodes).size
+    together, turn_by_turn = put_back(whole, parts), whole
+    for part in parts:
+        turn_by_turn = put_back(turn_by_turn, [part])
+    assert np.abs(together.target.x - whole.target.x).max() > 1e-9
+    assert together.target.sums[0] == whole.target.sums[0] + 2.0**-29
+    np.testing.assert_equal(asdict(together.state()), asdict(turn_by_turn.state()))
 
 
 def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: np.random.Generator) -> None:
@@ -83,7 +102,7 @@ def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: n
     one_step(part)
     assert part.bond.stored == pytest.approx(stored, rel=1e-9)
     assert part.energy == pytest.approx(before, rel=1e-9)
-    again = put_back(loaded, cut, part)
+    again = put_back(loaded, [(cut, part)])
     assert again.energy == pytest.approx(loaded.energy, rel=1e-9)
     one_step(again)
     assert again.energy == pytest.approx(loaded.energy, rel=1e-9)

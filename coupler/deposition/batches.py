@@ -84,28 +84,52 @@ def _here(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
         return error
 
 
-def replay(store: Store, task: Task, result: TaskResult, whole: Bodies, before: float) -> None:
-    """Append what a task has written to the files of the run, its target as a part of the whole. before: simulated time (s) of the
-    impacts before it."""
-    own, t = Result(task.folder), whole.target
-    nodes, elements = task.bodies.target.nodes.node_number, task.bodies.target.elements.element_number
-    for row in result.store.history:
-        values = dict(zip(result.store.columns, row.tolist(), strict=True))
-        store.record({**values, "time": before + values["time"]})
-    for domain, steps in result.store.steps.items():
-        for step in range(steps):
-            fields = own.fields(step, domain)
-            points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
-            if domain == "target":
-                points, cells = t.x.copy(), t.mesh.conn
-                points[nodes] = fields.points
-                velocity = np.zeros_like(points)
-                velocity[nodes] = at_points["velocity"]
-                at_points, changed, inside = {"velocity": velocity}, inside, cell_fields(whole)
-                inside["T"], inside["eps_p"] = inside["T"].copy(), inside["eps_p"].copy()
-                for name in changed.keys() - {"body"}:
-                    inside[name][elements] = changed[name]
-            store.write(domain, before + fields.time, points, cells, at_points, inside)
+class Film:
+    """What is written of the whole when the impacts of a batch are told one after another: each on the bodies as those before it have
+    left them. before, after: the batch."""
+
+    def __init__(self, before: Bodies, after: Bodies):
+        self.points, self.cells, self.fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
+        self._after, self._fields_after = after.target, cell_fields(after)
+
+    def replay(self, store: Store, task: Task, result: TaskResult, before: float) -> None:
+        """Append what a task has written to the files of the run, its target as a part of the whole. before: simulated time (s) of the
+        impacts before it."""
+        own, nodes = Result(task.folder), task.bodies.target.nodes.node_number
+        elements = task.bodies.target.elements.element_number
+        for row in result.store.history:
+            values = dict(zip(result.store.columns, row.tolist(), strict=True))
+            store.record({**values, "time": before + values["time"]})
+        for domain, steps in result.store.steps.items():
+            for step in range(steps):
+                fields = own.fields(step, domain)
+                points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
+                if domain == "target":
+                    points, cells = self.points.copy(), self.cells
+                    points[nodes] = fields.points
+                    velocity = np.zeros_like(points)
+                    velocity[nodes] = at_points["velocity"]
+                    whole = {name: values.copy() for name, values in self.fields.items()}
+                    for name in inside.keys() - {"body"}:
+                        whole[name][elements] = inside[name]
+                    at_points, inside = {"velocity": velocity}, whole
+                store.write(domain, before + fields.time, points, cells, at_points, inside)
+
+    def go_on(self, task: Task, cut: Cut, result: TaskResult) -> None:
+        """Go on to the next impact: a task has changed its cut, and its splat is the next one of the bodies after the batch."""
+        more = len(result.bodies.target.nodes.x) - len(task.bodies.target.nodes.x)
+        n, m = len(self.points), len(self.cells)
+        changed = np.zeros(n, bool)
+        changed[cut.nodes] = True
+        near = changed[self.cells].any(axis=1)  # pressures are of nodes
+        self.points[cut.nodes] = self._after.x[cut.nodes]
+        self.points = np.concatenate([self.points, self._after.x[n : n + more]])
+        more = len(result.bodies.target.elements.T) - len(task.bodies.target.elements.T)
+        self.cells = self._after.mesh.conn[: m + more]
+        for name, values in self.fields.items():
+            now = self._fields_after[name][: m + more]
+            self.fields[name] = np.concatenate([values, now[m:]])
+            self.fields[name][:m][near] = now[:m][near]
 
 
 def clear(folder: Path) -> None:

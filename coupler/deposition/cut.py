@@ -5,6 +5,7 @@ the impact (`fe.window`) has the same radius: its edge is held and the rim keeps
 bodies, number by number. Nothing outside the radius changes; cuts whose spheres lie apart by more than an element are independent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -88,42 +89,52 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
-    """The whole with a part in the place of its cut; new splats come after all others. Numbers of the whole do not change."""
-    domain, now = domain_now(whole.target, whole.body), domain_now(part.target, part.body)
-    number, n = now.nodes.node_number, len(domain.mesh.points)
-    _replace(domain.nodes, now.nodes, cut.nodes, number)
-    _replace(domain.elements, now.elements, cut.elements, now.elements.element_number)
-    domains, node, facet = [domain], number.copy(), np.full(len(now.mesh.facets), -1)
-    facet[: len(cut.part.facets)] = cut.part.facets
-    first = len(cut.part.bodies)
-    if part.count > first:
-        splats = select(now, part.body >= first)
-        mesh = splats.domain.mesh
-        sets = {f"{SPLAT}{whole.count + k}": mesh.sets[f"{SPLAT}{k}"] for k in range(part.count - first)}
-        domains.append(replace(splats.domain, mesh=replace(mesh, sets=sets)))
-        node[splats.nodes] = n + np.arange(len(splats.nodes))
-        facet[splats.facets] = len(domain.mesh.facets) + np.arange(len(splats.facets))
+def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
+    """The whole with parts in the place of their cuts, which share no node that they can change; new splats come after all others, in
+    the order of the parts. Numbers of the whole do not change."""
+    domain = domain_now(whole.target, whole.body)
+    domains, count, n, facets = [domain], whole.count, len(domain.mesh.points), len(domain.mesh.facets)
+    places: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
+    for cut, part in parts:
+        now = domain_now(part.target, part.body)
+        node, facet = now.nodes.node_number.copy(), np.full(len(now.mesh.facets), -1)
+        _replace(domain.nodes, now.nodes, cut.nodes, node)
+        _replace(domain.elements, now.elements, cut.elements, now.elements.element_number)
+        facet[: len(cut.part.facets)] = cut.part.facets
+        first = len(cut.part.bodies)
+        if part.count > first:
+            splats = select(now, part.body >= first)
+            mesh = splats.domain.mesh
+            sets = {f"{SPLAT}{count + k}": mesh.sets[f"{SPLAT}{k}"] for k in range(part.count - first)}
+            domains.append(replace(splats.domain, mesh=replace(mesh, sets=sets)))
+            node[splats.nodes] = n + np.arange(len(splats.nodes))
+            facet[splats.facets] = facets + np.arange(len(splats.facets))
+            count, n, facets = count + part.count - first, n + len(splats.nodes), facets + len(splats.facets)
+        places.append((node, facet))
     new = whole.remade(merge(domains)[0])
-    new.impact = np.append(whole.impact, part.impact[first:])
-    buried = facet[part.buried]
+    new.impact = np.concatenate([whole.impact, *(part.impact[len(cut.part.bodies) :] for cut, part in parts)])
+    buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, places, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
-    after = _ledgers(part)
-    gain = {name: after[name] - value for name, value in cut.before.items()}
+    gain = _gain(parts)
     for name in _SUMS:
         setattr(new.target, name, getattr(new.target, name) + gain[name])
-    changed = np.zeros(len(new.target.x), bool)
-    changed[cut.nodes] = changed[n:] = True
-    _put_bonds_back(new, whole, part, cut, node, changed, gain)
+    own = []  # masks of each part's nodes: those that its impact can change
+    for (cut, _), (node, _) in zip(parts, places, strict=True):
+        changed = np.zeros(len(new.target.x), bool)
+        changed[cut.nodes] = changed[len(whole.target.x) :] = True
+        own.append(changed[node])
+    new.bond = _bonds(
+        whole, [(*part, node, mine) for part, (node, _), mine in zip(parts, places, own, strict=True)], gain
+    )
     if new.count > 1:
-        history = new_history(len(changed))
+        history = new_history(len(new.target.x))
         if whole.contact is not None:
-            history[:n] = whole.contact.history()
-        if part.contact is not None:
-            own = changed[node]
-            history[node[own]] = part.contact.history()[own]
+            history[: len(whole.target.x)] = whole.contact.history()
+        for (_, part), (node, _), mine in zip(parts, places, own, strict=True):
+            if part.contact is not None:
+                history[node[mine]] = part.contact.history()[mine]
         before = whole.contact
-        new.touch(None, node)
+        new.touch()
         if new.contact is not None:
             new.contact.begin(history, *(
                 gain[name] + (getattr(before, name) if before is not None else 0) for name in _OF_CONTACT
@@ -131,26 +142,37 @@ def put_back(whole: Bodies, cut: Cut, part: Bodies) -> Bodies:
     return new
 
 
-def _put_bonds_back(
-    new: Bodies, whole: Bodies, part: Bodies, cut: Cut, node: np.ndarray, changed: np.ndarray, gain: Ledgers
-) -> None:
-    """Bonds of the whole that the impact cannot change, and those of the part that it can. node (n,): of the part, in the whole."""
-    rows: list[BondRows] = []
-    stored, dissipated, exponent = gain["stored"], gain["dissipated"], 1.0
+def _gain(parts: Sequence[tuple[Cut, Bodies]]) -> Ledgers:
+    """What has been added to the ledgers of all parts since they were cut out."""
+    gain: Ledgers = {}
+    for cut, part in parts:
+        for name, value in _ledgers(part).items():
+            gain[name] = gain.get(name, 0) + (value - cut.before[name])
+    return gain
+
+
+def _bonds(whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], gain: Ledgers) -> Bond | None:
+    """Bonds of the whole that no impact can change, and those of the parts that theirs can. parts: with the number of each node (p,)
+    in the whole, and the mask of those that its impact can change."""
+    rows, stored, dissipated, exponent = None, gain["stored"], gain["dissipated"], 1.0
     if whole.bond is not None:
         b = whole.bond
-        held = np.zeros(len(changed), bool)
-        held[cut.part.nodes] = True
-        away = _any(b.nodes, b.triangles, changed) & held[b.nodes] & held[b.triangles].all(axis=1)
-        rows.append(take(collect(BondRows, b), ~away))
+        rows = collect(BondRows, b)
         stored, dissipated, exponent = stored + b.stored, dissipated + b.dissipated, b.exponent
-    if part.bond is not None:
-        b = Bond.from_state(part.bond.state())
-        b.renumber(node)
-        rows.append(take(collect(BondRows, b), _any(b.nodes, b.triangles, changed)))
-        exponent = b.exponent
-    if rows:
-        new.bond = Bond.from_state(BondState(concatenate(rows), exponent, float(stored), float(dissipated)))
+    for cut, part, node, own in parts:
+        if rows is not None:
+            n = 1 + max(int(rows.nodes.max(initial=0)), int(rows.triangles.max(initial=0)), int(cut.part.nodes.max()))
+            changed, held = np.zeros((2, n), bool)
+            changed[cut.nodes] = held[cut.part.nodes] = True
+            away = _any(rows.nodes, rows.triangles, changed) & held[rows.nodes] & held[rows.triangles].all(axis=1)
+            rows = take(rows, ~away)
+        if part.bond is not None:
+            b = Bond.from_state(part.bond.state())
+            of_it = _any(b.nodes, b.triangles, own)
+            b.renumber(node)
+            more = take(collect(BondRows, b), of_it)
+            rows, exponent = more if rows is None else concatenate([rows, more]), b.exponent
+    return None if rows is None else Bond.from_state(BondState(rows, exponent, float(stored), float(dissipated)))
 
 
 def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndarray:

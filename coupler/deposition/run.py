@@ -31,7 +31,7 @@ from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import second_thread
-from .batches import clear, compute, replay, tasks_of, workers
+from .batches import Film, clear, compute, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
@@ -313,18 +313,26 @@ class Deposition:
                 self._skip(i, error)
                 clear(self.folder)
                 return whole
-        for (task, cut), result in zip(tasks, results, strict=True):
+        done: list[TaskResult] = []  # up to one that is undecided: what comes next has no target at rest
+        for result in results:
             assert isinstance(result, TaskResult)
-            replay(self.store, task, result, whole, simulated(self.records))
+            done.append(result)
+            if result.record.values["undecided"] is not None:
+                break
+        parts = [(cut, restored_target(plan, result.bodies)) for (_, cut), result in zip(tasks, done, strict=False)]
+        before, whole = whole, put_back(whole, parts)
+        film = Film(before, whole)
+        for (task, cut), result in zip(tasks, done, strict=False):
+            film.replay(self.store, task, result, simulated(self.records))
             self.records.append(result.record)
-            whole = put_back(whole, cut, restored_target(plan, result.bodies))
             if self.undecided:
                 return whole
             if not result.joined:  # the last, whose particle stays one of points
                 left, gone = without_detached(plan, whole, len(self.records), "impact")
                 self.joins += [{"impact": len(self.records), "detached": gone}] if gone else []
                 return left
-            joined = {**result.joined, "elements": len(whole.target.mesh.conn), "mass_scaling": result.prepared}
+            film.go_on(task, cut, result)
+            joined = {**result.joined, "elements": len(film.cells), "mass_scaling": result.prepared}
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")
         kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]

@@ -260,11 +260,11 @@ class Bodies:
         target.take(domain.nodes, domain.elements, self.target)
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
-    def touch(self, before: BodyContact | None, rank: np.ndarray) -> None:
+    def touch(self, before: BodyContact | None = None, rank: np.ndarray | None = None) -> None:
         """Set the contact between bodies up where they are now; it goes on from that of `before`, whose node i is rank[i] here."""
         self.placed = self.target.x.copy()
         self.contact = BodyContact(self.surfaces, self.placed, [float(K) for K in self.target.laws["K"]], self.friction)
-        if before is not None:
+        if before is not None and rank is not None:
             self.contact.follow(before, rank)
 
     def _fitted(self, splat: BodyState, size: float) -> BodyState:
