@@ -8,10 +8,12 @@ import textwrap
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 
 from coupler.errors import StoreError
+from coupler.files import vtkhdf
 from coupler.files.store import Store
 from coupler.files.vtkhdf import VtkHdfWriter
 
@@ -94,6 +96,34 @@ def test_topology_and_number_of_points_may_change(tmp_path):
         np.testing.assert_array_equal(found["eps_p"], np.full(len(topologies[step]), step))
     with h5py.File(tmp_path / "a.vtkhdf") as file:
         assert len(file["VTKHDF/NumberOfCells"]) == 5  # the second step had the topology of the first
+
+
+def test_bodies_that_grow_fill_chunks_of_their_own(tmp_path, rng, monkeypatch):
+    """A step begins with a new chunk, so that none is ever written twice."""
+    monkeypatch.setattr(vtkhdf, "CHUNK", 8)
+    written = []
+    chunk = vtkhdf._deflated
+    monkeypatch.setattr(vtkhdf, "_deflated", lambda *given: written.append(chunk(*given)) or written[-1])
+    writer = VtkHdfWriter(tmp_path / "a.vtkhdf")
+    sizes = [5, 7, 8, 9, 17, 4, 40]
+    points = [rng.normal(size=(n, 3)) for n in sizes]
+    for step, x in enumerate(points):
+        cells = np.arange(4 * (len(x) - 3)).reshape(-1, 4) % len(x)
+        writer.write(
+            step, x, cells, {"T": x[:, 0]}, {"eps_p": np.arange(len(cells)), "stress": rng.normal(size=(len(cells), 6))}
+        )
+    writer.close()
+    with h5py.File(tmp_path / "a.vtkhdf") as file:
+        long = [
+            file["VTKHDF"][name]
+            for name in ("Points", "Connectivity", "PointData/T", "CellData/eps_p", "CellData/stress")
+        ]
+        assert sum(data.id.get_num_chunks() for data in long) == len(written)
+        assert len(file["VTKHDF/Points"]) > sum(sizes)
+    for x, found in zip(points, read_with_vtk(tmp_path / "a.vtkhdf"), strict=True):
+        np.testing.assert_array_equal(found["points"], x)
+        np.testing.assert_array_equal(found["T"], x[:, 0].astype(np.float32))
+        np.testing.assert_array_equal(found["eps_p"], np.arange(len(x) - 3))
 
 
 def test_cells_that_change_in_place_are_noticed(tmp_path):

@@ -59,9 +59,12 @@ class Recorder:
         self.next_row = self.next_output = 0.0
 
     def start(self, impact: Impact) -> None:
-        """Write the fields of the first instant, if a state gone back to does not hold them already."""
+        """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
+        where not their end alone is written."""
         if self.next_output == 0.0:
-            self.write_fields(impact)
+            if self.i == 0 or np.isfinite(self.impact_plan.output_every):
+                self.write_fields(impact)
+            self.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
         """Write what is due after a window of steps of dt s, and everything after the last one.
@@ -74,9 +77,10 @@ class Recorder:
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
-        """Measure and write the greatest deformation."""
+        """Measure the greatest deformation, and write it where not the end alone is written."""
         self.greatest = self.measures(impact)
-        self.write_fields(impact)
+        if np.isfinite(self.next_output):
+            self.write_fields(impact)
 
     def write_row(self, impact: Impact, dt: float) -> None:
         """One row of history.csv, and a look at the ranges of the models."""

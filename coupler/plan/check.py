@@ -47,6 +47,8 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
     yield from _room(d)
     yield from _resolution(d)
     yield from _adhesion(d, catalogue)
+    if scene.output.at == "ends" and scene.output.every is not None:
+        yield ("output.at", "output.every"), 'output.every: of no use with output.at = "ends"; leave one of them out'
     records = sum(d.usual_time_of(p) / d.output_every_of(p) for p in scene.particles)
     if records > _MOST_RECORDS:
         yield (

@@ -102,7 +102,10 @@ class Derived:
         return self.spacing / 2 if particle.gap is None else particle.gap
 
     def output_every_of(self, particle: Particle) -> float:
-        """Simulated time between two written steps of an impact, s; D / v / 25 by default, more in a long sequence."""
+        """Simulated time between two written steps of an impact, s: D / v / 25 by default, more in a long sequence; infinite where its
+        end alone is written."""
+        if self.scene.output.at == "ends":
+            return math.inf
         outputs = min(_OUTPUTS_PER_CROSSING, _OUTPUTS_IN_ALL / len(self.scene.particles))
         return self.scene.output.every or particle.diameter / particle.velocity / outputs
 

@@ -167,5 +167,7 @@ def defaults(scene: SceneData, head: str, table: Section) -> dict[str, str]:
         "[end]": {
             "time": f"{text_of(end, 'ns')}  (from: 3 diameter / velocity, or twice the time to stop, at most{each})"
         },
-        "[output]": {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"},
+        "[output]": {}
+        if scene.output.at == "ends"
+        else {"every": f"{text_of(every, 'ns')}  (from: diameter / velocity / 25{each})"},
     }.get(head, {})

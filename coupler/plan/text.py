@@ -191,7 +191,8 @@ def _ends(plan: Plan) -> str:
         plan.impact.end_at
     ]
     cold = "" if plan.ambient is None else f"; at the end all cools to {units.rounded(plan.ambient, 'K', 4)}"
-    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}{cold}; a step written every {_range(often)}"
+    steps = f"a step written every {_range(often)}" if math.isfinite(often[0]) else "a step written at the end of each"
+    return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}{cold}; {steps}"
 
 
 def _range(times: list[float]) -> str:

@@ -380,6 +380,7 @@ class End(Section):
 
 
 class Output(Section):
-    """every: simulated time (s) between two written steps."""
+    """at: of each impact all its steps, or its end alone; every: simulated time (s) between two steps."""
 
+    at: Literal["steps", "ends"] = "steps"
     every: Annotated[float | None, Quantity("ns", "0.001 ns", "1000000 ns")] = None
