@@ -56,9 +56,10 @@ def test_the_library_has_what_engineers_start_from():
 
 def test_other_names_are_understood():
     assert materials.material("Cu") is materials.material("OFHC_Cu")
+    assert materials.material("Nickel") is materials.material("nickel") is materials.material("Ni")
     assert materials.from_scene({})[0]["Cu"] is materials.material("OFHC_Cu")
-    with pytest.raises(ColdsprayError, match='did you mean "copper"'):
-        materials.material("coper")
+    with pytest.raises(ColdsprayError, match='did you mean "Copper"'):
+        materials.material("Coper")
 
 
 def test_a_strength_set_is_chosen_by_its_name_or_its_law():

@@ -148,7 +148,7 @@ def _add_running(option: Option) -> None:
     add_quiet(option)
     add_verbose(option, "all measures at the end, not only those that converge")
     option("--threads", type=int, choices=(1, 2), metavar="N",
-           help="2: the target beside the particle on a second core; 1: in turn (default: 2 if there)")  # fmt: skip
+           help="2: two threads share the loops of a step; 1: one core (default: 2 if there)")  # fmt: skip
     option("--jobs", type=at_least_one, default=1, metavar="N",
            help="impacts of a batch at a time, each on one core; `check` prints the batches (default: 1)")  # fmt: skip
     option("--placement", metavar="HOW",

@@ -293,7 +293,9 @@ def _library() -> dict[str, Entry]:
 
 @cache
 def _aliases() -> dict[str, Entry]:
-    return {alias: found for found in _library().values() for alias in found.aliases}
+    return {
+        name: found for found in _library().values() for alias in found.aliases for name in (alias, alias.capitalize())
+    }
 
 
 def _entry(name: str, table: Mapping[str, object]) -> Entry:
