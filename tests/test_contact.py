@@ -282,3 +282,15 @@ def test_what_jumps_into_contact_gives_no_energy() -> None:
     assert c.penalty_energy == 0.0
     assert c.dropped_energy == pytest.approx(work, rel=0.15)  # out of contact by a jump, which gives nothing back
     assert c.dropped == 0
+
+
+def test_a_point_that_nothing_is_near_lies_outside(rng: np.random.Generator) -> None:
+    """Also where it is looked at all the same, as a bonded point is."""
+    x, facets = sheet(rng)
+    xp, still = np.array([[0.05, 0.02, -0.004], [0.4, 0.3, 5.0]]), np.zeros((2, 3))
+    c = make(2, facets)
+    c.search(xp, x, 0.0, always=np.array([1]))
+    c.forces(0.0, xp, still, x, np.zeros_like(x), np.zeros((2, 3)), np.zeros_like(x))
+    assert c.gap[0] < 0.0 < c.gap[1]
+    assert c.depth[1] == 0.0
+    assert c.dropped == 0

@@ -108,6 +108,41 @@ def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: n
     assert again.energy == pytest.approx(loaded.energy, rel=1e-9)
 
 
+@pytest.mark.parametrize("way", ["numbered anew", "cut out and put back"])
+def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, way: str) -> None:
+    bodies = Bodies.from_state(whole.state(), whole.fixed, whole.absorbing, whole.friction, conduction=False)
+    t = bodies.target
+    t.v[bodies.contact.surfaces.nodes_of(1) if bodies.contact else []] = [300.0, 0.0, -20.0]
+    t.x[np.unique(t.mesh.conn[bodies.body == 1])] -= [0.0, 0.0, 3e-8]
+    bodies.bond = None
+    bodies.search(1e-7)
+    assert bodies.contact is not None
+    rubbed, before = bodies.contact.friction_heat, float(t.sums[2])
+    for _ in range(3):
+        bodies.forces(1e-10)
+    heat = bodies.contact.friction_heat - rubbed
+    assert heat > 1e-14
+    if way == "numbered anew":
+        after = bodies.renumbered((0.0, 0.0, 0.0))
+    else:
+        part, cut = cut_out(bodies, (-24e-6, 0.0, 10e-6), 10e-6)
+        after = put_back(bodies, [(cut, part)])
+    assert after.target.sums[2] - before == pytest.approx(heat, rel=1e-9)
+
+
+def test_the_step_of_contacts_does_not_depend_on_the_last_search(whole: Bodies) -> None:
+    """A resumed run searches at other times than one in one piece, and takes the same steps."""
+    contact, target = whole.contact, whole.target
+    assert contact is not None
+    steps = []
+    for travel in (1e-9, 2e-6, 2e-5):
+        contact.restore(contact.state())
+        contact.search(target.x, travel, whole.bond)
+        steps.append(contact.stable_dt(target.mass * np.linspace(1.0, 2.0, len(target.mass)), 1e-9))
+    assert steps[0] < 1e-9
+    assert steps[1:] == steps[:1] * 2
+
+
 def three(*offsets: float) -> str:
     """200-point particles for 10 ns, windows of 32 um, at these places (um) along x."""
     head, *particles = scenes.scene(

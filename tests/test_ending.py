@@ -3,12 +3,13 @@
 import contextlib
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import TINY, scene
 
-from coupler import Result
+from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.impact.ending import EndCriterion
@@ -97,6 +98,32 @@ def test_an_end_by_time_is_met_by_time():
     assert ending.met(40e-9)
     assert ending.touched
     assert not ending.settled(40e-9)
+
+
+def test_an_end_that_was_moved_is_kept() -> None:
+    """Stopped and gone on from, an impact that was given more time has the same end; another resumption does not move it."""
+    ending = observed(EndCriterion(40e-9, "rest", 50e-9, 500.0), (40, 138.0, 2.0))
+    ending.extend(40e-9, None)
+    assert (ending.at, ending.end_time) == ("rest", pytest.approx(80e-9))
+    again = EndCriterion(40e-9, "rest", 50e-9, 500.0)
+    again.restore(ending.state())
+    again.extend(60e-9, None)
+    assert (again.at, again.end_time) == ("rest", ending.end_time)
+    settled = observed(EndCriterion(200e-9, "rest", 50e-9, 500.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (60, -5.0, 0.0))
+    assert settled.met(60e-9)
+    settled.extend(60e-9, 90e-9)
+    again.restore(settled.state())
+    assert (again.at, again.end_time) == ("time", 90e-9)
+    assert not again.reached(80e-9)
+
+
+def test_an_end_at_the_greatest_deformation_writes_it_once_and_has_no_margin(tmp_path: Path) -> None:
+    text = scene(("Ni", 25, 500)) + '[end]\nat = "greatest"\n'
+    result = run(Scene.from_text(text, "greatest"), tmp_path, force=True, quiet=True)
+    assert np.diff(result.times("target")).min() > 0.0
+    assert result.impacts[0]["verdict"] == "undecided"
+    assert result.impacts[0]["margin_m_s"] is None
+    assert result.impacts[0]["margin_J"] is None
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_scene import scene_with
 
+from coupler.deposition.cut import cut_out
 from coupler.deposition.equilibrium import settle
 from coupler.fe import mesh as meshes
 from coupler.fe.boundary import HALF_SPACE, foundation
@@ -122,3 +123,41 @@ def test_what_the_wave_has_not_reached_is_in_balance_with_its_springs() -> None:
     moved = t.momentum() - t.external_impulse() - before
     assert moved[2] == pytest.approx(pushed[2], rel=0.03)  # half of the last push is still to come
     assert np.abs(moved[:2]).max() < 1e-6 * abs(pushed[2])
+
+
+def test_a_cut_at_the_side_has_the_springs_of_the_whole() -> None:
+    bodies = cylinder(1.0, HALF_SPACE)
+    part, cut = cut_out(bodies, (32e-6, 0.0, 0.0), 20e-6)
+    t, own = bodies.target, part.target
+    number = part.state().target.nodes.node_number[own.spring_nodes]
+    free = np.linalg.norm(own.x[own.spring_nodes] - [32e-6, 0.0, 0.0], axis=1) < 20e-6
+    assert 5 < free.sum() < len(t.spring_nodes) / 2
+    assert np.isin(number[free], cut.nodes).all()
+    place = np.searchsorted(t.spring_nodes, number[free])
+    np.testing.assert_allclose(own.springs[free], t.springs[place], rtol=1e-12)
+
+
+def test_bodies_that_are_numbered_anew_keep_the_contraction_of_the_half_space() -> None:
+    bodies = cylinder(1.0, HALF_SPACE)
+    t = bodies.target
+    t.x *= 0.995
+    t.rest_scale *= 0.995
+    same = bodies.renumbered((10e-6, 0.0, 0.0)).target
+    assert np.abs(same.x[same.spring_nodes] - same.spring_rest).max() < 1e-12
+    assert same.elastic() == pytest.approx(t.elastic(), abs=1e-15)
+
+
+def test_heat_of_what_is_inactive_waits() -> None:
+    """It becomes pressure once the wave has come, and not in each step until then."""
+    bodies = cylinder(1.0, HALF_SPACE)
+    t = bodies.target
+    t.deactivate_beyond(15e-6)
+    e = next(e for e in range(t.active_elements, len(t.mesh.conn)) if (t.mesh.conn[e] < t.active_nodes).any())
+    t.heat[e] = 1e-9
+    before = t.energy.copy()
+    for _ in range(5):
+        t.advance(1e-12)
+        t.finish()
+    assert e >= t.active_elements
+    assert t.heat[e] == 1e-9
+    assert float(t.mesh.node_volume @ np.abs(t.energy - before)) < 1e-12

@@ -56,6 +56,23 @@ def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
     assert again.energy == hold.energy
 
 
+def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
+    hold, xp, x = patch(1e-9)
+    hold.forces(xp, x, np.zeros_like(xp), np.zeros_like(x))
+    held = hold.energy
+    empty = hold.without(np.ones(4, bool)).on(np.zeros(6, np.int64), np.zeros(0, np.int64))
+    f, g = np.zeros_like(xp), np.zeros_like(x)
+    empty.forces(xp, x, f, g)
+    assert not f.any()
+    assert not g.any()
+    assert empty.energy == pytest.approx(held, rel=1e-12)
+    assert empty.stable_dt(1.0, np.ones(5)) == np.inf
+    assert empty.area == (0.0, 0.0)
+    both = empty.joined(patch(0.0)[0])
+    assert len(both.rows) == 4
+    assert both.energy == pytest.approx(held, rel=1e-12)
+
+
 def test_its_step_is_that_of_a_mass_on_a_spring() -> None:
     hold, _, _ = patch(0.0)
     mass = 1e-15

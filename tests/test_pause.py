@@ -123,6 +123,30 @@ def test_a_sequence_ends_cold_with_all_splats_as_bodies(shared_run: SharedRuns, 
     assert json.dumps(closing)
 
 
+def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last impact cannot be meshed and is skipped; the run ends as the bodies cool."""
+
+    def join(plan: Any, i: int, *more: Any) -> Any:
+        if i > 0:
+            raise SplatError("the cloud has a hole")
+        return true_join(plan, i, *more)
+
+    def cool(*_: Any) -> Any:
+        raise KeyboardInterrupt
+
+    true_join = deposition.join
+    monkeypatch.setattr(deposition, "join", join)
+    true_cool = deposition.cool_to_ambient
+    monkeypatch.setattr(deposition, "cool_to_ambient", cool)
+    with pytest.raises(KeyboardInterrupt):
+        deposition.run(Scene.from_text(COLD, "cold"), tmp_path, force=True, quiet=True, skip_failed=True)
+    monkeypatch.setattr(deposition, "cool_to_ambient", true_cool)
+    result = deposition.resume(tmp_path, quiet=True, skip_failed=True)
+    assert len(result.impacts) == 1
+    assert "particle 2 of the scene's sequence was skipped" in result.summary["run"]["warnings"][0]
+    assert result.summary["closing"]["ambient_K"] == 300.0
+
+
 def test_a_particle_that_slides_off_is_lost_and_the_run_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -32,8 +32,8 @@ class _Side:
 
     facets: ids in `Surfaces`; near: those of them around the nodes at the last search, known: which these are; idle: none touches.
     What was found then holds while both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where
-    the own nodes and these were. partners: bodies that the facets belong to; clear: m that others than the known ones were away when
-    the bodies had gone as far as `since` (bodies,) m.
+    the own nodes and these were. partners: bodies that the facets belong to; partner_nodes: nodes of all facets; clear: m that others
+    than the known ones were away when the bodies had gone as far as `since` (bodies,) m.
     """
 
     nodes: np.ndarray
@@ -43,6 +43,7 @@ class _Side:
     known: np.ndarray
     body: int
     partners: np.ndarray
+    partner_nodes: np.ndarray
     since: np.ndarray
     clear: float = -np.inf
     idle: bool = True
@@ -53,7 +54,7 @@ class _Side:
 
 @dataclass(frozen=True)
 class BodyContactState:
-    """lost: energy (J) that the handing over of nodes by bonds has lost; sides: contact of each body but the base;
+    """lost: energy (J) that the handing over of nodes by bonds has lost; sides: contact of each body;
     held (N,): nodes whose compression a bond resists."""
 
     lost: float
@@ -123,6 +124,7 @@ class BodyContact:
             np.zeros(len(ids), bool),
             body,
             np.array(partners, np.int64),
+            np.unique(s.facets[ids]),
             np.zeros(s.bodies),
         )
 
@@ -158,10 +160,10 @@ class BodyContact:
         that the step of both together is the shorter.
         """
         step = alone
-        for side in self._sides:
-            if not side.idle:
+        for side in self._sides:  # not only what the last search has seen: a resumed run searches at other times
+            if len(side.facets):
                 softness = 1.0 / float(mass[side.nodes].min())
-                springs = side.contact.stable_dt(softness, mass[side.corners])
+                springs = side.contact.stable_dt(softness, mass[side.partner_nodes])
                 step = min(step, float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / alone**2)))
         return step
 

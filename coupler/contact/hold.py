@@ -87,10 +87,8 @@ class Hold:
         both.bond = Bond.joined([self.bond, later.bond])
         return both
 
-    def without(self, gone: np.ndarray) -> "Hold | None":
-        """This hold less the springs of a mask (n,); None where none is left."""
-        if gone.all():
-            return None
+    def without(self, gone: np.ndarray) -> "Hold":
+        """This hold less the springs of a mask (n,); what they have dissipated stays in its ledger."""
         self.bond.drop(gone)
         left = np.count_nonzero(~gone)
         self.bond.renumber(np.concatenate([np.cumsum(~gone) - 1, left + np.arange(len(self.nodes))]))
@@ -127,8 +125,8 @@ class Hold:
         """Stable time step (s) of the springs between points of inverse mass `softness` (1/kg) and nodes of mass (N,) kg."""
         n = len(self.rows)
         load = self.bond.load(n + len(self.nodes))
-        omega2 = max(float(load[:n].max()) * softness, float((load[n:] / mass[self.nodes]).max()))
-        return HOLD_SAFETY * 2.0 / np.sqrt(omega2)
+        omega2 = max(float(load[:n].max(initial=0.0)) * softness, float((load[n:] / mass[self.nodes]).max(initial=0.0)))
+        return HOLD_SAFETY * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     @property
     def whole(self) -> np.ndarray:

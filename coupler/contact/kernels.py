@@ -150,7 +150,7 @@ def closest_facets(
                 reach = (sqrt(best) + shift) ** 2 * (1.0 + 4e-9)
                 foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
         nearest[i] = face
-        gap[i] = -sqrt(best) if side < 0.0 else sqrt(best)
+        gap[i] = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -201,7 +201,7 @@ def end_look(
     for q in range(len(rows)):
         i = rows[q]
         kept = max(ignored[i], 0.0) if ignored[i] < ALL else 0.0
-        if gap[i] < -min(margin, depth[i] + kept + jump):
+        if nearest[i] < 0 or gap[i] < -min(margin, depth[i] + kept + jump):
             nearest[i] = -1
             ignored[i] = ALL
             stretch = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2

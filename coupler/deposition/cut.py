@@ -40,8 +40,10 @@ class Cut:
 
 
 def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
-    """What lies within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The whole stays as it is."""
+    """What lies within `radius` m of a place (m), with its rim, as bodies numbered outwards from there. The whole stays as it is, but
+    for the heat of friction that its elements get."""
     t = whole.target
+    whole.release_heat()
     conn, x = t.mesh.conn, t.x
     reach = np.linalg.norm(x - np.asarray(place), axis=1)[conn].min(axis=1)
     inside = reach < radius
@@ -96,6 +98,7 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     domains, count, n, facets = [domain], whole.count, len(domain.mesh.points), len(domain.mesh.facets)
     places: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
     for cut, part in parts:
+        part.release_heat()
         now = domain_now(part.target, part.body)
         node, facet = now.nodes.node_number.copy(), np.full(len(now.mesh.facets), -1)
         _replace(domain.nodes, now.nodes, cut.nodes, node)

@@ -77,7 +77,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     t.sums[2] += float(missing.sum())
     shrunk = 1.0 + _contraction(*came[0], ambient)
     t.x *= shrunk
-    t.spring_rest *= shrunk
+    t.rest_scale *= shrunk
     report = {**before, **_settled(bodies, kinetic_0, np.inf, known), "ambient_K": ambient}
     bodies, report["detached"] = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
     t, splats = bodies.target, bodies.body > 0

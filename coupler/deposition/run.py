@@ -253,11 +253,14 @@ class Deposition:
                     bodies, running = self._impact(bodies, running), None
                 except (SolverError, SplatError, NoContactError) as error:
                     bodies, running = self._without_impact(error), None
+                    self._save(None, bodies.state())
                 if self.undecided:
                     break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
                 if len(self.records) < len(self.plan.impacts):
                     self._save(None, bodies.state())
             if plan.ambient is not None and not self.undecided:
+                if self.records[-1].values["verdict"] != UNDECIDED:  # such an impact can go on
+                    self._save(None, bodies.state())
                 bodies = self._close(bodies)
             origin = provenance(Result(self.folder).scene_text, plan.engine)
             self.store.finish({**self._summary(bodies), "provenance": origin})
@@ -311,6 +314,7 @@ class Deposition:
                 error = SolverError(str(text))
             if error is not None:
                 self._skip(i, error)
+                self._save(None, whole.state())
                 clear(self.folder)
                 return whole
         done: list[TaskResult] = []  # up to one that is undecided: what comes next has no target at rest
@@ -347,10 +351,10 @@ class Deposition:
     def _without_impact(self, error: ColdsprayError) -> Bodies:
         """The bodies as the impact that has failed met them, where it is left out of the plan; raises the error otherwise."""
         kept = self._pristine
-        if kept is None:
+        if kept is None or not self._may_skip:
             raise error
-        self._skip(len(self.records), error)
         self.store.go_back(kept.store, self.options.progress.log)
+        self._skip(len(self.records), error)
         return restored_target(self.plan, kept.bodies)
 
     def _skip(self, i: int, error: ColdsprayError) -> None:
@@ -395,7 +399,8 @@ class Deposition:
             return build_target(self.plan), None
         self.records, self.joins, self._before, running = state.records, state.joins, state.wall, state.running
         kept = running.impact.bodies if running is not None else state.bodies
-        if kept is None or not len(self.joins) == len(self.records) < len(self.plan.impacts):
+        left = len(self.plan.impacts) - len(self.records)
+        if kept is None or len(self.joins) != len(self.records) or left < (1 if running is not None else 0):
             raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
         bodies, self._pristine = restored_target(self.plan, kept), state.pristine
         self._check_records(bodies)

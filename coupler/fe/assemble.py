@@ -114,6 +114,7 @@ def merge(domains: Sequence[Domain], *origins: Point) -> tuple[Domain, np.ndarra
         sets={name: ids + at for d, at in zip(domains, facets, strict=False) for name, ids in d.mesh.sets.items()},
         reach_node=distance[by_node],
         reach_element=reach[by_element],
+        axis=domains[0].mesh.axis,
     )
     node_state = take(concatenate([d.nodes for d in domains]), by_node)
     element_state = take(concatenate([d.elements for d in domains]), by_element)
@@ -183,7 +184,7 @@ def select(domain: Domain, chosen: np.ndarray) -> Selection:
         node_volume=mesh.node_volume[nodes], facets=np.concatenate([own, faces[new]]).astype(np.int32),
         facet_element=np.concatenate([element[mesh.facet_element[facets]], behind[new]]).astype(np.int32),
         sets={(f"{SPLAT}{names[n]}" if n in names else n): ids for n, ids in kept.items() if names.get(n, 0) >= 0},
-        reach_node=mesh.reach_node[nodes], reach_element=mesh.reach_element[elements],
+        reach_node=mesh.reach_node[nodes], reach_element=mesh.reach_element[elements], axis=mesh.axis,
     )  # fmt: skip
     part = Domain(
         new_mesh, take(domain.nodes, nodes), take(domain.elements, elements), of_body[body[elements]].astype(np.int32),

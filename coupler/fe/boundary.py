@@ -35,14 +35,13 @@ def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     What a coating does to its substrate is in balance with itself: its displacements fall with the square of the distance R, u ~ R^-2.
     Of a centre of dilatation the traction is then -4 G u / R, normal to a sphere; the tangential stiffness is half of that, as in
-    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 77). R is reckoned from the axis at z = 0.
+    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 77). R is reckoned from the mesh's axis at z = 0.
     """
     ids = mesh.sets.get(HALF_SPACE, np.zeros(0, np.int64))
     matrix = np.zeros((len(mesh.points), 3, 3))
     nodes = np.unique(mesh.facets[ids])
     if len(ids):
-        axis = np.array([*mesh.points[nodes, :2].mean(axis=0), 0.0])
-        R = np.linalg.norm(mesh.points[mesh.facets[ids]].mean(axis=1) - axis, axis=1)
+        R = np.linalg.norm(mesh.points[mesh.facets[ids]].mean(axis=1) - [*mesh.axis, 0.0], axis=1)
         shear = G[mesh.facet_element[ids]] / R
         _add(mesh, ids, 4.0 * shear, 2.0 * shear, matrix)
     return nodes, matrix[nodes]

@@ -60,9 +60,9 @@ def cool(
 ) -> dict[str, float]:
     """Conduct heat for `time` s in a `Target` at rest. Its T, sigma_y and ledger are updated, its pressures in its next step.
 
-    held: nodes kept at held_T K; every other face is insulated but for the film.
-    Returns steps, hottest and mean temperatures before and after
-    (K), and the heat (J) that held nodes have taken away. Raises SolverError when the linear solver does not come to an end.
+    held: nodes kept at held_T K; every other face is insulated but for the film. Returns steps, hottest and mean temperatures before
+    and after (K), and the heat (J) that has left through held nodes and to the gas. Raises SolverError when the linear solver does not
+    come to an end.
     """
     t = target
     n, m = len(t.x), len(t.mesh.conn)

@@ -40,7 +40,8 @@ class Target:
     sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the point of impact, or from the
     nearest of several, and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are computed; none
     beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is accelerated (mass
-    scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive.
+    scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how
+    much the half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
@@ -112,7 +113,7 @@ class Target:
             mesh, own, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
         )
         self.spring_nodes, self.springs = foundation(mesh, own["G"])
-        self.spring_rest = mesh.points[self.spring_nodes].copy()
+        self.rest_scale = 1.0
         self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
@@ -128,6 +129,11 @@ class Target:
         #: (m+1,): how many nodes the first elements reach up to
         self._nodes_of = np.append(0, np.maximum.accumulate(mesh.conn.max(axis=1) + 1))
         self._activate(0.0)
+
+    @property
+    def spring_rest(self) -> np.ndarray:
+        """Where the springs of the half-space have no force: points (k,3) m of the nodes `spring_nodes`."""
+        return self.rest_scale * self.mesh.points[self.spring_nodes]
 
     def foundation_load(self) -> np.ndarray:
         """What the springs of the half-space add to each node (n,) in the bound on omega^2, N/m."""
@@ -303,7 +309,7 @@ class Target:
         assign(self, elements)
         for name in ("sums", "impulse"):
             setattr(self, name, getattr(before, name).copy())
-        for name in ("internal_work", "absorbed", "time"):
+        for name in ("internal_work", "absorbed", "time", "rest_scale"):
             setattr(self, name, getattr(before, name))
         self._store_inactive_forces()
 

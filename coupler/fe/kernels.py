@@ -34,13 +34,14 @@ def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
 
 @njit(cache=True, nogil=True)
 def nodal_pressure(
-    lo: int, hi: int, start: Ints, table: Ints, volume: Floats, heat: Floats, V0_node: Floats, laws: Laws, law_of_node: Ints,
+    lo: int, hi: int, m: int, start: Ints, table: Ints, volume: Floats, heat: Floats, V0_node: Floats, laws: Laws, law_of_node: Ints,
     J: Floats, p: Floats, energy: Floats,
 ) -> None:  # fmt: skip
     """Averaged nodal volume ratio and the pressure that goes with it.
 
-    start (n+1,), table: rows 4 e + local of the elements around each node. volume (m,) m3 now; heat (m,) J put into
-    each element during the last step. J, p (Pa), energy (J per reference m3) of shape (n,) move on in place.
+    start (n+1,), table: rows 4 e + local of the elements around each node. volume m3 now; heat J put into each element during the
+    last step, which counts of the first m, the active ones: that of others waits. J, p (Pa), energy (J per reference m3) of shape
+    (n,) move on in place.
     """
     for a in range(lo, hi):
         law = laws[law_of_node[a]]
@@ -49,7 +50,7 @@ def nodal_pressure(
         for r in range(start[a], start[a + 1]):
             e = table[r] >> 2
             vol += volume[e]
-            if on(law.expansion):
+            if e < m and on(law.expansion):
                 q += heat[e]
         J_new = 0.25 * vol / V0_node[a]
         p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / V0_node[a])
@@ -170,7 +171,7 @@ def advance(
     for lo, hi, part in ranges(team, 1, m, LEAST_ELEMENTS):
         smallest[part] = volumes(lo, hi, *of_volume)
     for lo, hi, _ in ranges(team, 2, n, LEAST_NODES):
-        nodal_pressure(lo, hi, *of_pressure)
+        nodal_pressure(lo, hi, m, *of_pressure)
     for lo, hi, part in ranges(team, 3, m, LEAST_ELEMENTS):
         sums[part, 0], sums[part, 1], sums[part, 2] = element_forces(lo, hi, *of_forces)
     for lo, hi, _ in ranges(team, 4, n, LEAST_NODES):

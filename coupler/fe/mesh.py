@@ -1,6 +1,6 @@
 """The mesh of the target with what the solver takes from scikit-fem."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Protocol
 
 import numpy as np
@@ -18,7 +18,8 @@ class TetMesh:
 
     points (n,3) m; conn (m,4); B (m,3,3) reference gradients of nodes 1 to 3; V0 (m,) m3; node_volume (n,) m3, the
     lumped share of each node; facets (k,3) boundary triangles, normals outwards; facet_element (k,); sets: facet
-    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, ascending.
+    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, ascending. axis (2,): x, y (m) of
+    the axis from which a half-space round the target is reckoned.
     """
 
     points: Annotated[np.ndarray, Shape(-1, 3)]
@@ -31,6 +32,7 @@ class TetMesh:
     sets: dict[str, np.ndarray]
     reach_node: Annotated[np.ndarray, Shape(-1)]
     reach_element: Annotated[np.ndarray, Shape(-1)]
+    axis: Annotated[np.ndarray, Shape(2)] = field(default_factory=lambda: np.zeros(2))
 
 
 class FiniteElements(Protocol):

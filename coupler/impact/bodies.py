@@ -92,6 +92,13 @@ class Bodies:
     def search(self, travel: float, by_speed: bool = False) -> None:
         """Find what can touch before surfaces have moved `travel` m, slow ones less where that is by_speed; give the heat of friction
         and fracture to the elements."""
+        self.release_heat()
+        if self.contact is not None:
+            v = self.target.v if by_speed else None
+            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes, v)
+
+    def release_heat(self) -> None:
+        """Give the heat of friction and fracture since the last call to the elements."""
         if self.bond is not None:
             heat = 0.5 * self.bond.heat()  # of each side
             if heat.any():
@@ -99,8 +106,6 @@ class Bodies:
                 self.target.warm_around(self.bond.triangles, np.repeat(heat / 3.0, 3))
         if self.contact is not None:
             self.target.warm(*self.contact.heat())
-            v = self.target.v if by_speed else None
-            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes, v)
 
     def forces(self, dt: float) -> None:
         """Add what bodies do to each other at this instant to the target's outer forces."""
@@ -173,8 +178,9 @@ class Bodies:
         their laws and damage, where bonds act in the impact (`Adhesion.in_impact`).
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
-        equilibrium: see `relaxation.settle`. Raises SolverError when a splat cannot be put in place.
+        equilibrium: see `deposition.equilibrium.settle`. Raises SolverError when a splat cannot be put in place.
         """
+        self.release_heat()
         fitted = [self._fitted(splat, size) for splat in splats]
         parts = [domain_now(self.target, self.body)]
         parts += [domain_of(splat, f"{SPLAT}{self.count + i}") for i, splat in enumerate(fitted)]
@@ -207,6 +213,7 @@ class Bodies:
 
     def renumbered(self, *origins: Point) -> "Bodies":
         """The same, numbered outwards from the nearest of these points; only what is near them is active."""
+        self.release_heat()
         domain, rank = merge([domain_now(self.target, self.body)], *origins)
         return self.on(domain, rank, self.buried)
 
@@ -240,6 +247,7 @@ class Bodies:
 
         The result is not in equilibrium. What the gone ones covered can be hit again.
         """
+        self.release_heat()
         domain, node, facet = only(domain_now(self.target, self.body), ~gone)
         if self.bond is not None:
             self.bond.drop((node[self.bond.nodes] < 0) | (node[self.bond.triangles[:, 0]] < 0))

@@ -1,7 +1,7 @@
 """The domains of one impact, built from the plan: target, particle, and what acts between them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -64,6 +64,7 @@ def build_target(plan: Plan) -> Bodies:
     mesh = prepare(points, tets, (*plan.impacts[0].offset, 0.0))
     if cut := t.faces("half_space"):
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
+        mesh = replace(mesh, axis=np.array(t.centre))
     target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
     target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)

@@ -22,7 +22,10 @@ class EndState:
     contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
     HELD_STILL of its impact speed with energy that its bonds may not stop; above: last time (s) at which its centre was above the
     target, not beyond the rim; risen: whether it has moved off after the greatest deformation; arrested: whether its bonds have then
-    stopped it; time, work: last observed, s and J; power: mean of what is dissipated, W."""
+    stopped it; time, work: last observed, s and J; power: mean of what is dissipated, W; at, end_time: of `EndCriterion`."""
+
+    at: str
+    end_time: float
 
     peak: float = 0.0
     turned: float | None = None
@@ -51,7 +54,7 @@ class EndCriterion:
         self.end_time, self.at, self.slow = end_time, at, slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self.glancing, self.spent = GLANCING * speed, SPENT * energy / crossing
-        self._state = EndState()
+        self._state = EndState(at, end_time)
 
     def observe(
         self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True, work: float = 0.0
@@ -136,9 +139,16 @@ class EndCriterion:
         return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def state(self) -> EndState:
-        """What it has seen so far."""
-        return self._state
+        """What it has seen so far, and its end."""
+        return replace(self._state, at=self.at, end_time=self.end_time)
 
     def restore(self, state: EndState) -> None:
         """Go on from a `state`."""
-        self._state = state
+        self._state, self.at, self.end_time = state, state.at, state.end_time
+
+    def extend(self, time: float, until: float | None) -> None:
+        """Let an impact that is at its end at `time` s go on: until `until` s, or for as long again as it has had."""
+        if self.at_limit(time):
+            self.end_time = until or time + self.end_time
+        elif until is not None and self.met(time):  # its verdict is undecided
+            self.at, self.end_time = "time", until

@@ -197,8 +197,8 @@ class Impact:
         new = self._pressed(rows)
         if self.hold is not None and self.exposure is not None:
             again = self.exposure.extruding[self.hold.rows]
-            if again.any() and (hold := self.hold.without(again)) is not None:
-                self.hold = hold.on(*self._rings)
+            if again.any():
+                self.hold = self.hold.without(again).on(*self._rings)
         if self.hold is not None:
             new &= ~np.isin(rows, self.hold.rows)
         rows, facets = rows[new], facets[new]

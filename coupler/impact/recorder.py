@@ -57,6 +57,7 @@ class Recorder:
         self.greatest: dict[str, float] | None = None
         self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
         self.next_row = self.next_output = 0.0
+        self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
         """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
@@ -73,7 +74,7 @@ class Recorder:
         """
         if is_last or impact.time >= self.next_row:
             self.write_row(impact, dt)
-        if is_last or impact.time >= self.next_output:
+        if impact.time > self._written and (is_last or impact.time >= self.next_output):
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
@@ -138,7 +139,7 @@ class Recorder:
         skin = {name: s.values(field) for name, field in fields.items()}
         self.store.write("surface", time, s.positions(p.x), s.triangles, skin)
         self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
-        self.next_output = impact.time + self.impact_plan.output_every
+        self._written, self.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""

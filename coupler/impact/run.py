@@ -115,10 +115,8 @@ def run_impact(
                 if state is not None:
                     impact.restore(state.impact)
                     ending.restore(state.ending)
-                    if ending.at_limit(impact.time):
-                        ending.end_time = options.until or impact.time + ending.end_time
-                    elif options.until is not None and ending.met(impact.time):  # its verdict is undecided
-                        ending.at, ending.end_time = "time", options.until
+                    if state is resume_from:  # a retry goes on to the same end
+                        ending.extend(impact.time, options.until)
                     recorder.restore(state.recorder)
                     impact.dt_factor = retries.applied[-1].dt_factor if retries.applied else 1.0
                 keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)

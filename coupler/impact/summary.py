@@ -95,6 +95,8 @@ def summarise(
             "verdict": UNDECIDED,
             "verdict_rests_on": reason,
             "verdict_is_close": False,
+            "margin_J": None,
+            "margin_m_s": None,
             "rebounded": None,
             "restitution": None,
         }

@@ -1,4 +1,4 @@
-"""Who runs where: one process, or ranks under mpiexec. The only import of mpi4py beside what LAMMPS needs.
+"""Who runs where: one process, or ranks under mpiexec. Only this package imports mpi4py, beside what LAMMPS needs.
 
 One rank, the *root*, holds the target, the contact, the ledger and the files; the particle lives on one or more ranks (`split`: all
 but the root; `spread`: all, in equal parts). The root leads: between windows of steps it asks all ranks that have points for what
