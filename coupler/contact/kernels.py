@@ -155,7 +155,7 @@ def closest_facets(
 
 @njit(cache=True, nogil=True, inline="always")
 def follow(deep: float, before: float, moved: float, ignored: float) -> float:
-    """The part of its depth that a point does not feel, m.
+    """The part of a point's penetration depth that gives no contact force, m.
 
     Where surfaces end on one another the closest facet can be one of which the point lies on the other side: its depth jumps. A spring
     that had that depth at once would give energy that nobody has put in: what motion does not account for is ignored until the point
@@ -226,17 +226,17 @@ def end_look(
 
 
 @njit(cache=True, nogil=True)
-def look(team: Ints, rows: Ints, begin: Arrays, end: Arrays, found: Ints, shift: Floats, lost: Floats) -> None:
+def look(team: Ints, rows: Ints, begin: Arrays, end: Arrays, near_rows: Ints, shift: Floats, lost: Floats) -> None:
     """`begin_look` of the points `rows` in one thread, with the arguments `begin`, and `end_look` in all, with `end`. lost (PARTS,3).
 
-    found (n+1,) and shift (1,) pass from one to the other: how many points may touch, and which.
+    near_rows (n+1,) and shift (1,) pass from one to the other: how many points may touch, and which.
     """
     for _, _, _ in ranges(team, 0, 1, 1):
         near, shift[0] = begin_look(rows, *begin)
-        found[0] = len(near)
-        found[1 : len(near) + 1] = near
-    for lo, hi, part in ranges(team, 1, found[0], LEAST_ROWS):
-        end_look(found[lo + 1 : hi + 1], shift[0], lost[part], *end)
+        near_rows[0] = len(near)
+        near_rows[1 : len(near) + 1] = near
+    for lo, hi, part in ranges(team, 1, near_rows[0], LEAST_ROWS):
+        end_look(near_rows[lo + 1 : hi + 1], shift[0], lost[part], *end)
 
 
 @njit(cache=True, nogil=True)

@@ -20,10 +20,10 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 
 @dataclass(frozen=True)
 class ContactState:
-    """spring (n,3) N: of friction, depth (n,) m that is felt, ignored (n,) m beside it (`kernels.follow`), heat_point (n,) J of each
-    point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat of the last step, J, and the number of points
-    that touch; friction_heat: so far, J; dropped: points that have lost their contact as too deep so far, dropped_energy: what the
-    springs of these held, and of those whose depth has jumped, J."""
+    """spring (n,3) N: of friction, depth (n,) m: penetration that gives force, ignored (n,) m: penetration beside it that gives none
+    (`kernels.follow`), heat_point (n,) J of each point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat
+    of the last step, J, and the number of points that touch; friction_heat: so far, J; dropped: points that have lost their contact
+    as too deep so far, dropped_energy: what the springs of these held, and of those whose depth has jumped, J."""
 
     friction_heat: float
     dropped: int
@@ -171,7 +171,7 @@ class PointContact:
     def touching(self, first: int, within: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Which of the first so many points touch in this step (k,), and what the target calls the facet that each is on (k,).
 
-        within: m; those that lie so near count too, as they do that chatter.
+        within: m; points nearer than this count as touching, because a touching point can lose its contact for single steps.
         """
         if within > 0.0:
             rows = self.rows[self.rows < first]
@@ -208,7 +208,7 @@ class PointContact:
         self._drop(lost.sum(axis=0))
 
     def _drop(self, lost: np.ndarray) -> None:
-        """Book what `kernels.end_look` has taken away."""
+        """Add the contacts that `kernels.end_look` has dropped, and their energy, to the ledger."""
         if lost.any():
             self.dropped += int(lost[0])
             self.dropped_energy += 0.5 * (self.stiffness * float(lost[1]) + float(lost[2]) / self.tangential)
@@ -258,13 +258,13 @@ class SideBySide:
         chosen = [self._contacts[s] for s in active]
         self._active = chosen
         names = ("rows", "_start", "_boxes", "_ids", "_low", "_high", "_nodes", "_places", "_last", "_way")
-        found = {name: [getattr(c, name) for c in chosen] for name in names}
-        found["_low"], found["_high"] = (
-            [box[: len(c._ids)] for c, box in zip(chosen, found[n], strict=True)] for n in ("_low", "_high")
+        searched = {name: [getattr(c, name) for c in chosen] for name in names}
+        searched["_low"], searched["_high"] = (
+            [box[: len(c._ids)] for c, box in zip(chosen, searched[n], strict=True)] for n in ("_low", "_high")
         )
-        self._found = {name: _joined(parts) for name, parts in found.items()}
+        self._searched = {name: _joined(parts) for name, parts in searched.items()}
         rows, start, boxes, ids, nodes = (
-            _bounds(found[name]) for name in ("rows", "_start", "_boxes", "_ids", "_nodes")
+            _bounds(searched[name]) for name in ("rows", "_start", "_boxes", "_ids", "_nodes")
         )
         which = np.asarray(active, np.int64)
         ends = [(b[:-1], b[1:]) for b in (rows, start, boxes, ids, nodes)]
@@ -276,7 +276,7 @@ class SideBySide:
         ).reshape(-1, 5)
         self._sums, self._lost = np.zeros((len(chosen), 4)), np.zeros((len(chosen), 3))
         for i, c in enumerate(chosen):  # what a step changes
-            c._last, c._way = self._found["_last"][nodes[i] : nodes[i + 1]], self._found["_way"][i : i + 1]
+            c._last, c._way = self._searched["_last"][nodes[i] : nodes[i + 1]], self._searched["_way"][i : i + 1]
             self._sums[i] = c.sums
             c.sums = self._sums[i]
 
@@ -284,22 +284,29 @@ class SideBySide:
         """Bring the boxes of the last searches up to x (N,3) m: the less facets have left them, the fewer are looked at."""
         if not self._active:
             return
-        w, found = self._whole, self._found
+        w, near = self._whole, self._searched
         k.boxes_of_sides(
-            self._spans, found["_ids"], found["_nodes"], w["facets"], x, found["_low"], found["_high"], found["_places"]
+            self._spans,
+            near["_ids"],
+            near["_nodes"],
+            w["facets"],
+            x,
+            near["_low"],
+            near["_high"],
+            near["_places"],
         )
 
     def forces(self, dt: float, x: Floats, v: Floats, f: Floats) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
         if not self._active:
             return
-        w, found, own = self._whole, self._found, self._active[0]
-        rows, boxes, ids = found["rows"], found["_boxes"], found["_ids"]
+        w, near, own = self._whole, self._searched, self._active[0]
+        rows, boxes, ids = near["rows"], near["_boxes"], near["_ids"]
 
         def look(lo: int, hi: int) -> None:
             k.look_of_sides(
-                lo, hi, self._spans, self._numbers, rows, found["_start"], boxes, ids, found["_low"], found["_high"], found["_nodes"],
-                found["_places"], found["_last"], found["_way"], self.node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
+                lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
+                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
                 w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"], self._lost,
             )  # fmt: skip
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import ColdsprayError, NoContactError, SolverError, SplatError
+from ..errors import ColdsprayError
 from ..files.result import Result
 from ..files.store import Store
 from ..impact.bodies import Bodies
@@ -20,7 +20,7 @@ from ..plan.planning import Plan
 from ..ranks.executors import executor
 from .cut import Cut, cut_out
 from .joining import point_of_impact
-from .task import STOP, Task, TaskResult, run_alone, run_task
+from .task import STOP, Task, TaskResult, attempt, run_alone
 
 TASKS = "impacts"  # folder of the tasks in that of the run
 _LOOK = 0.5  # s between two looks for a signal
@@ -58,7 +58,7 @@ def compute(tasks: Sequence[Task], options: RunOptions, pool: Executor | None) -
     folder.mkdir(exist_ok=True)
     (folder / STOP).unlink(missing_ok=True)
     if pool is None or len(tasks) == 1:
-        return [_here(task, options) for task in tasks]
+        return [attempt(task, options) for task in tasks]
     numbers = f"{tasks[0].i + 1} to {tasks[-1].i + 1}"
     plan = tasks[0].plan
     options.progress.stage(f"impacts {numbers} side by side", of_impact=False, done=plan.shares[tasks[0].i][0])
@@ -77,16 +77,9 @@ def compute(tasks: Sequence[Task], options: RunOptions, pool: Executor | None) -
     return [future.result() for future in futures]
 
 
-def _here(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
-    try:
-        return run_task(task, options)
-    except (SolverError, SplatError, NoContactError) as error:
-        return error
-
-
-class Film:
-    """What is written of the whole when the impacts of a batch are told one after another: each on the bodies as those before it have
-    left them. before, after: the batch."""
+class BatchReplay:
+    """What is written of the whole where the impacts of a batch are written one after another, each on the bodies as those before it
+    have left them. before, after: the bodies before and after the batch."""
 
     def __init__(self, before: Bodies, after: Bodies):
         self.points, self.cells, self.fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)

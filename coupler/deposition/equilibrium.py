@@ -64,7 +64,7 @@ def settle(
     after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
     numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
     there too. known: of an equilibrium of these bodies before, and for the next.
-    The time this takes is none of the spray's: no heat is conducted meanwhile. Returns what it took and what was
+    This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
     t = bodies.target

@@ -42,7 +42,7 @@ def join(
     p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
     domains, hold, values = outcome.domains, outcome.hold, outcome.record.values
     particle, bodies = domains.particle, domains.bodies
-    kinetic_0 = 0.5 * float(particle.mass.sum()) * float(np.dot(p.velocity, p.velocity))
+    kinetic_0 = float(values["kinetic_energy_0_J"])
     upwards = float(particle.totals.momentum[2] / particle.mass.sum())
     report: Values = {"impact": i + 1, "adhesion": plan.adhesion.kind, "velocity_z_m_s": upwards}
     report["velocity_ratio"] = ratio = p.velocity_ratio

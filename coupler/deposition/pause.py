@@ -34,7 +34,7 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is
     insulated; bodies that lie on each other conduct as in perfect contact. What the impact has left out of balance, such as at the
-    rim of its cut, is none of the cooling's: it is relaxed first. Then equilibrium reaches as far as temperatures have changed by
+    rim of its cut, is not caused by cooling: it is relaxed first. Then equilibrium reaches as far as temperatures have changed by
     COOLER, too.
     """
     started, t = clock.perf_counter(), bodies.target
@@ -63,7 +63,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
-    known = Known()  # as before a pause: what is out of balance is none of the cooling's
+    known = Known()  # as before a pause: what is out of balance is not caused by cooling
     settle(bodies, kinetic_0, 0.0, ramp=True, known=known)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]

@@ -31,7 +31,7 @@ from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import second_thread
-from .batches import Film, clear, compute, tasks_of, workers
+from .batches import BatchReplay, clear, compute, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
@@ -325,9 +325,9 @@ class Deposition:
                 break
         parts = [(cut, restored_target(plan, result.bodies)) for (_, cut), result in zip(tasks, done, strict=False)]
         before, whole = whole, put_back(whole, parts)
-        film = Film(before, whole)
+        written = BatchReplay(before, whole)
         for (task, cut), result in zip(tasks, done, strict=False):
-            film.replay(self.store, task, result, simulated(self.records))
+            written.replay(self.store, task, result, simulated(self.records))
             self.records.append(result.record)
             if self.undecided:
                 return whole
@@ -335,8 +335,8 @@ class Deposition:
                 left, gone = without_detached(plan, whole, len(self.records), "impact")
                 self.joins += [{"impact": len(self.records), "detached": gone}] if gone else []
                 return left
-            film.go_on(task, cut, result)
-            joined = {**result.joined, "elements": len(film.cells), "mass_scaling": result.prepared}
+            written.go_on(task, cut, result)
+            joined = {**result.joined, "elements": len(written.cells), "mass_scaling": result.prepared}
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")
         kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]

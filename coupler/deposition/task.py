@@ -96,6 +96,14 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
     return result
 
 
+def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
+    """`run_task`; the error of an impact that fails."""
+    try:
+        return run_task(task, options)
+    except (SolverError, SplatError, NoContactError) as error:
+        return error
+
+
 def run_alone(
     task: Task, numerics: Mapping[str, float], every: float, until: float | None
 ) -> TaskResult | ColdsprayError:
@@ -110,7 +118,4 @@ def run_alone(
         Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
         until=until,
     )  # fmt: skip
-    try:
-        return run_task(task, options)
-    except (SolverError, SplatError, NoContactError) as error:
-        return error
+    return attempt(task, options)

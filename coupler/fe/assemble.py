@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.tetrahedra import boundary_faces
+from ..geometry.tetrahedra import boundary_faces, lumped
 from ..physics.constitutive import pressures, yield_stresses
 from ..state.records import collect, concatenate, new_rows, take
 from .explicit import Target
@@ -57,12 +57,12 @@ def domain_of(body: BodyState, name: str) -> Domain:
     V0 = V / J
     law = body.law.copy()
     law["rho"] = body.mass / float(V0.sum())
-    share = np.bincount(mesh.conn.ravel(), np.repeat(0.25 * V0, 4), len(mesh.points))
+    share = lumped(mesh.conn, V0, len(mesh.points))
     mesh = replace(
         mesh, V0=V0, B=mesh.B * ((V / V0) ** (1.0 / 3.0))[:, None, None], node_volume=share,
         sets={name: np.arange(len(mesh.facets))},
     )  # fmt: skip
-    now = np.bincount(mesh.conn.ravel(), np.repeat(0.25 * V, 4), len(mesh.points))
+    now = lumped(mesh.conn, V, len(mesh.points))
     n, m = len(mesh.points), len(mesh.conn)
     stress = body.stress[element]
     deviator = stress.copy()

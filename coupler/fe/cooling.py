@@ -158,18 +158,18 @@ class _Conduction:
         basis = Basis(mesh, ElementTetP1(), intorder=1)
         g = [b[0].grad[:, :, 0] for b in basis.basis]  # (3,m) each
         first, second = np.array(list(combinations(range(4), 2))).T
-        one, other = [conn[:, first].T.ravel()], [conn[:, second].T.ravel()]
+        first_node, second_node = [conn[:, first].T.ravel()], [conn[:, second].T.ravel()]
         values = [-np.einsum("de,de->e", g[a], g[b]) * basis.dx[:, 0] for a, b in zip(first, second, strict=True)]
         column = [np.tile(np.arange(m), len(first))]
         for link in links:  # conductance k sqrt(area) / LINK_RESISTANCE, 0 where there is no area, times d d^T
             ends = np.concatenate([link.nodes[:, None], link.triangles], axis=1)
             d = np.concatenate([np.ones((len(ends), 1)), -link.weights], axis=1)  # a node less its place on a triangle
             d *= np.sqrt(np.sqrt(link.area) / LINK_RESISTANCE)[:, None]
-            one.append(ends[:, first].ravel())
-            other.append(ends[:, second].ravel())
+            first_node.append(ends[:, first].ravel())
+            second_node.append(ends[:, second].ravel())
             values.append(-(d[:, first] * d[:, second]).ravel())
-            column.append(np.full(one[-1].size, m))
-        a, b = np.concatenate(one), np.concatenate(other)
+            column.append(np.full(first_node[-1].size, m))
+        a, b = np.concatenate(first_node), np.concatenate(second_node)
         pairs, place = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
         low, high = np.divmod(pairs, n)
         parts = csr_matrix((np.concatenate(values), (place, np.concatenate(column))), shape=(len(pairs), m + 1))

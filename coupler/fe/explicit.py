@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
+from ..geometry.tetrahedra import lumped
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from ..state.loops import PARTS
@@ -145,7 +146,7 @@ class Target:
         """Masses (n,) kg of the nodes; those that are held count as infinite."""
         added = self.laws["rho"][self.law_of] * self.mesh.V0 * (self.inertia - 1.0)
         self.mass = self.mesh.node_volume * self.laws["rho"][self.law_of_node]
-        self.mass += np.bincount(self.mesh.conn.ravel(), np.repeat(0.25 * added, 4), len(self.mass))
+        self.mass += lumped(self.mesh.conn, added, len(self.mass))
         self.inv_mass = 1.0 / self.mass
         self.inv_mass[self.fixed] = 0.0
 

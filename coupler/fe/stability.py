@@ -2,8 +2,9 @@
 
 The element bound of `kernels.stable_dt` is safe but pays for a stiffness that averaged nodal pressure does not have: the volumetric
 modes of single elements are soft, and the true limit is 1.5 to 3 times longer. A few power iterations with the linearised
-operator, started from the last vector with the worst elements stirred in, find it; they miss a fast mode only where one
-grows out of nothing in ten steps, so a safety factor stays, and the element bound times three is the most that is ever taken.
+operator find it. They start from the last vector, to which a random motion of the elements with the smallest bound is added. A mode
+that becomes the fastest within ten steps can be missed, so that a safety factor is applied, and three times the element bound is the
+longest step.
 """
 
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from ..errors import CheckpointError
+from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Arrays, Floats, Ints, Laws
 from ..state.loops import ranges
@@ -24,7 +26,7 @@ from .mesh import FiniteElements
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
-STIRRED = 12  # elements with the smallest bound whose own modes are mixed into the vector
+PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
 
 @njit(cache=True, nogil=True)
@@ -112,7 +114,7 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     conn = t.mesh.conn
     stable_dt(0, len(conn), t.x, conn, t.J, t.laws, t.law_of, t.dt_of)
     mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
-    return np.bincount(conn.ravel(), np.repeat(0.25 * mass, 4), len(t.x))
+    return lumped(conn, mass, len(t.x))
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ class HighestFrequency:
         elif n > self._known:  # nodes that have become active since may have the fastest mode
             w[self._known : n] = size * self._random.standard_normal((n - self._known, 3))
         self._known = max(self._known, n)
-        worst = np.argpartition(t.dt_of[:m], min(STIRRED, m - 1))[:STIRRED]
+        worst = np.argpartition(t.dt_of[:m], min(PERTURBED_ELEMENTS, m - 1))[:PERTURBED_ELEMENTS]
         near = np.unique(mesh.conn[worst])
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))
         omega2 = 0.0

@@ -14,8 +14,8 @@ ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: a
 
 
 def outside(mesh: TetMesh, elements: int, nodes: int) -> np.ndarray:
-    """Those of the first so many nodes (k,) that other than the first so many elements have: the window's edge, and nodes that are
-    nearer than its farthest."""
+    """Ids (k,) of the first `nodes` nodes, the active ones, that also belong to elements other than the first `elements`, the active
+    ones: the edge of the window."""
     others = np.unique(mesh.conn[elements:])
     return others[others < nodes]
 

@@ -20,6 +20,11 @@ def oriented(points: NDArray, tets: NDArray) -> NDArray:
     return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)
 
 
+def lumped(tets: NDArray, weight: NDArray, n: int) -> NDArray:
+    """A quarter of the weight (m,) of each of the tetrahedra (m,4) given to each of its corners, of n points: (n,)."""
+    return np.bincount(tets.ravel(), np.repeat(0.25 * weight, 4), n)
+
+
 def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
     """Faces (k,3) that belong to one tetrahedron only, and the tetrahedron of each (k,).
 

@@ -245,7 +245,7 @@ class Bodies:
     def without(self, gone: np.ndarray, size: float) -> "Bodies":
         """These bodies less those of a mask (bodies,), with which their contact and bonds go. size: of the splats' elements, m.
 
-        The result is not in equilibrium. What the gone ones covered can be hit again.
+        The result is not in equilibrium. Facets that the removed bodies covered become reachable again.
         """
         self.release_heat()
         domain, node, facet = only(domain_now(self.target, self.body), ~gone)

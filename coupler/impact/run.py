@@ -28,7 +28,7 @@ from .verdict import is_tied
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run; only `numerics` changes the numbers.
+    """How to run; `progress`, `ranks`, `threads`, `jobs` and files do not change the numbers.
 
     threads: 2 divides loops between both; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
     called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)

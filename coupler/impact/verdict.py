@@ -47,11 +47,11 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: 
     mass kg; upwards m/s: velocity of its centre normal to the surface; hold: its bonds, None if nothing bonded.
     """
     if law.in_impact:
-        found = _by_bonds(mass, upwards, hold)
-        if hold is None or found.margin_J is None or abs(found.margin_J) >= SCATTER * hold.bond.dissipated:
-            return found
-        words = f"{found.rests_on}; so close that another placement of points and elements may change it"
-        return replace(found, rests_on=words, is_close=True)
+        decided = _by_bonds(mass, upwards, hold)
+        if hold is None or decided.margin_J is None or abs(decided.margin_J) >= SCATTER * hold.bond.dissipated:
+            return decided
+        words = f"{decided.rests_on}; so close that another placement of points and elements may change it"
+        return replace(decided, rests_on=words, is_close=True)
     if law.kind == "tied" and law.criterion == "velocity":
         return _by_velocity(law, impact, mass, upwards)
     if law.kind == "tied":

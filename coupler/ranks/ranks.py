@@ -127,7 +127,7 @@ def follow(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]],
 
     Raises the error that ended the run, if any. Anything else that goes wrong here takes all ranks down.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root ends the run in peace, and says so
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the root stops the run and reports it
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     worker = _Worker(ranks, None)
     comm, root = ranks.comm, ranks.root

@@ -9,7 +9,7 @@ the points it comes from by more than EXTRAPOLATION of that range, and no temper
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..geometry.tetrahedra import volumes
+from ..geometry.tetrahedra import lumped, volumes
 from .cloud import Cloud
 from .kernels import least_squares_weights
 
@@ -101,7 +101,7 @@ def transfer(
     reference = volume if J is None else volume / J
     scale = float(cloud.volume.sum() / reference.sum())
     share = reference / reference.sum()
-    node_share = np.bincount(tets.ravel(), np.repeat(0.25 * share, 4), len(points))
+    node_share = lumped(tets, share, len(points))
     errors: dict[str, float] = {}
     fields["J"] = J
 

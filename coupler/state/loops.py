@@ -46,10 +46,10 @@ _add: Callable[[Ints, int, int], int] = intrinsic(_atomic_add)  # type: ignore[a
 def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int, int, int]]:
     """Ranges (lo, hi, part) that make up [0, count), `least` long or longer, left to this thread; ends when all are done.
 
-    team (2 LOOPS + 1,): how many ranges of each loop are taken and done, zero at the beginning; the last is not zero when a thread has
-    failed, for which nobody waits. The ranges depend on count and least alone: sums over parts, added in their order, have the same
-    value with any number of threads. A thread may come late, when all is done and the caller is elsewhere: a count must be the same
-    then.
+    team (2 LOOPS + 1,): how many ranges of each loop are taken and done, zero at the beginning; the last is not zero after a failure:
+    the other thread then stops waiting. The ranges depend on count and least alone: sums over parts, added in their order, have the
+    same value with any number of threads. The second thread may start after the caller has returned: it finds no ranges then, but
+    evaluates the counts again, which must not have changed.
     """
     parts = max(1, min(PARTS, count // least))
     while True:

@@ -47,7 +47,7 @@ def _team() -> Ints:
 
 
 class SecondThread:
-    """Takes part in what is begun, in that order; what is over by then costs it nothing."""
+    """Runs each submitted task, in order. It returns at once from one that the main thread has already finished."""
 
     def __init__(self) -> None:
         self._begun: SimpleQueue[tuple[Callable[[Ints], object], Ints] | None] = SimpleQueue()
@@ -56,7 +56,7 @@ class SecondThread:
         self._thread.start()
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
-        """Have work(team) called there too, once its team, which is returned, has begun."""
+        """Submit work(team) to the second thread. Returns the team, which the caller passes to its own call."""
         team, self._next = self._next, _team()
         self._begun.put((work, self._next))
         return team
@@ -115,8 +115,8 @@ def together(function: Callable[..., R], *arguments: object) -> R:
         try:
             return function(team, *arguments)
         except BaseException as error:
-            team[-1] = 1
             errors.append(error)
+            team[-1] = 1
             raise
 
     result = call(_second.join(call) if _second is not None else _team())
