@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scenes
+from runs import SharedRuns
 from test_scene import scene_with, several
 
 from coupler.errors import StoreError
@@ -360,3 +362,17 @@ def test_a_damaged_plan_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text(text)
     with pytest.raises(StoreError, match=r"plan\.json"):
         read_plan(tmp_path)
+
+
+def test_the_size_of_the_files_is_told(shared_run: SharedRuns) -> None:
+    """Within a factor of two, and a tenth of it where the ends of impacts alone are written."""
+    result = shared_run(scenes.NI)
+    written = sum(
+        (result.directory / f"{domain}.vtkhdf").stat().st_size for domain in ("particle", "surface", "target")
+    )
+    made = plan(Scene.from_text(scenes.NI, "files"))
+    assert 0.5 < forecast.file_bytes(made.impacts, made.target) / written < 2.0
+    ends = plan(Scene.from_text(scenes.NI.replace('every = "2 ns"', 'at = "ends"'), "files"))
+    assert forecast.file_bytes(ends.impacts, ends.target) < 0.1 * written
+    assert "a step written at the end\n" in describe(ends)
+    assert "files about 5 MB" in describe(made)

@@ -9,10 +9,16 @@ from . import batches, cost
 
 
 class Impact(batches.Impact, Protocol):
-    """What the forecast depends on. splat_elements: tetrahedra of its splat, 0 where it rebounds."""
+    """What the forecast depends on. splat_elements: tetrahedra of its splat, 0 where it rebounds; expected, output_every: s."""
 
     @property
     def splat_elements(self) -> int: ...
+    @property
+    def points(self) -> int: ...
+    @property
+    def expected(self) -> float: ...
+    @property
+    def output_every(self) -> float: ...
 
 
 class Sizes(Protocol):
@@ -49,6 +55,20 @@ def elements_computed(impacts: Sequence[Impact], target: Sizes) -> list[int]:
             met = min(met, within + round(share * (met - target.elements_estimate)))
         numbers.append(met)
     return numbers
+
+
+def file_bytes(impacts: Sequence[Impact], target: Sizes) -> float:
+    """Bytes of all fields that are written: of each impact a step now and then, at the greatest deformation and at the end, or at the
+    end alone."""
+    written = 0.0
+    for impact, elements in zip(impacts, elements_met(impacts, target), strict=True):
+        every = impact.output_every
+        steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
+        vertices = cost.VERTICES * impact.points ** (2.0 / 3.0)
+        written += steps * (
+            cost.FILE_BYTES_PER_ELEMENT * elements + cost.FILE_BYTES_PER_POINT * (impact.points + vertices)
+        )
+    return written
 
 
 def time_between(impacts: Sequence[Impact], target: Sizes, cooled: bool, closed: bool) -> tuple[float, ...]:

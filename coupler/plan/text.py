@@ -8,6 +8,7 @@ from .. import units
 from ..measures import MEASURES
 from . import cost as estimates
 from .batches import batches
+from .forecast import file_bytes
 from .planning import BEYOND_FIT, ImpactPlan, Plan
 
 _MOST_LINES = 12  # of the impacts
@@ -44,7 +45,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
         f" within {show(target.refined_radius, 'um')}{middle}",
         f"  steps      about {_round(plan.steps_estimate)} of {show(plan.dt_estimate, 'ps')} (dt)",
-        f"  memory     about {plan.memory_bytes / 1e9:.2g} GB",
+        f"  memory     about {plan.memory_bytes / 1e9:.2g} GB; files about {_bytes(file_bytes(plan.impacts, plan.target))}",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
     rows, notes = plan.budget.rows, [line for text in plan.warnings for line in _note(text, brief)]
@@ -191,8 +192,16 @@ def _ends(plan: Plan) -> str:
         plan.impact.end_at
     ]
     cold = "" if plan.ambient is None else f"; at the end all cools to {units.rounded(plan.ambient, 'K', 4)}"
-    steps = f"a step written every {_range(often)}" if math.isfinite(often[0]) else "a step written at the end of each"
+    steps = (
+        f"a step written every {_range(often)}"
+        if math.isfinite(often[0])
+        else f"a step written at the end{' of each' if several else ''}"
+    )
     return f"  {'each ends  ' if several else 'ends       '}{when}{_range(last)}{cold}; {steps}"
+
+
+def _bytes(number: float) -> str:
+    return f"{number / 1e9:.2g} GB" if number > 0.95e9 else f"{max(number / 1e6, 1.0):.2g} MB"
 
 
 def _range(times: list[float]) -> str:
