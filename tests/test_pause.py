@@ -1,6 +1,7 @@
 """The closing stage: free bodies contract by their alpha(T), bonded ones keep a stress, and its parts are told apart."""
 
 import json
+import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,9 +10,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import scenes
-from runs import SharedRuns
+from runs import SharedRuns, assert_same_files
 
 from coupler import Scene
+from coupler.commands.main import main
+from coupler.deposition import joining
 from coupler.deposition import run as deposition
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.pause import cool_to_ambient
@@ -145,6 +148,23 @@ def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, mon
     assert len(result.impacts) == 1
     assert "particle 2 of the scene's sequence was skipped" in result.summary["run"]["warnings"][0]
     assert result.summary["closing"]["ambient_K"] == 300.0
+
+
+def test_a_signal_between_impacts_ends_a_run_that_can_go_on(
+    shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out, true_pause = tmp_path / "cold.toml", tmp_path / "out", joining.pause
+    scene.write_text(COLD)
+
+    def pause(*_: Any) -> Any:
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(joining, "pause", pause)
+    assert main(["run", str(scene), "--out", str(out), "--checkpoint", "0.1", "-q"]) == 143
+    assert f"go on with coldspray resume {out}" in capsys.readouterr().err
+    monkeypatch.setattr(joining, "pause", true_pause)
+    assert main(["resume", str(out), "-q"]) == 0
+    assert_same_files(shared_run(COLD), Result(out))
 
 
 def test_a_particle_that_slides_off_is_lost_and_the_run_goes_on(

@@ -222,6 +222,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
     """Run or resume, show the progress, print the results."""
+    from ..files import checkpoint
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
@@ -235,8 +236,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
             jobs=arguments.jobs,
         )
     except KeyboardInterrupt as interrupt:
-        number = getattr(interrupt, "signal", signal.SIGINT)
-        return _fail(_stopped(progress, out, saved=hasattr(interrupt, "signal")), 128 + number)
+        number = interrupt.args[0] if interrupt.args else signal.SIGINT
+        return _fail(_stopped(progress, out, saved=bool(checkpoint.stored(out))), 128 + number)
     finally:
         progress.stop()
     if result.undecided is not None and is_first_rank():

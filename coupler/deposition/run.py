@@ -22,6 +22,7 @@ from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
 from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunningState, RunOptions, run_impact
+from ..impact.stop import terminable
 from ..impact.summary import ImpactRecord
 from ..measures import UNDECIDED
 from ..plan.planning import Plan, plan
@@ -228,6 +229,7 @@ class Deposition:
             )
             return Result(self.folder)
         with (
+            terminable(),
             parallel.leading(ranks),
             create() if create is not None else Store.reopen(self.folder) as self.store,
             logged(options.progress, self.store),
