@@ -37,6 +37,10 @@ class StoreError(ColdsprayError):
     """A result folder or file that cannot be read or written."""
 
 
+class UnreadableError(StoreError):
+    """A file that is there and cannot be read, such as one without the permission: it may be whole."""
+
+
 class CheckpointError(StoreError):
     """A checkpoint from which a run cannot go on: says why, and what to do."""
 

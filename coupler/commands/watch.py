@@ -86,11 +86,19 @@ class _Coating:
         return self._line
 
 
+def _written(path: Path) -> float:
+    """When a file was written last; 0 for one that is gone, such as an earlier checkpoint."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
 def state(result: "Result") -> str:
     """The last line of the log, the last row of the history and its ledger over the energy at the start, as lines of text."""
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     lines = [_last_line(result.directory / "run.log")]
-    age = time.time() - max((path.stat().st_mtime for path in result.directory.iterdir()), default=time.time())
+    age = time.time() - max(map(_written, result.directory.iterdir()), default=time.time())
     if age > SILENT:
         lines.append(f"nothing written for {age:.0f} s: if it was stopped, coldspray resume {result.directory} goes on")
     if not len(history.get("time", ())):

@@ -71,8 +71,8 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
             f"  {spray.diameter[i] * 1e6:>13.3g} um  {spray.velocity[i]:>5.0f} m/s  {spray.temperature[i]:>9.0f} K"
             f"  {spray.critical[i]:>5.0f} m/s  {ratio[i]:.2f}"
         )
-    low, high = spray.efficiency(1.0 + within), spray.efficiency(1.0 - within)
-    band = f"{min(low, high):.0%} to {max(low, high):.0%} with a critical velocity {within:.0%} higher or lower"
+    low, high = spray.band(within)
+    band = f"{low:.0%} to {high:.0%} with a critical velocity {within:.0%} higher or lower"
     return [*lines, "", f"deposition efficiency {spray.efficiency():.0%}; {band}"]
 
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import os
 import time as clock
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
@@ -31,7 +30,7 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
-from ..state.threads import second_thread
+from ..state.threads import cores, second_thread
 from .batches import BatchReplay, clear, compute, tasks_of, workers
 from .cut import put_back
 from .detaching import without_detached
@@ -116,6 +115,11 @@ def resume(
         raise CheckpointError(
             f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
         )
+    if until is not None and not (result.finished and checkpoint.stored(folder)):
+        why = (
+            "has no checkpoint to go on from" if result.finished else "is not finished: resume it without --until first"
+        )
+        raise CheckpointError(f"{folder} {why}")
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
@@ -442,8 +446,3 @@ class Deposition:
         pristine = self._pristine if running is not None else None
         state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall, pristine)
         checkpoint.write(self.folder, state, self._belongs_to)
-
-
-def cores() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0))

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type
 
 import numpy as np
 
-from ..errors import CheckpointError, StoreError
+from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape, rows_of, shapes_of
 
 FORMAT = 13
@@ -135,6 +135,8 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
             return _decode(kind, header["tree"], arrays, "")
     except CheckpointError:
         raise
+    except PermissionError as error:
+        raise UnreadableError(f"{path} cannot be read: {error.strerror}") from error
     except Exception as error:  # whatever is wrong inside a file that anybody may have written
         raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {str(error)[:200]})") from error
 

@@ -24,6 +24,7 @@ T = TypeVar("T")
 SCENE_LIMIT = 1_000_000  # bytes of a TOML file
 TEXT_LIMIT = 256 * 1024**2  # bytes of any other text
 DEPTH_LIMIT = 32  # tables within tables
+_WITHOUT_QUOTES = re.compile(r"=\s*[-+0-9.]+\s*[A-Za-z\u00b5%]")
 _TOO_DEEP = f"it is nested more than {DEPTH_LIMIT} deep"
 INTEGER_LIMIT = 2**63
 _LEAST_ADDRESS_SPACE = 2 * 1024**3  # bytes: the libraries reserve about this much before any computation
@@ -120,9 +121,21 @@ def _parsed(load: Callable[[str], T], text: str) -> T:
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Tables of a TOML file of at most SCENE_LIMIT bytes. Raises InputError."""
     try:
-        return parse_toml(read_text(path, SCENE_LIMIT))
+        text = read_text(path, SCENE_LIMIT)
+        return parse_toml(text)
     except ValueError as error:
-        raise InputError(path, f"is not valid TOML: {error}") from None
+        raise InputError(path, f"is not valid TOML: {error}{line_of(text, str(error))}") from None
+
+
+def line_of(text: str, problem: str) -> str:
+    """The line that a problem of TOML names, and what is most often missing there."""
+    place, lines = re.search(r"at line (\d+)", problem), text.splitlines()
+    if place is None or not 0 < int(place[1]) <= len(lines):
+        return ""
+    line = lines[int(place[1]) - 1].strip()
+    hint = '; a value with its unit stands in quotes, such as "25 um"' if _WITHOUT_QUOTES.search(line) else ""
+    shown = "".join(c if c.isprintable() else "?" for c in line[:60])
+    return f": {shown}{hint}" if line else ""
 
 
 def parse_json(text: str) -> object:

@@ -62,6 +62,8 @@ def claim_folder(
             f"{folder} holds {present[0].name}, which was not {MARK} as part of a {kind}:"
             f" choose {ELSEWHERE}" + ("" if force is None else f", or add {REPLACE} to replace it")
         )
+    if kind_of(folder) not in ("", kind) and not force:
+        raise StoreError(f"{folder} holds the results of coldspray {kind_of(folder)}: choose {ELSEWHERE}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if kind_of(folder) != kind:

@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ColdsprayError, StoreError
+from ..errors import ColdsprayError, StoreError, UnreadableError
 from ..measures import UNDECIDED
 from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
@@ -263,6 +263,8 @@ def _opened(path: Path) -> Iterator[_Root]:
             yield _Root(_child(file, "VTKHDF", h5py.Group), path)
     except (IndexError, ColdsprayError, MemoryError):
         raise
+    except PermissionError as error:
+        raise UnreadableError(f"{path} cannot be read: no permission") from error
     except Exception as error:  # h5py raises whatever comes up on a damaged file
         raise StoreError(f"{path} is damaged or not a file of ours: {error}") from error
 

@@ -30,7 +30,7 @@ from typing import Annotated, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import CheckpointError, StoreError
+from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
@@ -164,9 +164,15 @@ class Store:
             for step in range(steps):
                 f = old.fields(step, domain)
                 writer.write(f.time, f.points, f.cells, *f.split())
-        except (StoreError, IndexError) as error:
-            log(f"{path} cannot be read ({error}): it starts anew at the checkpoint")
+        except UnreadableError:
             writer.close()
+            part.unlink(missing_ok=True)
+            raise
+        except (StoreError, IndexError) as error:
+            kept = path.with_suffix(".vtkhdf.damaged")
+            log(f"{error}; it starts anew at the checkpoint, what was there is in {kept}")
+            writer.close()
+            os.replace(path, kept)
             writer = VtkHdfWriter(part)
         os.replace(part, path)
         writer.path = path

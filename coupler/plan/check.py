@@ -42,6 +42,15 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
                 f"{where}.temperature = {text_of(body.temperature, 'K')}: must stay below {_HOTTEST:g} of the"
                 f" melting point of {material.name}, {_HOTTEST * material.T_m:.0f} K",
             )
+    known = [metal for _, body in bodies if (metal := catalogue.get(body.material)) is not None]
+    if d.ambient is not None and known:
+        metal = min(known, key=lambda metal: metal.T_m)
+        if d.ambient > _HOTTEST * metal.T_m:
+            yield (
+                ("end.ambient",),
+                f"end.ambient = {text_of(d.ambient, 'K')}: must stay below {_HOTTEST * metal.T_m:.0f} K, {_HOTTEST:g} of the melting"
+                f" point of {metal.name}",
+            )
     for where, particle in zip(scene.labels, scene.particles, strict=True):
         yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)

@@ -1,5 +1,6 @@
 """What the [coating] table of a scene does: it becomes a list of particles, drawn from its seed, the same on every machine."""
 
+import glob
 import math
 import random
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ def expand(raw: dict[str, object], folder: Path) -> list[str]:
     there = raw.get("particle")
     if there is None:
         problems = []
-        files = sorted(folder.glob(table.files)) if table.files else []
+        files = sorted(map(Path, glob.glob(str(folder / table.files), recursive=True))) if table.files else []
         if table.files and not files:
             problems = [f'coating.files = "{table.files[:60]}": no file in {folder} has such a name']
         elif table.velocity is None and "gas" not in raw:

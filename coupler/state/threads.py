@@ -5,6 +5,7 @@ both threads (`together`); loops over kernels in Python are divided into ranges 
 as it is free. A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from queue import SimpleQueue
@@ -133,3 +134,8 @@ def share(work: Callable[[int, int], None], count: int, least: int) -> None:
         work(0, count)
     else:
         _second.share(lambda i: work(bounds[i], bounds[i + 1]), parts)
+
+
+def cores() -> int:
+    """Processors this process may use."""
+    return len(os.sched_getaffinity(0))

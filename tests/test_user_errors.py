@@ -1,0 +1,143 @@
+"""Mistakes of users that end with one message which names the field or file and the remedy."""
+
+import os
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+
+import h5py
+import numpy as np
+import pytest
+import scenes
+from runs import SharedRuns
+
+from coupler import Scene
+from coupler.commands import watch
+from coupler.commands.main import main
+from coupler.deposition.run import resume
+from coupler.errors import CheckpointError, SceneError, StoreError, UnreadableError
+from coupler.files import checkpoint
+from coupler.files.outputs import claim_folder
+from coupler.files.result import Result
+from coupler.files.store import Store, StoreState
+from coupler.spray.window import Spray
+
+COATING = """[coating]
+material = "Ni"
+number = 4
+radius = "10 um"
+diameter = "22 um"
+velocity = "600 m/s"
+layers = 1
+{more}
+[substrate]
+material = "SS304"
+"""
+
+
+def problems(text: str) -> list[str]:
+    with pytest.raises(SceneError) as refused:
+        Scene.from_text(text, "x")
+    return refused.value.problems
+
+
+def test_an_empty_list_of_effects_is_refused() -> None:
+    assert 'the list is empty: say "auto" or "none"' in problems("effects = []\n" + scenes.NI)[0]
+
+
+def test_ambient_stays_below_the_melting_point() -> None:
+    text = scenes.scene(("Ni", 25, 500)) + '[end]\nat = "cold"\nambient = "5000 K"\n'
+    assert problems(text)[0].startswith('end.ambient = "5000 K": must stay below')
+
+
+def test_a_value_without_quotes_is_told_by_its_line() -> None:
+    (problem,) = problems(scenes.NI.replace('"500 m/s"', "500 m/s"))
+    assert "velocity = 500 m/s" in problem
+    assert 'a value with its unit stands in quotes, such as "25 um"' in problem
+
+
+def test_an_example_has_the_type_of_the_field() -> None:
+    (problem,) = problems(COATING.format(more="").replace("number = 4\n", ""))
+    assert problem == "coating.number: missing; add for example number = 40"
+
+
+@pytest.mark.parametrize("pattern", ["{folder}/nothing.stl", "a**b"])
+def test_shapes_that_are_not_there(tmp_path: Path, pattern: str) -> None:
+    (problem,) = problems(COATING.format(more=f'files = "{pattern.format(folder=tmp_path)}"'))
+    assert "no file in" in problem
+
+
+def test_a_folder_of_another_command_is_not_taken(tmp_path: Path) -> None:
+    claim_folder(tmp_path, "run", ["scene.toml"], force=False)
+    with pytest.raises(StoreError, match="holds the results of coldspray run"):
+        claim_folder(tmp_path, "sweep", ["sweep.csv"], force=None)
+
+
+def test_a_band_of_efficiency_holds_the_efficiency() -> None:
+    """Also where most of it is lost to erosion: then a lower critical velocity deposits less."""
+    ones = np.ones(3)
+    spray = Spray(np.array([0.0, 0.5, 1.0]), 25e-6 * ones, 900.0 * ones, 300.0 * ones, 600.0 * ones)
+    assert spray.efficiency() == 1.0
+    assert spray.band(0.9) == (0.0, 1.0)
+    assert spray.band(0.1) == (1.0, 1.0)
+    assert spray.band(1.0)[1] == 1.0
+
+
+def test_more_time_needs_a_finished_run_with_a_checkpoint(shared_run: SharedRuns, tmp_path: Path) -> None:
+    copy = shutil.copytree(shared_run(scenes.SHORT).directory, tmp_path / "run")
+    checkpoint.clear(copy)
+    with pytest.raises(CheckpointError, match="has no checkpoint to go on from"):
+        resume(copy, until=20e-9, quiet=True)
+    (copy / "summary.json").unlink()
+    with pytest.raises(CheckpointError, match="is not finished: resume it without --until first"):
+        resume(copy, until=20e-9, quiet=True)
+
+
+def test_what_cannot_be_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fields without the permission to read them stay as they are; a checkpoint is not called damaged."""
+    with Store.create(tmp_path / "run", "") as store:
+        store.write("particle", 0.0, np.zeros((1, 3)), np.zeros((1, 1), int), {"T": np.zeros(1)})
+        state = store.state()
+    checkpoint.write(tmp_path, state, {})
+
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = tmp_path / "run" / "particle.vtkhdf"
+    kept = path.read_bytes()
+    with monkeypatch.context() as without:
+        without.setattr("coupler.files.result.h5py", SimpleNamespace(**vars(h5py) | {"File": refused}))
+        with Store.reopen(tmp_path / "run") as store, pytest.raises(UnreadableError, match="cannot be read"):
+            store.go_on(state, print)
+    assert path.read_bytes() == kept
+    monkeypatch.setattr("builtins.open", refused)
+    with pytest.raises(UnreadableError, match="cannot be read"):
+        checkpoint.latest(tmp_path, StoreState, {})
+
+
+def test_fields_that_are_damaged_are_kept_beside_the_new_ones(tmp_path: Path) -> None:
+    with Store.create(tmp_path, "") as store:
+        store.write("particle", 0.0, np.zeros((1, 3)), np.zeros((1, 1), int), {"T": np.zeros(1)})
+        state = store.state()
+    (tmp_path / "particle.vtkhdf").write_bytes(b"nothing")
+    told: list[str] = []
+    with Store.reopen(tmp_path) as store:
+        store.go_on(state, told.append)
+    assert (tmp_path / "particle.vtkhdf.damaged").read_bytes() == b"nothing"
+    assert "particle.vtkhdf.damaged" in told[0]
+
+
+def test_watching_bears_files_that_vanish(shared_run: SharedRuns, tmp_path: Path) -> None:
+    result = shared_run(scenes.SHORT)
+    for name in ("scene.toml", "history.csv", "run.log", "summary.json"):
+        (tmp_path / name).write_bytes((result.directory / name).read_bytes())
+    os.symlink("nowhere", tmp_path / "checkpoint-000001.ckpt")
+    assert "ns" in watch.state(Result(tmp_path))
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene = tmp_path / "a.toml"
+    scene.write_text(scenes.SHORT)
+    (tmp_path / "out" / "log.lammps").mkdir(parents=True)
+    assert main(["run", str(scene), "--out", str(tmp_path / "out"), "-q", "--force"]) == 2
+    assert "log.lammps" in capsys.readouterr().err
