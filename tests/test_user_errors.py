@@ -20,6 +20,7 @@ from coupler.files import checkpoint
 from coupler.files.outputs import claim_folder
 from coupler.files.result import Result
 from coupler.files.store import Store, StoreState
+from coupler.plan.planning import plan
 from coupler.spray.window import Spray
 
 COATING = """[coating]
@@ -41,10 +42,6 @@ def problems(text: str) -> list[str]:
     return refused.value.problems
 
 
-def test_an_empty_list_of_effects_is_refused() -> None:
-    assert 'the list is empty: say "auto" or "none"' in problems("effects = []\n" + scenes.NI)[0]
-
-
 def test_ambient_stays_below_the_melting_point() -> None:
     text = scenes.scene(("Ni", 25, 500)) + '[end]\nat = "cold"\nambient = "5000 K"\n'
     assert problems(text)[0].startswith('end.ambient = "5000 K": must stay below')
@@ -59,6 +56,20 @@ def test_a_value_without_quotes_is_told_by_its_line() -> None:
 def test_an_example_has_the_type_of_the_field() -> None:
     (problem,) = problems(COATING.format(more="").replace("number = 4\n", ""))
     assert problem == "coating.number: missing; add for example number = 40"
+
+
+def test_many_particles_with_one_mistake_are_told_once() -> None:
+    text = COATING.format(more="").replace("number = 4", "number = 200").replace('"10 um"', '"2000 um"')
+    told = problems(text)
+    assert len(told) < 12
+    assert told[-1].endswith("more of other particles")
+
+
+def test_hot_particles_are_told_in_one_line() -> None:
+    text = COATING.format(more="spread = 1.1").replace("number = 4", "number = 40").replace("600 m/s", "1200 m/s")
+    notes = [note for note in plan(Scene.from_text(text, "x")).warnings if "may reach" in note]
+    assert len(notes) == 1
+    assert "and 37 more may reach" in notes[0]
 
 
 @pytest.mark.parametrize("pattern", ["{folder}/nothing.stl", "a**b"])

@@ -234,7 +234,7 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     problems: list[str] = []
     strength, own, lacks = _strength(table, base, problems)
     known = [f.name for f in fields(Material) if f.name not in ("name", "strength")]
-    every = [*known, *own]
+    every = [*known, *own, "strength", "base"]
     foreign = [key for key in table if key not in every]
     problems += [f"{key[:40]!r}: unknown key{units.nearest(key, every)}; known: {', '.join(every)}" for key in foreign]
     rest = {key: value for key, value in table.items() if key in known}
@@ -274,7 +274,9 @@ def from_scene(
             if base_name is not None:
                 base = known[base_name].with_set(str(choice)) if choice else known[base_name].material
             elif choice and "strength" in table:
-                raise ValueError('needs a material of the library to start from, such as base = "Ni"')
+                raise ValueError(
+                    f'{str(choice)[:40]!r}: needs a material of the library to start from, such as base = "Ni"'
+                )
             metal = from_table(name if name in tables or base is None else base.name, rest, base)
             if base is not None and rest and "source" not in rest:
                 metal = replace(metal, source=f"{base.source}; changed in the scene: {', '.join(rest)}")

@@ -396,10 +396,14 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
         warnings.append(text)
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
-    hot = [_hot(i.material, effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature)
-           for i in impacts]  # fmt: skip
-    for text, labels in _together(hot, scene.labels).items():
-        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {text}")
+    hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what
+    for i, label in zip(impacts, scene.labels, strict=True):
+        T = effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature
+        if _hot(i.material, T):
+            hot.setdefault(i.material.name, []).append((label, T))
+    for metal in {i.material.name: i.material for i in impacts if i.material.name in hot}.values():
+        labels, reached = zip(*hot[metal.name], strict=True)
+        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
     if text := _hot(base, scene.substrate.temperature):
         warnings.append(f"the target {text}")
     if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
@@ -428,21 +432,12 @@ def _extrapolation(metals: list[Material], impacts: tuple[ImpactPlan, ...]) -> s
     return f"{BEYOND_FIT}: strain rates near v/D = {rate:.1e} 1/s; {', '.join(limits)}{others}" if limits else ""
 
 
-def _hot(material: Material, T: float) -> str:
-    """What to say of a body that may reach T, K; nothing if it is far from melting."""
-    return (
-        f"may reach {T:.0f} K; {material.name} melts at {material.T_m:.0f} K" if T > NEAR_MELTING * material.T_m else ""
-    )
+def _hot(material: Material, *reached: float) -> str:
+    """What to say of bodies that may reach these temperatures, K; nothing where all are far from melting."""
+    near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
+    between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
+    return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
 
 
-def _together(texts: list[str], labels: list[str]) -> dict[str, list[str]]:
-    """The labels that have the same text, by text; an empty text says nothing."""
-    labels_of: dict[str, list[str]] = {}
-    for text, label in zip(texts, labels, strict=True):
-        if text:
-            labels_of.setdefault(text, []).append(label)
-    return labels_of
-
-
-def _listed(labels: list[str]) -> str:
+def _listed(labels: Sequence[str]) -> str:
     return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")

@@ -1,6 +1,7 @@
 """Reading a scene as a whole: coating and gas give what they give, and every problem is reported at once."""
 
 import copy
+import re
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +19,9 @@ from .coating import expand
 from .derived import Derived
 from .gas import fill
 from .solids import read_forms, with_folders
+
+MOST_ALIKE = 3  # problems of particles that differ in their numbers only
+_OF_PARTICLE, _NUMBERS = re.compile(r"particle\[\d+\]"), re.compile(r"[-+]?\d[\d.e+-]*")
 
 
 class Scene(SceneData):
@@ -114,8 +118,16 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
             if not any(covers(bad, field) for bad in faulty for field in fields):
                 problems.append(problem)
     if problems or read is None:
-        raise SceneError(problems, source)
+        raise SceneError(_brief(problems), source)
     return _in_batches(read) if drawn else read
+
+
+def _brief(problems: list[str]) -> list[str]:
+    """The problems, of those that many particles share only the first ones."""
+    kinds = [_NUMBERS.sub("#", problem) if _OF_PARTICLE.match(problem) else problem for problem in problems]
+    told = [p for i, p in enumerate(problems) if kinds[:i].count(kinds[i]) < MOST_ALIKE or not _OF_PARTICLE.match(p)]
+    left = len(problems) - len(told)
+    return [*told, f"... and {left} more of other particles"] if left else told
 
 
 def _in_batches(scene: Scene) -> Scene:

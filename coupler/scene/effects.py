@@ -37,8 +37,6 @@ def check_request(request: str | Sequence[str]) -> list[str]:
     if isinstance(request, str):
         return [] if request in WHOLE else [f"expected one of {', '.join(WHOLE)}, or a list of names"]
     problems, seen = [], set()
-    if not request:
-        problems.append('the list is empty: say "auto" or "none", or name effects')
     for i, item in enumerate(request):
         name = item.lstrip("+-") if item[:1] in "+-" else item
         if item in WHOLE:
