@@ -170,7 +170,7 @@ class Store:
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
-            log(f"{error}; it starts anew at the checkpoint, what was there is in {kept}")
+            log(f"{path} cannot be read, it starts anew at the checkpoint; what was there is in {kept.name} ({error})")
             writer.close()
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
