@@ -230,3 +230,8 @@ def test_a_film_of_a_coating_cuts_most_of_its_particles() -> None:
     assert _most_cut(plan, 8e-6) == -1e-6  # the first of those that cut three
     assert _most_cut({"impacts": plan["impacts"][:1]}, 7e-6) == 7e-6
     assert _most_cut({}, 7e-6) == 7e-6
+
+
+def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
+    assert "2 impacts have no verdict: they count as stayed" in measure(replace(built, undecided=2)).warnings
+    assert not any("verdict" in text for text in measure(built).warnings)

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import scenes
 from runs import SharedRuns
+from test_maps import points, pretend
 
 from coupler import Scene
 from coupler.commands import watch
+from coupler.commands.accuracy import chosen, forecast
 from coupler.commands.main import main
 from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, SceneError, StoreError, UnreadableError
@@ -22,6 +24,9 @@ from coupler.files.result import Result
 from coupler.files.store import Store, StoreState
 from coupler.plan.planning import plan
 from coupler.spray.window import Spray
+from coupler.studies.pace import Pace
+from coupler.studies.points import of_another_scene
+from coupler.studies.sweep import Sweep
 
 COATING = """[coating]
 material = "Ni"
@@ -152,3 +157,70 @@ def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "out" / "log.lammps").mkdir(parents=True)
     assert main(["run", str(scene), "--out", str(tmp_path / "out"), "-q", "--force"]) == 2
     assert "log.lammps" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("resolution.growth", '"1"', "expected a number without unit or quotes"),
+        ("want.measures", '"flattening_ratio"', 'expected a list, such as ["..."]'),
+        ("contact.friction", "true", "expected a number without unit, from 0 to 2"),
+    ],
+)
+def test_a_wrong_type_is_told_in_words_of_the_scene(key: str, value: str, words: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        Scene.from_text(scenes.NI, "x", [(key, value)])
+    assert refused.value.problems == [f"{key} = {value}: {words}"]
+
+
+def test_a_changed_sweep_does_not_replace_what_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Points of the same names, of another substrate."""
+    one = Sweep.from_dict(points(diameter=["25 um"]))
+    for name in one.points:
+        one.write(tmp_path / "runs", name)
+    pretend(tmp_path / "runs", next(iter(one.points)), flattening_ratio=0.5)
+    other = points(diameter=["25 um"]) | {"scene": {"preset": "draft", "substrate": {"material": "Al"}}}
+    changed = Sweep.from_dict(other)
+    assert of_another_scene(tmp_path / "runs", one.points) == []
+    assert of_another_scene(tmp_path / "runs", changed.points) == [next(iter(one.points))], "the other has no result"
+    (tmp_path / "few.toml").write_text(
+        'name = "few"\n[scene]\npreset = "draft"\nsubstrate.material = "Al"\n[points]\nmaterial = ["Ni"]\n'
+        'diameter = ["25 um"]\nvelocity = ["400 m/s", "700 m/s"]\ntemperature = ["300 K"]\n'
+    )
+    assert main(["sweep", str(tmp_path / "few.toml"), "--out", str(tmp_path / "runs")]) == 2
+    said = capsys.readouterr().err
+    assert "holds results of 1 points" in said
+    assert "--force" in said
+    assert (tmp_path / "runs" / f"{next(iter(one.points))}.toml").read_text() == next(iter(one.points.values()))
+    assert main(["sweep", str(tmp_path / "few.toml"), "--out", str(tmp_path / "new"), "--slurm", "cores=2"]) == 2
+    assert "--slurm is for --executor slurm" in capsys.readouterr().err
+
+
+def test_a_map_of_a_measure_that_no_run_has_is_not_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = Sweep.from_dict(points(diameter=["25 um"]))
+    for name in few.points:
+        few.write(tmp_path, name)
+        pretend(tmp_path, name, flattening_ratio=0.5)
+    assert main(["map", str(tmp_path), "--show", "crater_depth_m"]) == 0
+    assert "no map; no point has this measure" in capsys.readouterr().out
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_resolution_that_is_chosen_says_what_it_takes_the_place_of() -> None:
+    free = [("resolution.spacing", None), ("resolution.element_size", None)]
+    given = Scene.from_text(scenes.NI, "x", [("resolution.spacing", '"1 um"'), free[1]])
+    assert chosen(given, None, "5%")[1].endswith("; in place of resolution.spacing of the scene")
+    assert "in place" not in chosen(Scene.from_text(scenes.NI, "x", free), None, "5%")[1]
+
+
+def test_a_band_outside_its_table_is_called_a_guess() -> None:
+    fast = plan(Scene.from_text(scenes.NI, "x", [("particle.velocity", '"1200 m/s"')]))
+    pace = Pace(1.0, 1.0, "")
+    assert "a guess: 1200 m/s is outside the table" in forecast(fast, pace, verbose=False)
+    assert "guess" not in forecast(plan(Scene.from_text(scenes.NI, "x")), pace, verbose=False)
+
+
+def test_a_reference_is_no_coarser_than_a_ladder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.toml").write_text(scenes.NI)
+    assert main(["accuracy", str(tmp_path / "x.toml"), "--out", str(tmp_path / "a"), "--reference", "0"]) == 2
+    assert "--reference 0 is too coarse" in capsys.readouterr().err

@@ -50,7 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     scene = scene_of(arguments)
     out = arguments.out or Path("runs") / f"accuracy-{scene.name}"
     knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
-    for name, numbers in {"points": arguments.points or [], "knobs-at": [knobs] if knobs else []}.items():
+    reference = [] if arguments.reference is None else [arguments.reference]
+    asked = {"points": arguments.points or [], "reference": reference, "knobs-at": [knobs] if knobs else []}
+    for name, numbers in asked.items():
         if any(n < ladder.FEWEST_POINTS for n in numbers):
             raise StoreError(f"--{name} {min(numbers)} is too coarse: {ladder.FEWEST_POINTS} points at least")
     points = ladder.ladder_points(
@@ -133,6 +135,8 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
             lines.append(
                 "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
             )
+        elif widest.beyond:
+            lines.append(f"             a guess: {widest.beyond}")
     return "\n".join(lines)
 
 
@@ -197,9 +201,12 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     resolved = at_points(scene, points)
     name, width = worst(kind_of(plan(resolved)))
     duration_text = f", about {duration(takes(points))} here" if pace else ""
+    given = [f"resolution.{key}" for key in ("spacing", "element_size") if getattr(scene.resolution, key) is not None]
+    instead = f"; in place of {' and '.join(given)} of the scene" if given else ""
     return (
         resolved,
-        f"resolution chosen: {points} points{duration_text}; shape within {100 * width:.2g} % ({MEASURES[name].short})",
+        f"resolution chosen: {points} points{duration_text}; shape within {100 * width:.2g} % ({MEASURES[name].short})"
+        + instead,
     )
 
 

@@ -117,6 +117,9 @@ def draw(rows: "Sequence[Row]", out: Path, quantities: Sequence[str] = DRAWN, ax
             remarks.append(f"{material}: points of the same place differ in {', '.join(others[:5])}, which is no axis")
         for quantity in quantities:
             path, m = out / f"map_{material}_{quantity}.png", MEASURES[quantity]
+            if all(row[quantity] is None for row in done):
+                remarks.append(f"{material}, {m.label}: no map; no point has this measure")
+                continue
             try:
                 with reading(path.name):
                     at, fit = maps.best_point(own, quantity, used)

@@ -36,6 +36,9 @@ def add(commands: Commands) -> None:
     option("--slurm", type=_slurm_option, action="append", default=[], metavar="KEY=VALUE",
            help="of the Slurm jobs, may be repeated: cores=32 (runs at a time in a job; default 1), time=04:00:00 (default"
            " 01:00:00), partition=, account=, and any other option of sbatch")  # fmt: skip
+    option(
+        "--force", action="store_true", help="compute points anew whose scene is another one than that of the results"
+    )
     add_quiet(option)
 
 
@@ -48,10 +51,11 @@ def _slurm_option(text: str) -> tuple[str, str]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..errors import PlacementError, StoreError
     from ..files.outputs import claim_folder
     from ..progress import Progress
     from ..ranks.executors import executor
-    from ..studies.points import run_points
+    from ..studies.points import of_another_scene, run_points
     from ..studies.sweep import Sweep
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -59,7 +63,14 @@ def run(arguments: argparse.Namespace) -> int:
 
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
+    if arguments.slurm and arguments.executor != "slurm":
+        raise PlacementError(f"--slurm is for --executor slurm; the executor is {arguments.executor}")
     claim_folder(out, "sweep", OUTPUTS, force=None)
+    if (others := of_another_scene(out, sweep.points)) and not arguments.force:
+        raise StoreError(
+            f"{out} holds results of {len(others)} points, such as {others[0]}, for another scene: name another folder with"
+            " --out, or compute them anew with --force"
+        )
     pool = executor(arguments.executor, arguments.jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
         print(_forecast(sweep, arguments.jobs if arguments.executor == "processes" else 0), flush=True)

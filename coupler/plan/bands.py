@@ -27,11 +27,12 @@ class AccuracyError(ColdsprayError):
 @dataclass(frozen=True)
 class Band:
     """measure: its key; share: half-width over its value (of temperatures: over their rise); why: the axis that drives it, and the
-    cases it rests on."""
+    cases it rests on; beyond: why it is a guess, empty where it is none."""
 
     measure: str
     share: float
     why: str
+    beyond: str = ""
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def band(measure: str, kind: Kind) -> Band | None:
     beyond = [] if known[0] <= kind.speed <= known[-1] else [f"{kind.speed:.0f} m/s is outside the table"]
     beyond += [] if kind.plain else ["the table has no such shape or angle"]
     why = f"{driver}, from {' and '.join(cases)}" + (f"; {', '.join(beyond)}: a guess" if beyond else "")
-    return Band(measure, share, why)
+    return Band(measure, share, why, ", ".join(beyond))
 
 
 def _share(row: Mapping[str, str], points: float) -> tuple[float, str]:

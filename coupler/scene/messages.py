@@ -21,6 +21,14 @@ _COATING_EXAMPLE = {
 _GAS_EXAMPLE = {"gas": {"pressure": "40 bar", "temperature": "800 degC", "nozzle": "D42PBI"}}
 
 
+# what pydantic's kinds of error want instead
+_EXPECTED = {
+    "float_type": "a number without unit or quotes", "int_type": "a whole number, without unit or quotes",
+    "int_from_float": "a whole number", "bool_type": "true or false", "string_type": "a text in quotes",
+    "tuple_type": 'a list, such as ["..."]', "list_type": 'a list, such as ["..."]',
+}  # fmt: skip
+
+
 def without(raw: Mapping[str, object], faulty: list[tuple[int | str, ...]]) -> SceneData | None:
     """The scene with its faulty fields replaced, so that the others can be checked against each other."""
     mended = copy.deepcopy(dict(raw))
@@ -90,6 +98,8 @@ def in_words(entry: ErrorDetails, several: bool) -> str:
         return f"{start}: use letters, digits, '_', '.', '-', spaces (at most 64, a letter or digit first)"
     if kind in ("float_type", "finite_number", "greater_than_equal", "less_than_equal") and field == "contact.friction":
         return f"{start}: expected a number without unit, from 0 to 2"
+    if kind in _EXPECTED:
+        return f"{start}: expected {_EXPECTED[kind]}"
     return f"{start}: {entry['msg'][0].lower()}{entry['msg'][1:]}"
 
 

@@ -20,6 +20,7 @@ from ..files.result import COLD, Fields, Result
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors
+from ..measures import UNDECIDED
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 
@@ -35,7 +36,7 @@ class Splats:
     counted from 1, 0 for the substrate. last: surface of the last particle, still made of
     points, (points (k,3) m, triangles), None if it has left; of each finished impact: mass (n,) kg, stayed (n,), the
     share of it that is in the coating; planned: impacts of the run, in so many layers; patch m: radius of the disc that particles are
-    aimed at; element_size m: of the splats."""
+    aimed at; element_size m: of the splats; undecided: impacts without a verdict that are counted as stayed."""
 
     mesh: Fields
     body: NDArray[np.int64]
@@ -48,6 +49,7 @@ class Splats:
     patch: float
     element_size: float
     is_cold: bool = False
+    undecided: int = 0
 
     @property
     def finished(self) -> int:
@@ -96,9 +98,11 @@ def read(result: Result, before: int | None = None) -> Splats:
     if before is None and result.finished:
         detached = np.array([record.get("detached_mass_kg", 0.0) for record in result.summary["impacts"]])
         stayed *= 1.0 - detached[: len(mass)] / mass
+    records = result.summary["impacts"][: len(left)] if before is None and result.finished else []
+    undecided = sum(r["verdict"] == UNDECIDED and not gone for r, gone in zip(records, left, strict=False))
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
-                  plan.splat_element_size, is_cold)  # fmt: skip
+                  plan.splat_element_size, is_cold, undecided)  # fmt: skip
 
 
 def first_step(result: Result, number: int) -> int:
@@ -247,6 +251,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         stress_in_plane_Pa=in_plane(splats, radius, "stress"), thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress"),
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
+        + ([f"{splats.undecided} impacts have no verdict: they count as stayed"] if splats.undecided else [])
         + ([] if splats.is_cold else ["the bodies have not cooled: their stresses are not residual stresses"]),
     )  # fmt: skip
 

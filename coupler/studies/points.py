@@ -102,6 +102,18 @@ def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
     return None if ended is None or ended.get("exit_code") == REFUSED else ended
 
 
+def of_another_scene(folder: Path, points: Mapping[str, str]) -> list[str]:
+    """The points of which a folder holds results, of another scene than theirs (TOML)."""
+    others = []
+    for point, text in points.items():
+        scene, known = folder / f"{point}.toml", folder / f"{point}.json"
+        if scene.is_file() and read_text(scene) != text:
+            ended = how_ended(known) if known.is_file() else None
+            if (folder / point / "scene.toml").is_file() or (ended is not None and ended.get("exit_code") != REFUSED):
+                others.append(point)
+    return others
+
+
 def write_scene(folder: Path, point: str, text: str) -> Path:
     """The file of a point's scene, written unless it is there. Raises StoreError."""
     path = folder / f"{point}.toml"
