@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scenes
 from runs import SharedRuns
-from test_maps import points, pretend
+from sweeps import points, pretend
 
 from coupler import Scene
 from coupler.commands import watch
