@@ -135,7 +135,7 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
             lines.append(
                 "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
             )
-        elif widest.beyond:
+        if widest.beyond:
             lines.append(f"             a guess: {widest.beyond}")
     return "\n".join(lines)
 
