@@ -10,6 +10,7 @@ from runs import SharedRuns
 from test_pause import COLD
 
 from coupler import Scene
+from coupler.commands.coating import describe
 from coupler.commands.main import main
 from coupler.errors import SceneError
 from coupler.files.result import Fields
@@ -235,3 +236,10 @@ def test_a_film_of_a_coating_cuts_most_of_its_particles() -> None:
 def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
     assert "2 impacts have no verdict: they count as stayed" in measure(replace(built, undecided=2)).warnings
     assert not any("verdict" in text for text in measure(built).warnings)
+
+
+def test_what_cooling_adds_is_told_of_cold_coatings_alone(built: Splats) -> None:
+    for is_cold in (False, True):
+        said = "\n".join(describe(measure(replace(built, is_cold=is_cold))))
+        assert ("by cooling" in said) == is_cold
+        assert ("have not cooled" in said) != is_cold

@@ -54,7 +54,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def describe(measures: "CoatingMeasures") -> list[str]:
     """The measures as lines for a terminal."""
+    from ..studies.coating import NOT_COLD
+
     um = {name: f"{1e6 * value:.1f} um" for name, value in vars(measures).items() if name.endswith("_m")}
+    is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
+    by_cooling = f", of it {1e-6 * measures.thermal_in_plane_Pa:+.0f} MPa by cooling" if is_cold else ""
     lines = [*measures.warnings]
     lines += [
         f"deposition efficiency  {measures.deposition_efficiency:.1%}: {measures.rebounded} of {measures.impacts} particles have left",
@@ -63,8 +67,7 @@ def describe(measures: "CoatingMeasures") -> list[str]:
         f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
         f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open, too high by up to"
         f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} um are not resolved",
-        f"stress in the surface  {1e-6 * measures.stress_in_plane_Pa:+.0f} MPa (mean),"
-        f" of it {1e-6 * measures.thermal_in_plane_Pa:+.0f} MPa by cooling",
+        f"stress in the surface  {1e-6 * measures.stress_in_plane_Pa:+.0f} MPa (mean)" + by_cooling,
         "",
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]

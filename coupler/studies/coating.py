@@ -27,6 +27,7 @@ from ..plan.record import read_plan
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
+NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
 
 @dataclass(frozen=True)
@@ -252,7 +253,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
         + ([f"{splats.undecided} impacts have no verdict: they count as stayed"] if splats.undecided else [])
-        + ([] if splats.is_cold else ["the bodies have not cooled: their stresses are not residual stresses"]),
+        + ([] if splats.is_cold else [NOT_COLD]),
     )  # fmt: skip
 
 
