@@ -13,7 +13,7 @@ from coupler import Scene
 from coupler.commands.coating import describe
 from coupler.commands.main import main
 from coupler.errors import SceneError
-from coupler.files.result import Fields
+from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.report.picture import _most_cut
 from coupler.studies.coating import Columns, Splats, measure, over_depth, per_layer, read, roughness

@@ -126,6 +126,55 @@ def test_bodies_that_grow_fill_chunks_of_their_own(tmp_path, rng, monkeypatch):
         np.testing.assert_array_equal(found["eps_p"], np.arange(len(x) - 3))
 
 
+@pytest.mark.parametrize("kept", [1, 3, 5])
+def test_a_file_is_taken_up_at_an_earlier_step(tmp_path, rng, monkeypatch, kept):
+    """What a checkpoint counts of a file is copied as it is stored, whatever follows it there; the steps after it are written again."""
+    monkeypatch.setattr(vtkhdf, "CHUNK", 8)
+    steps = []
+    for step, size in enumerate([5, 7, 7, 30, 6]):
+        x = rng.normal(size=(size, 3))
+        cells = np.arange(4 * (size - 3)).reshape(-1, 4) % size
+        steps.append(
+            (
+                step,
+                x,
+                cells,
+                {"T": x[:, 0]},
+                {"body": np.arange(len(cells)), "stress": rng.normal(size=(len(cells), 6))},
+            )
+        )
+    with Store.create(tmp_path, "") as store:
+        for step in steps:
+            store.write("target", *step)
+            if step[0] + 1 == kept:
+                state = store.state()
+    path = tmp_path / "target.vtkhdf"
+    unbroken = read_with_vtk(path)
+    monkeypatch.setattr(vtkhdf, "_deflated", None)  # nothing is packed anew
+    with Store.reopen(tmp_path) as store:
+        store.go_on(state, pytest.fail)
+        assert len(read_with_vtk(path)) == kept
+        monkeypatch.undo()
+        for step in steps[kept:]:
+            store.write("target", *step)
+    for a, b in zip(unbroken, read_with_vtk(path), strict=True):
+        for name, values in a.items():
+            np.testing.assert_array_equal(b[name], values)
+    with h5py.File(path) as file:
+        assert file["VTKHDF/CellData/stress"].attrs["units"] == b"Pa"
+        assert len(file["VTKHDF/NumberOfCells"]) == 4  # steps 1 and 2 have one topology
+
+
+def test_a_file_without_room_for_its_copy_stays(tmp_path, monkeypatch):
+    with Store.create(tmp_path, "") as store:
+        store.write("target", 0.0, POINTS, TETS)
+        state = store.state()
+    monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1000))
+    with Store.reopen(tmp_path) as store, pytest.raises(StoreError, match=r"target\.vtkhdf: no space left on the disk"):
+        store.go_on(state, pytest.fail)
+    assert len(read_with_vtk(tmp_path / "target.vtkhdf")) == 1
+
+
 def test_cells_that_change_in_place_are_noticed(tmp_path):
     writer = VtkHdfWriter(tmp_path / "a.vtkhdf")
     cells = TETS.copy()

@@ -92,7 +92,7 @@ def test_a_folder_of_another_command_is_not_taken(tmp_path: Path) -> None:
 def test_a_band_of_efficiency_holds_the_efficiency() -> None:
     """Also where most of it is lost to erosion: then a lower critical velocity deposits less."""
     ones = np.ones(3)
-    spray = Spray(np.array([0.0, 0.5, 1.0]), 25e-6 * ones, 900.0 * ones, 300.0 * ones, 600.0 * ones)
+    spray = Spray(np.array([0.0, 0.5, 1.0]), 25e-6 * ones, 900.0 * ones, 300.0 * ones, 600.0 * ones, 300.0 * ones)
     assert spray.efficiency() == 1.0
     assert spray.band(0.9) == (0.0, 1.0)
     assert spray.band(0.1) == (1.0, 1.0)
@@ -122,7 +122,7 @@ def test_what_cannot_be_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest
     path = tmp_path / "run" / "particle.vtkhdf"
     kept = path.read_bytes()
     with monkeypatch.context() as without:
-        without.setattr("coupler.files.result.h5py", SimpleNamespace(**vars(h5py) | {"File": refused}))
+        without.setattr("coupler.files.fields.h5py", SimpleNamespace(**vars(h5py) | {"File": refused}))
         with Store.reopen(tmp_path / "run") as store, pytest.raises(UnreadableError, match="cannot be read"):
             store.go_on(state, print)
     assert path.read_bytes() == kept

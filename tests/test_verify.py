@@ -15,7 +15,7 @@ from scenes import SHORT, SHORT_DOUBLE, WHOLE
 from test_pause import COLD
 
 from coupler import Result, Scene
-from coupler.files.result import Fields
+from coupler.files.fields import Fields
 from coupler.impact.domains import build_target
 from coupler.plan.planning import plan
 

@@ -8,6 +8,7 @@ import pytest
 from coupler.commands.main import main
 from coupler.physics import materials
 from coupler.physics.adhesion import THERMAL, critical_velocity
+from coupler.spray.flight import melting
 from coupler.spray.window import Spray, critical_at, quantile
 from coupler.studies.table import read_rows
 
@@ -37,7 +38,7 @@ def test_what_flies_between_critical_and_erosion_velocity_stays(
 ) -> None:
     """Velocities over the critical one that are uniform between two values: the share between 1 and 2 of them."""
     share, one = np.linspace(0.0, 1.0, 26), np.ones(26)
-    powder = Spray(share, one, 600.0 * (fastest + (slowest - fastest) * share), one, 600.0 * one)
+    powder = Spray(share, one, 600.0 * (fastest + (slowest - fastest) * share), one, 600.0 * one, one)
     assert powder.efficiency(factor) == pytest.approx(stays, abs=1e-3)
 
 
@@ -67,3 +68,17 @@ def test_what_the_command_cannot_use_is_refused(
 ) -> None:
     assert main([*GAS, *options]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_particles_that_melt_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    """Fine aluminium in nitrogen of 1000 degC: the finest classes are liquid in the nozzle, which neither command passes over."""
+    hot = ["--pressure", "50 bar", "--temperature", "1000 degC", "--nozzle", "D42PBI", "--material", "Al"]
+    assert main(["gas", *hot, "--diameter", "2 um", "5 um", "60 um"]) == 0
+    assert "Al particles of 2 to 60 um reach the melting point (855 K) in flight" in capsys.readouterr().out
+    assert main(["window", *hot, "--powder", "3 um", "20 um", "60 um"]) == 0
+    assert "reach the melting point (855 K) in flight: melt is not modelled" in capsys.readouterr().out
+    assert main([*GAS, *POWDER]) == 0
+    assert "melting" not in capsys.readouterr().out
+    metal = materials.material("Al")
+    assert "arrive above 770 K, 0.9 of the melting point" in melting(metal, [20e-6], [800.0], [775.0])[0]
+    assert melting(metal, [20e-6], [800.0], [760.0]) == []

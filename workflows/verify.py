@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from coupler import Result, Scene
-from coupler.files.result import COLD, DOMAINS, Fields
+from coupler.files.fields import Fields
+from coupler.files.result import COLD, DOMAINS
 from coupler.physics.materials import Material
 from coupler.plan.planning import plan
 

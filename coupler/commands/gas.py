@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from .arguments import Commands, Option, add_command, add_force, path
 
 if TYPE_CHECKING:
+    from ..physics.materials import Material
     from ..scene.tables import GasConditions
     from ..spray.flight import Flight
     from ..spray.gas import Flow
@@ -60,7 +61,7 @@ def run(arguments: argparse.Namespace) -> int:
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
     law = flight.DRAG_LAWS[conditions.drag]
     flights = flight.fly_together(flow, material, diameters, conditions.powder_temperature, law)
-    print("\n".join(_table(flow, material.name, diameters, flights)))
+    print("\n".join(_table(flow, material, diameters, flights)))
     if arguments.csv:
         _write_csv(arguments, flow, diameters, flights)
     if arguments.png:
@@ -132,7 +133,9 @@ def shown(nozzle: "Nozzle") -> str:
     return "\n".join([f"{nozzle.name}: {dimensions}", *texts])
 
 
-def _table(flow: "Flow", material: str, diameters: list[float], flights: "list[Flight]") -> list[str]:
+def _table(flow: "Flow", material: "Material", diameters: list[float], flights: "list[Flight]") -> list[str]:
+    from ..spray.flight import melting
+
     exit_, jet = flow.inside(flow.nozzle.end), flow.jet
     celsius = flow.T0 - 273.15
     lines = [
@@ -143,14 +146,15 @@ def _table(flow: "Flow", material: str, diameters: list[float], flights: "list[F
         f"  jet    {jet.u:.0f} m/s, {jet.T:.0f} K, at {flow.ambient / 1e5:.3g} bar; core {flow.core * 1e3:.3g} mm",
         *([f"  shock  {flow.layer * 1e3:.2g} mm before the target"] if flow.layer else []),
         "",
-        f"  {material + ' diameter':>14}  {'at exit':>10}  {'at impact':>10}  {'temperature':>12}  {'in flight':>10}",
+        f"  {material.name + ' diameter':>14}  {'at exit':>10}  {'at impact':>10}  {'temperature':>12}  {'in flight':>10}",
     ]
     for D, flight in zip(diameters, flights, strict=True):
         lines.append(
             f"  {D * 1e6:>11.4g} um  {_at_exit(flow, flight):>6.0f} m/s  {flight.velocity:>6.0f} m/s"
             f"  {flight.temperature:>10.0f} K  {flight.t[-1] * 1e3:>7.2f} ms"
         )
-    notes = [*flow.notes, *([f"assumed of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
+    notes = melting(material, diameters, [float(f.T.max()) for f in flights], [f.temperature for f in flights])
+    notes += [*flow.notes, *([f"assumed of the nozzle: {flow.nozzle.assumed}"] if flow.nozzle.assumed else [])]
     wrapped = [textwrap.fill(note, 110, initial_indent="  note: ", subsequent_indent=" " * 8) for note in notes]
     return [*lines, "", *wrapped] if notes else lines
 

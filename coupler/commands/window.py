@@ -62,7 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
     """Particles and deposition efficiency in some lines. within: uncertainty of the critical velocity."""
-    ratio = spray.velocity / spray.critical
+    from ..spray.flight import melting
+
+    ratio = spray.ratio
     lines = [
         f"  {metal.name + ' diameter':>16}  {'velocity':>9}  {'temperature':>11}  {'critical':>9}  velocity / critical"
     ]
@@ -73,7 +75,8 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
         )
     low, high = spray.band(within)
     band = f"{low:.0%} to {high:.0%} with a critical velocity {within:.0%} higher or lower"
-    return [*lines, "", f"deposition efficiency {spray.efficiency():.0%}; {band}"]
+    notes = melting(metal, spray.diameter.tolist(), spray.hottest.tolist(), spray.temperature.tolist())
+    return [*lines, "", *(f"note: {note}" for note in notes), f"deposition efficiency {spray.efficiency():.0%}; {band}"]
 
 
 def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
@@ -82,7 +85,7 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
 
     options = shlex.join([*gas.given(arguments), "--powder", *arguments.diameter])
     values = (
-        spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.velocity / spray.critical
+        spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
     )  # fmt: skip
     rows = [dict(zip(COLUMNS, map(float, row), strict=True)) for row in zip(*values, strict=True)]
     write_rows(

@@ -9,8 +9,9 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
+from .fields import Fields
 from .outputs import MARK, replacing
-from .result import COLD, DOMAINS, Fields, Result
+from .result import COLD, DOMAINS, Result
 
 CELLS = {1: "vertex", 3: "triangle", 4: "tetra"}  # columns of the cells -> name of meshio
 WRITTEN = (*DOMAINS, COLD)

@@ -7,20 +7,18 @@ from __future__ import annotations
 
 import csv
 import difflib
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, overload
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ColdsprayError, StoreError, UnreadableError
+from ..errors import StoreError
 from ..measures import UNDECIDED
-from .inputs import SCENE_LIMIT, check_regular, read_json_object, read_text, require_memory, similar
+from .fields import CELL_COLUMNS, Fields, opened, read_step, times_of
+from .inputs import SCENE_LIMIT, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
 
 if TYPE_CHECKING:
@@ -29,31 +27,8 @@ if TYPE_CHECKING:
 
 DOMAINS = ("particle", "surface", "target")
 COLD = "cold"  # the bodies after the closing stage, one step
-CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
-DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
-FARTHEST = 1e3  # m from the origin: no run has a point beyond it
 _VTK_TYPES = {columns: kind for kind, columns in CELL_COLUMNS.items()}
-H = TypeVar("H")
 _CSV_MEMORY = 12  # bytes while reading over bytes of the file
-
-
-@dataclass(frozen=True)
-class Fields:
-    """One domain at one time. time: s. points: (n, 3) m. cells: (m, 1 | 3 | 4) indices into points.
-
-    data: name -> (n, ...) for values at points, (m, ...) for values in cells, float32 (int32: whole numbers); SI units; stress (.., 6)
-    in the order xx yy zz xy yz xz. A name that is given both at points and in cells holds the values at points.
-    """
-
-    time: float
-    points: NDArray[np.float64]
-    cells: NDArray[np.int64]
-    data: dict[str, NDArray]
-
-    def split(self) -> tuple[dict[str, NDArray], dict[str, NDArray]]:
-        """Data at points and data in cells. A particle's cells are its points: all of its data is at points."""
-        inside = {} if self.cells.shape[1] == 1 else {n: v for n, v in self.data.items() if len(v) != len(self.points)}
-        return {name: values for name, values in self.data.items() if name not in inside}, inside
 
 
 class Result:
@@ -165,8 +140,8 @@ class Result:
         path = self._path(domain)
         if not path.is_file():
             return np.zeros(0)
-        with _opened(path) as root:
-            return _times(root)
+        with opened(path) as root:
+            return times_of(root)
 
     def fields(self, step: int = -1, domain: str = "particle") -> Fields:
         """Points, cells and data of "particle", "surface", "target" or "cold" at a stored step; -1 is the last.
@@ -176,11 +151,11 @@ class Result:
         path = self._path(domain)
         if not path.is_file():
             raise StoreError(f"{path} is missing: the run stored nothing of the {domain}")
-        with _opened(path) as root:
-            times = _times(root)
+        with opened(path) as root:
+            times = times_of(root)
             if not -len(times) <= step < len(times):
                 raise IndexError(f"{path} has {len(times)} steps, there is no step {step}")
-            return _read_step(root, step % len(times), times)
+            return read_step(root, step % len(times), times)
 
     def mesh(self, step: int = -1, domain: str = "particle") -> pyvista.UnstructuredGrid:
         """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"].
@@ -252,104 +227,3 @@ def _optional(name: str) -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise StoreError(f"this needs the package {name}: pip install {name}") from error
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[_Root]:
-    """The VTKHDF group of a file; whatever is wrong with the file comes out as a StoreError."""
-    check_regular(path)
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield _Root(_child(file, "VTKHDF", h5py.Group), path)
-    except (IndexError, ColdsprayError, MemoryError):
-        raise
-    except PermissionError as error:
-        raise UnreadableError(f"{path} cannot be read: no permission") from error
-    except Exception as error:  # h5py raises whatever comes up on a damaged file
-        raise StoreError(f"{path} is damaged or not a file of ours: {error}") from error
-
-
-@dataclass(frozen=True)
-class _Root:
-    """The VTKHDF group of a file. What a data set claims is held against what is stored of it, and against the free memory."""
-
-    group: h5py.Group
-    path: Path
-
-    def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
-        """Rows start..start+count of a plain numeric data set (all without count)."""
-        group = self.group
-        *folders, last = name.split("/")
-        for folder in folders:
-            group = _child(group, folder, h5py.Group)
-        data = _child(group, last, h5py.Dataset)
-        if data.is_virtual or data.external:
-            raise ValueError(f"{name} points to another file")
-        if data.dtype.kind not in kinds or data.ndim not in (1, 2):
-            raise ValueError(f"{name} has an unexpected type or shape")
-        count = len(data) - start if count is None else count
-        if start < 0 or count < 0 or start + count > len(data):
-            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {start + count} are asked for")
-        width = data.shape[1] if data.ndim == 2 else 1
-        chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
-        if max(count * width * data.dtype.itemsize, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
-            raise ValueError(f"{name} claims more data than the file can hold")
-        require_memory(3 * count * width * data.dtype.itemsize + chunk, f"to read {name} of {self.path}")
-        return data[start : start + count]
-
-    def number(self, name: str, row: int) -> int:
-        return int(self.rows(name, row, 1, kinds="iu").ravel()[0])
-
-    def names(self, name: str) -> list[str]:
-        return list(_child(self.group, name, h5py.Group))
-
-
-def _child(group: h5py.Group, name: str, kind: type[H]) -> H:
-    # A link may lead into another file of the reader's machine; ours never do.
-    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-        raise ValueError(f"{name} is missing or leads elsewhere")
-    item = group[name]
-    if not isinstance(item, kind):
-        raise ValueError(f"{name} is not what it should be")
-    return item
-
-
-def _times(root: _Root) -> NDArray[np.float64]:
-    attributes = _child(root.group, "Steps", h5py.Group).attrs
-    if attributes.get_id("NSteps").shape not in ((), (1,)):
-        raise ValueError("NSteps is not a number")
-    count = int(np.ravel(attributes["NSteps"])[0])
-    if count == 0:  # a run that died before its first step
-        return np.zeros(0)
-    # One that died at the wrong moment has counted a step and not yet given it a time.
-    times = root.rows("Steps/Values")[: max(count, 0)].astype(np.float64)
-    if times.ndim != 1 or not np.isfinite(times).all():
-        raise ValueError("a time is not a number")
-    return times
-
-
-def _read_step(root: _Root, step: int, times: NDArray[np.float64]) -> Fields:
-    part = root.number("Steps/PartOffsets", step)
-    point_count, cell_count = root.number("NumberOfPoints", part), root.number("NumberOfCells", part)
-    id_count = root.number("NumberOfConnectivityIds", part)
-    points = root.rows("Points", root.number("Steps/PointOffsets", step), point_count).astype(np.float64)
-    types = root.rows("Types", root.number("Steps/CellOffsets", step), cell_count, kinds="iu")
-    kind = int(types[0]) if cell_count else 1
-    if points.ndim != 2 or points.shape[1] != 3 or kind not in CELL_COLUMNS or (types != kind).any():
-        raise ValueError("points or cell types are not what they should be")
-    if (np.abs(points) > FARTHEST).any():
-        raise ValueError(f"points lie more than {FARTHEST:g} m from the origin")
-    columns = CELL_COLUMNS[kind]
-    if id_count != columns * cell_count:
-        raise ValueError("connectivity does not fit the cells")
-    start = root.number("Steps/ConnectivityIdOffsets", step)
-    cells = root.rows("Connectivity", start, id_count, kinds="iu").astype(np.int64).reshape(-1, columns)
-    if cells.size and (cells.min() < 0 or cells.max() >= point_count):
-        raise ValueError("cells refer to points that are not there")
-    data: dict[str, NDArray] = {}
-    for group, count in (("CellData", cell_count), ("PointData", point_count)):
-        for name in root.names(group):
-            offset = root.number(f"Steps/{group}Offsets/{name}", step)
-            values = root.rows(f"{group}/{name}", offset, count)
-            data[name] = values.astype(np.float32 if values.dtype.kind == "f" else np.int32)
-    return Fields(float(times[step]), points, cells, data)

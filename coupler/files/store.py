@@ -34,8 +34,8 @@ from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
-from .result import COLD, DOMAINS, Result
-from .vtkhdf import Data, VtkHdfWriter
+from .result import COLD, DOMAINS
+from .vtkhdf import Data, VtkHdfWriter, first_steps
 
 HISTORY, SCENE, PLAN, LOG = "history.csv", "scene.toml", "plan.json", "run.log"
 SUMMARY, PICTURE = "summary.json", "section.png"
@@ -158,20 +158,15 @@ class Store:
         self.go_on(state, log)
 
     def _copy_steps(self, domain: str, path: Path, steps: int, log: Callable[[str], None]) -> None:
-        old, part = Result(self.directory), path.with_suffix(".part")
-        writer = VtkHdfWriter(part)
+        part = path.with_suffix(".part")
         try:
-            for step in range(steps):
-                f = old.fields(step, domain)
-                writer.write(f.time, f.points, f.cells, *f.split())
+            writer = first_steps(path, part, steps)
         except UnreadableError:
-            writer.close()
             part.unlink(missing_ok=True)
             raise
         except (StoreError, IndexError) as error:
             kept = path.with_suffix(".vtkhdf.damaged")
             log(f"{path} cannot be read, it starts anew at the checkpoint; what was there is in {kept.name} ({error})")
-            writer.close()
             os.replace(path, kept)
             writer = VtkHdfWriter(part)
         os.replace(part, path)

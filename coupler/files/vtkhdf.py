@@ -16,7 +16,7 @@ import os
 import resource
 import shutil
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..state.threads import share
+from .fields import Root, opened, read_step, times_of
 
 Data = Mapping[str, ArrayLike]
 
@@ -164,6 +165,22 @@ class VtkHdfWriter:
         self._file.flush()
         self._state = state
 
+    def _take_up(self, path: Path, state: _State) -> None:
+        """Copy what counts of a file, chunk by chunk as they are stored, and go on behind it."""
+        for name, like, first, (skipped, chunk) in _chunks(path, state.rows):
+            if name not in self._data:
+                tail = like.shape[1:]
+                self._data[name] = self._root.create_dataset(
+                    name, (state.rows[name], *tail), like.dtype, maxshape=(None, *tail), chunks=like.chunks,
+                    compression=like.compression, compression_opts=like.compression_opts, shuffle=like.shuffle,
+                )  # fmt: skip
+                self._data[name].attrs.update(like.attrs)
+            self._data[name].id.write_direct_chunk((first,) + (0,) * (like.ndim - 1), chunk, skipped)
+        self._file.flush()
+        self._root["Steps"].attrs["NSteps"] = np.int64(state.steps)
+        self._file.flush()
+        self._state = state
+
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> dict[str, NDArray]:
         """Begin a new part with the cells, unless they and the number of points are those of the last step; returns the connectivity
         that is to be stored, by name."""
@@ -242,6 +259,58 @@ class VtkHdfWriter:
             data.id.write(h5py.h5s.create_simple(values.shape), space, np.ascontiguousarray(values))
         state.rows[name] = start + len(values)
         return start
+
+
+def first_steps(path: Path, new: Path, steps: int) -> VtkHdfWriter:
+    """The writer of a new file that holds the first `steps` steps of the file at a path.
+
+    Chunks are copied as they are stored: their bytes are not looked at, those of the last step excepted. Raises StoreError
+    for a file that is damaged, UnreadableError without the permission, IndexError for one of fewer steps, OSError as the writer.
+    """
+    with opened(path) as old:
+        state = _state_at(old, steps)
+    if shutil.disk_usage(new.parent).free < path.stat().st_size + SPARE:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    writer = VtkHdfWriter(new)
+    try:
+        writer._take_up(path, state)
+    except (OSError, RuntimeError):
+        writer._give_up()
+        raise
+    except BaseException:
+        writer.close()
+        raise
+    return writer
+
+
+def _state_at(old: Root, steps: int) -> _State:
+    """What counts of a file after its first steps."""
+    times = times_of(old)
+    if len(times) < steps:
+        raise IndexError(f"{old.path} has {len(times)} steps, {steps} are asked for")
+    last, n = read_step(old, steps - 1, times), steps - 1
+    part, points, cells = old.number("Steps/PartOffsets", n), len(last.points), len(last.cells)
+    parts = {name: part + 1 for name in ("NumberOfPoints", "NumberOfCells", "NumberOfConnectivityIds")}
+    stored = int(old.rows("NumberOfCells", 0, part + 1, "iu").sum())  # cells of all parts
+    connectivity = old.number("Steps/ConnectivityIdOffsets", n)
+    rows = parts | {"Types": stored, "Offsets": stored + part + 1, "Connectivity": connectivity + last.cells.size}
+    rows |= {"Points": old.number("Steps/PointOffsets", n) + points}
+    rows |= {f"Steps/{name}": steps for name in old.names("Steps") if not name.endswith("DataOffsets")}
+    names = sorted(old.names("PointData")), sorted(old.names("CellData"))
+    for group, count, fields in (("PointData", points, names[0]), ("CellData", cells, names[1])):
+        for name in fields:
+            offsets = f"{group}Offsets/{name}"
+            rows |= {f"Steps/{offsets}": steps, f"{group}/{name}": old.number(f"Steps/{offsets}", n) + count}
+    return _State(steps, rows, last.cells, None, points, part, old.number("Steps/CellOffsets", n), connectivity, names)
+
+
+def _chunks(path: Path, rows: Mapping[str, int]) -> Iterator[tuple[str, h5py.Dataset, int, tuple[int, bytes]]]:
+    """The first rows of the data sets of a file: name, data set, first row of a chunk, the chunk as it is stored."""
+    with opened(path) as old:
+        for name, count in rows.items():
+            data = old.plain(name, 0, count)
+            for first in range(0, count, data.chunks[0]):
+                yield name, data, first, data.id.read_direct_chunk((first,) + (0,) * (data.ndim - 1))
 
 
 def _deflated(values: NDArray, rows: int) -> bytes:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ..files.result import Fields
+from ..files.fields import Fields
 from ..geometry.tetrahedra import volumes
 
 NEAR = 12  # points whose average is the value at a place inside the particle

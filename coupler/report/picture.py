@@ -23,8 +23,9 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from ..errors import StoreError
+from ..files.fields import Fields
 from ..files.outputs import MARK, replacing
-from ..files.result import COLD, DOMAINS, Fields, Result
+from ..files.result import COLD, DOMAINS, Result
 from ..files.summary import Values
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files.result import Fields, Result
+from ..files.fields import Fields
+from ..files.result import Result
 from .fields import at_nodes, from_points, in_tets
 from .picture import MICRO, Stage
 

@@ -16,7 +16,8 @@ from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from ..files.result import Fields, Result
+from ..files.fields import Fields
+from ..files.result import Result
 from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points

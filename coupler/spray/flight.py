@@ -15,6 +15,7 @@ from ..errors import ColdsprayError
 from ..physics.materials import Material
 from .gas import T_AMBIENT, Flow, Gas, Piece, State
 
+NEAR_MELTING = 0.9  # of the melting point, K over K
 Numbers = float | NDArray[np.float64]
 Drag = Callable[
     [Numbers, Numbers, Numbers, float], NDArray[np.float64]
@@ -82,6 +83,24 @@ class Flight:
     def temperature(self) -> float:
         """At impact, K."""
         return float(self.T[-1])
+
+
+def melting(
+    material: Material, diameter: Sequence[float], hottest: Sequence[float], impact: Sequence[float]
+) -> list[str]:
+    """Notes on particles that melt in flight or, where none does, that arrive near their melting point.
+
+    diameter: m; hottest, impact: K, the highest temperature in flight and that at impact."""
+    near = NEAR_MELTING * material.T_m
+    for temperature, limit, text in (
+        (hottest, material.T_m, f"reach the melting point ({material.T_m:.0f} K) in flight: melt is not modelled"),
+        (impact, near, f"arrive above {near:.0f} K, {NEAR_MELTING:g} of the melting point: critical velocities are measured below"),
+    ):  # fmt: skip
+        over = [D for D, T in zip(diameter, temperature, strict=True) if T >= limit]
+        if over:
+            sizes = " to ".join(dict.fromkeys(f"{D * 1e6:.3g}" for D in (min(over), max(over))))
+            return [f"{material.name} particles of {sizes} um {text}"]
+    return []
 
 
 def fly(flow: Flow, material: Material, diameter: float, T_feed: float = T_AMBIENT, drag: Drag = henderson) -> Flight:

@@ -13,6 +13,7 @@ from .flight import Flight
 
 OPTIMAL, EROSION = 1.5, 2.0  # velocities over the critical one: of good coatings, and from which particles erode
 REFERENCE, EXPONENT = 25e-6, -0.18  # m: diameter of the formula's particles; of the critical velocity in the diameter
+FASTEST = 10.0  # velocity over the critical one, beyond which it makes no difference
 CLASSES = 25  # of equal mass
 _IN_BAND = 10  # steps from the critical velocity to either end of its band
 _FINE = 2000  # shares between which velocities are interpolated
@@ -36,18 +37,26 @@ def quantile(d10: float, d50: float, d90: float, share: float) -> float:
 @dataclass(frozen=True)
 class Spray:
     """A powder at impact, in classes of equal mass (n,): share of the mass that is smaller, diameter m, velocity m/s, temperature K,
-    critical velocity m/s of each."""
+    critical velocity m/s, highest temperature in flight K of each."""
 
     share: NDArray[np.float64]
     diameter: NDArray[np.float64]
     velocity: NDArray[np.float64]
     temperature: NDArray[np.float64]
     critical: NDArray[np.float64]
+    hottest: NDArray[np.float64]
+
+    @property
+    def ratio(self) -> NDArray[np.float64]:
+        """Velocity over critical velocity, infinite for a particle at its melting point."""
+        with np.errstate(divide="ignore"):
+            return self.velocity / self.critical
 
     def efficiency(self, factor: float = 1.0) -> float:
         """Deposition efficiency: share of the mass between `factor` times the critical velocity and the erosion velocity."""
         fine = (np.arange(_FINE) + 0.5) / _FINE
-        ratio = np.interp(fine, self.share, self.velocity / (factor * self.critical))
+        least = self.velocity / FASTEST  # a particle at its melting point has a critical velocity of zero
+        ratio = np.interp(fine, self.share, self.velocity / np.maximum(factor * self.critical, least))
         return float(np.mean((ratio >= 1.0) & (ratio < EROSION)))
 
     def band(self, within: float) -> tuple[float, float]:
@@ -71,4 +80,4 @@ def spray(
         np.array([getattr(flight, name) for flight in flights]) for name in ("velocity", "temperature")
     )
     critical = [critical_at(material, T, D) for T, D in zip(temperature, diameter, strict=True)]
-    return Spray(share, diameter, velocity, temperature, np.array(critical))
+    return Spray(share, diameter, velocity, temperature, np.array(critical), np.array([f.T.max() for f in flights]))

@@ -15,8 +15,9 @@ from scipy import ndimage
 
 from .. import units
 from ..errors import StoreError
+from ..files.fields import Fields
 from ..files.inputs import parse_toml
-from ..files.result import COLD, Fields, Result
+from ..files.result import COLD, Result
 from ..geometry.raycast import RaySurface
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import area_vectors
