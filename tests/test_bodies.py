@@ -1,5 +1,7 @@
 """Contact between bodies of one target: Coulomb's law, collisions, what is conserved, heat, bonds, checkpoints."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from blocks import Blocks, cubes, touching
@@ -9,7 +11,7 @@ from coupler.contact import broad
 from coupler.contact.bodies import BodyContact
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.overlap import overlaps
-from coupler.contact.surfaces import interface
+from coupler.contact.surfaces import Surfaces, interface
 from coupler.errors import SolverError
 from coupler.fe import explicit
 from coupler.fe.explicit import Target
@@ -258,6 +260,44 @@ def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
     contact.forces(1e-9, x, still, f)
     assert f.any()
     assert contact.penalty_energy == pytest.approx(held, rel=1e-12)
+
+
+def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.Generator) -> None:
+    """Two blocks that touch, of which the first nodes move: their forces, energy and history are those of a contact that looks at
+    all; what begins to move is looked at, too."""
+    b = Blocks(((3.0, 1.0, 0.5), 0.25, (-1.5, -0.5, 0)), ((3.0, 1.0, 0.5), 0.22, (-1.5, -0.5, 0.5)))
+    outwards = np.argsort(np.abs(b.target.x[:, 0]), kind="stable")
+    rank = np.empty(len(outwards), int)
+    rank[outwards] = np.arange(len(outwards))
+    body = b.body_of_node[outwards]
+    surfaces = Surfaces(rank[b.surfaces.facets], *(getattr(b.surfaces, f.name) for f in fields(Surfaces)[1:]))
+    x, v = b.target.x[outwards], np.zeros((len(outwards), 3))
+    contacts = [BodyContact(surfaces, x, [b.K] * 2, 0.3) for _ in range(2)]
+    x[body == 1, 2] -= 2e-3
+    for c in contacts:
+        c.search(x, 0.01)
+        c.forces(0.0, x, v, np.zeros_like(x))
+    assert contacts[0].penalty_energy > 0.0
+    for side in contacts[1]._sides:
+        side.reach = -np.inf  # as of bodies that have come to rest
+    looked: list[int] = []
+    for active in (60, 60, 90, 91, 150, len(x)):
+        for c, number in zip(contacts, (None, active), strict=True):
+            c.search(x, 0.01, active=number)
+        x[:active] += 1e-4 * rng.normal(size=(active, 3))
+        v[:active] = rng.normal(size=(active, 3))
+        forces = np.zeros((2, *x.shape))
+        for c, f, number in zip(contacts, forces, (None, active), strict=True):
+            c.forces(1e-6, x, v, f, number)
+        scale = np.abs(forces[0]).max()
+        np.testing.assert_allclose(forces[1][:active], forces[0][:active], atol=1e-12 * scale)
+        assert contacts[1].penalty_energy == pytest.approx(contacts[0].penalty_energy, rel=1e-12)
+        np.testing.assert_allclose(contacts[1].history(), contacts[0].history(), rtol=1e-9, atol=1e-9 * scale)
+        looked.append(sum(len(side.contact.rows) for side in contacts[1]._sides))
+    every = sum(len(side.contact.rows) for side in contacts[0]._sides)
+    assert 0 < looked[0] < 0.6 * every
+    assert sorted(looked) == looked
+    assert looked[-1] == every
 
 
 def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:

@@ -31,9 +31,9 @@ class _Side:
     """The surface nodes of one body against facets of others.
 
     facets: ids in `Surfaces`; near: those of them around the nodes at the last search, known: which these are; idle: none touches.
-    What was found then holds while both surfaces move against each other by `reach` m; corners: nodes of those facets, places: where
-    the own nodes and these were. partners: bodies that the facets belong to; partner_nodes: nodes of all facets; clear: m that others
-    than the known ones were away when the bodies had gone as far as `since` (bodies,) m.
+    What was found then holds while both surfaces move against each other by `reach` m, and up to `resting` active nodes; corners: nodes
+    of those facets, places: where the own nodes and these were. partners: bodies that the facets belong to; partner_nodes: nodes of all
+    facets; clear: m that others than the known ones were away when the bodies had gone as far as `since` (bodies,) m.
     """
 
     nodes: np.ndarray
@@ -48,6 +48,7 @@ class _Side:
     clear: float = -np.inf
     idle: bool = True
     reach: float = -np.inf
+    resting: float = np.inf
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     places: tuple[np.ndarray, np.ndarray] = (np.zeros((0, 3)), np.zeros((0, 3)))
 
@@ -131,7 +132,7 @@ class BodyContact:
     @property
     def penalty_energy(self) -> float:
         """Energy stored in the penalty and friction springs, J."""
-        return sum(side.contact.penalty_energy for side in self._sides)
+        return self._step.energy
 
     @property
     def _energy(self) -> float:
@@ -185,8 +186,8 @@ class BodyContact:
     ) -> None:  # fmt: skip
         """Find the pairs that can touch before surfaces have moved `travel` m against each other. x (N,3) m.
 
-        v (N,3) m/s: then slow surfaces move by their share of `travel` only. active: number of active nodes (default: all); a pair
-        of inactive sides keeps its forces.
+        v (N,3) m/s: then slow surfaces move by their share of `travel` only. active: number of active nodes (default: all); what
+        does not move keeps its forces.
         Nodes whose bond has broken or slid far come over from it (`Bond.release`); what its compression held and the contact
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
@@ -205,7 +206,7 @@ class BodyContact:
         broad.ways(x, surface, bounds, self._before, self._way)
         for side in self._sides:
             handed_over = changed and not np.array_equal(held[side.nodes], before_held[side.nodes])
-            if handed_over or self._inactive(side, active) or not self._holds(side, x, travel, speed, fastest):
+            if handed_over or self._inactive(side, active) or not self._holds(side, x, travel, speed, fastest, active):
                 self._search_side(side, x, travel, speed, fastest, held[side.nodes], active)
                 searched = True
         if searched:
@@ -213,7 +214,7 @@ class BodyContact:
         self._step.refresh(x)
         if changed:  # a step of no time tells what the contact holds with its new nodes
             rest = np.zeros_like(x)
-            self.forces(0.0, x, rest, rest.copy())
+            self.forces(0.0, x, rest, rest.copy(), active)
             self.lost += given_up + before - self._energy
 
     @staticmethod
@@ -224,9 +225,13 @@ class BodyContact:
         together = broad.largest(speed, side.nodes) + broad.largest(speed, side.corners)
         return travel * min(1.0, together / fastest)
 
-    def _holds(self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray, fastest: float) -> bool:
+    def _holds(
+        self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray, fastest: float, active: int | None
+    ) -> bool:
         """Whether the last search of a side still holds, and no other facet can come near while all move by `travel` m."""
         own = self._own_travel(side, travel, speed, fastest)
+        if (np.inf if active is None else active) > side.resting:
+            return False
         if side.reach <= own or len(side.places[0]) == 0:
             return False
         moved = broad.farthest(x, side.nodes, side.places[0]) + broad.farthest(x, side.corners, side.places[1])
@@ -266,13 +271,17 @@ class BodyContact:
             side.idle = True
             return
         side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
-        if not side.idle:
-            c.search(x[side.nodes], x, reach, np.flatnonzero(side.known))
+        side.resting = np.inf
+        if side.idle:
+            c.depth[:] = 0.0
+        else:
+            moving = (None, 0) if active is None else (side.nodes, active)
+            side.resting = c.search(x[side.nodes], x, reach, np.flatnonzero(side.known), None, *moving)
             c.rows = c.rows[~taken[c.rows]]
             side.idle = len(c.rows) == 0
         side.reach, side.places = reach, (x[side.nodes], x[side.corners])
         if side.idle:
-            c.sums[:], c.depth[:] = 0.0, 0.0
+            c.sums[:] = 0.0
 
     def _inactive(self, side: _Side, active: int | None) -> bool:
         """Whether neither a side's nodes nor those of the facets near them are among the first `active` ones, where not all are."""
@@ -286,9 +295,9 @@ class BodyContact:
         least, most = broad.bounds(own, own)
         return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)
 
-    def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray) -> None:
-        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
-        self._step.forces(dt, x, v, f)
+    def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
+        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3). active: as in `search`."""
+        self._step.forces(dt, x, v, f, len(x) if active is None else active)
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
         """Heat of friction since the last call, for `Target.warm`: (elements, J), those behind nodes and facets that rubbed."""

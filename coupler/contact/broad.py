@@ -40,6 +40,35 @@ def corners(facets: Ints, ids: Ints, n: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
+def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
+    """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these, -1 for the
+    others."""
+    place = np.full(count, -1)
+    for q in range(len(rows)):
+        for r in range(start[rows[q]], start[rows[q] + 1]):
+            place[boxes[r]] = 0
+    used = np.flatnonzero(place == 0)
+    for k in range(len(used)):
+        place[used[k]] = k
+    for r in range(len(boxes)):
+        boxes[r] = place[boxes[r]]
+    return used
+
+
+@njit(cache=True, nogil=True)
+def least_corners(rows: Ints, start: Ints, boxes: Ints, ids: Ints, facets: Ints) -> NDArray[np.int64]:
+    """The least node of all candidate triangles of each of the points `rows`; start, boxes, ids as in `candidates_of`."""
+    least = np.empty(len(rows), np.int64)
+    for q in range(len(rows)):
+        first = np.iinfo(np.int64).max
+        for r in range(start[rows[q]], start[rows[q] + 1]):
+            for i in range(3):
+                first = min(first, facets[ids[boxes[r]], i])
+        least[q] = first
+    return least
+
+
+@njit(cache=True, nogil=True)
 def points_within(points: Floats, low: Floats, high: Floats) -> Ints:
     """Which of points (n,3) lie in the box [low, high], ascending."""
     inside = np.empty(len(points), np.int64)

@@ -270,26 +270,11 @@ def reachable(
 
 
 @njit(cache=True, nogil=True)
-def candidates_of(rows: Ints, start: Ints, boxes: Ints, count: int) -> Ints:
-    """Which of `count` facets are candidates of the points `rows`, ascending; boxes is renumbered to places among these, -1 for the
-    others."""
-    place = np.full(count, -1)
-    for q in range(len(rows)):
-        for r in range(start[rows[q]], start[rows[q] + 1]):
-            place[boxes[r]] = 0
-    used = np.flatnonzero(place == 0)
-    for k in range(len(used)):
-        place[used[k]] = k
-    for r in range(len(boxes)):
-        boxes[r] = place[boxes[r]]
-    return used
-
-
-@njit(cache=True, nogil=True)
 def contact_forces(
     dt: float, tiny: float, stiffness: float, tangential: float, mu: float, xp: Floats, vp: Floats, rows: Ints, boxes: Ints,
     facet_ids: Ints, nearest: Ints, foot: Floats, gaps: Floats, ignored: Floats, facets: Ints, x: Floats, v: Floats, f_point: Floats,
-    f_node: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats, depth: Floats,
+    f_node: Floats, node: Ints, active: int, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats,
+    depth: Floats,
 ) -> None:  # fmt: skip
     """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
 
@@ -301,6 +286,7 @@ def contact_forces(
     receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the step, touching points].
     depth (n,): penetration in m, 0 where there is none. The friction pair acts across the gap between the two surfaces; its moment is
     balanced by a couple on the triangle's nodes, and the slip it works on excludes the triangle's own rotation.
+    node (n,): of each point, where points are nodes, of which the first `active` move: springs between others stay as they are.
     """
     sums[0] = sums[1] = sums[2] = sums[3] = 0.0
     for q in range(len(rows)):
@@ -310,6 +296,9 @@ def contact_forces(
             spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
         fid = facet_ids[boxes[nearest[i]]]
+        t = facets[fid]
+        if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
+            continue
         gap = gaps[i]
         pen = -gap - ignored[i]
         if pen <= 0.0:
@@ -322,7 +311,6 @@ def contact_forces(
                 spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
         p = xp[i]
-        t = facets[fid]
         A, B, C = x[t[0]], x[t[1]], x[t[2]]
         w0, w1, w2 = foot[i, 0], foot[i, 1], foot[i, 2]
         if abs(gap) > tiny:
@@ -431,8 +419,8 @@ def look_of_sides(
 @njit(cache=True, nogil=True)
 def forces_of_sides(
     dt: float, mu: float, share: float, spans: Ints, numbers: Floats, rows: Ints, boxes: Ints, ids: Ints, node_of: Ints, facets:
-    Ints, x: Floats, v: Floats, f: Floats, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats, depth:
-    Floats, ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
+    Ints, x: Floats, v: Floats, f: Floats, active: int, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats,
+    depth: Floats, ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """`contact_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
     for s in range(len(spans)):
@@ -443,8 +431,8 @@ def forces_of_sides(
                 fp[p + row, d] = 0.0
         contact_forces(
             dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1],
-            nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], facets[t:t1], x, v, fp[p:p1], f, spring[p:p1], heat_point[p:p1],
-            heat_facet[t:t1], share, sums[s], depth[p:p1],
+            nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], facets[t:t1], x, v, fp[p:p1], f, node_of[p:p1], active, spring[p:p1],
+            heat_point[p:p1], heat_facet[t:t1], share, sums[s], depth[p:p1],
         )  # fmt: skip
         for row in rows[r:r1]:
             add(f, node_of[p + row], fp[p + row, 0], fp[p + row, 1], fp[p + row, 2])

@@ -117,12 +117,15 @@ class PointContact:
         return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
 
     def search(
-        self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None, always: np.ndarray | None = None
-    ) -> None:  # fmt: skip
+        self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None, always: np.ndarray | None = None,
+        nodes: np.ndarray | None = None, active: int = 0,
+    ) -> float:  # fmt: skip
         """Find the pairs that can touch before the surfaces have moved `travel` m against each other.
 
         xp (n,3) points, x (N,3) nodes. among: places in `facets` of those that come into question (default: all). always: points that
-        `rows` has in any case. Raises SolverError when the positions are no longer numbers.
+        `rows` has in any case. nodes (n,): that the points are, where only the first `active` ones move: a point keeps its forces and
+        is not among `rows` where neither it nor a facet near it moves. Returns the number of active nodes from which on the search no
+        longer holds. Raises SolverError when the positions are no longer numbers.
         """
         ids = np.arange(len(self.facets)) if among is None else among
         if not (np.isfinite(xp).all() and np.isfinite(x).all()):
@@ -153,13 +156,28 @@ class PointContact:
         self._start, self._boxes = k.reachable(
             self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
         )
-        self._ids = self._ids[k.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
-        self._note_corners(x)
         away = np.ones(len(xp), bool)
         away[self.rows] = False
+        holds = self._leave_at_rest(nodes, active, travel, xp) if nodes is not None else np.inf
+        self._ids = self._ids[broad.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
+        self._note_corners(x)
         self.depth[away] = 0.0
         away[rows] = False  # what has no candidate is outside
         self.ignored[away] = 0.0
+        return holds
+
+    def _leave_at_rest(self, nodes: np.ndarray, active: int, travel: float, xp: np.ndarray) -> float:
+        """Take out of `rows` what does not move, see `search`."""
+        rows = self.rows
+        first = np.minimum(nodes[rows], broad.least_corners(rows, self._start, self._boxes, self._ids, self.facets))
+        still = first >= active
+        if not still.any():
+            return np.inf
+        self.rows = rows[~still]
+        self._start, self._boxes = k.reachable(
+            self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
+        )
+        return float(first[still].min())
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
@@ -222,11 +240,12 @@ class PointContact:
         k.contact_forces(
             dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
             self._boxes, self._ids, self._nearest, self._foot, self.gap, self.ignored, self.facets, x, v, f_point, f_node,
-            self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
+            _NO_NODES, 0, self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
         self.friction_heat += float(self.sums[2])
 
 
+_NO_NODES = np.zeros(0, np.int64)  # points that are no nodes all move
 _OF_POINT = ("spring", "depth", "ignored", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap")
 _OF_FACET = ("facets", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
@@ -250,6 +269,9 @@ class SideBySide:
                 self._whole[name] = _joined([getattr(c, name) for c in contacts])
                 for c, lo, hi in zip(contacts, bounds, bounds[1:], strict=False):
                     setattr(c, name, self._whole[name][lo:hi])
+        points = np.diff(self.bounds)
+        self._stiffness = np.repeat([c.stiffness for c in contacts], points)
+        self._tangential = np.repeat([c.tangential for c in contacts], points)
         self._x, self._v, self._f = np.zeros((3, len(self.node_of), 3))
         self.arrange([])
 
@@ -296,8 +318,17 @@ class SideBySide:
             near["_places"],
         )
 
-    def forces(self, dt: float, x: Floats, v: Floats, f: Floats) -> None:
-        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3)."""
+    @property
+    def energy(self) -> float:
+        """Energy stored in the penalty and friction springs of all contacts, J."""
+        w = self._whole
+        squares = self._stiffness * w["depth"] ** 2 + np.einsum("ij,ij->i", w["spring"], w["spring"]) / self._tangential
+        return 0.5 * float(squares.sum())
+
+    def forces(self, dt: float, x: Floats, v: Floats, f: Floats, active: int) -> None:
+        """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3).
+
+        active: nodes that move, the first ones; pairs of others keep what their springs hold."""
         if not self._active:
             return
         w, near, own = self._whole, self._searched, self._active[0]
@@ -316,7 +347,7 @@ class SideBySide:
             self._active[i]._drop(self._lost[i])
         k.forces_of_sides(
             dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self.node_of, w["facets"], x, v, f,
-            self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"],
+            active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"],
             w["heat_point"], w["heat_facet"], self._sums,
         )  # fmt: skip
         for c, slip in zip(self._active, self._sums[:, 2].tolist(), strict=True):

@@ -179,7 +179,8 @@ def _run_for(bodies: Bodies, time: float) -> float:
 def _search(bodies: Bodies, dt: float) -> None:
     t = bodies.target
     fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
-    bodies.search(3.0 * fastest * SEARCH_EVERY * dt + WAY * float(np.cbrt(t.mesh.V0.min())))
+    time = SEARCH_EVERY * dt
+    bodies.search(3.0 * fastest * time + WAY * float(np.cbrt(t.mesh.V0.min())), time=time)
 
 
 def _step(bodies: Bodies, dt: float) -> None:

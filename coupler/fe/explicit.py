@@ -187,6 +187,10 @@ class Target:
         elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
+    def active_after(self, time: float) -> int:
+        """How many nodes are active at the end of the next `time` s."""
+        return self._active_counts(self.reach + self.wave_speed * time)[0]
+
     def _activate(self, dt: float) -> None:
         """Advance the front of active elements by dt s, ahead of the waves, and activate what it reaches."""
         self.reach += self.wave_speed * dt

@@ -89,13 +89,13 @@ class Bodies:
 
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
-    def search(self, travel: float, by_speed: bool = False) -> None:
-        """Find what can touch before surfaces have moved `travel` m, slow ones less where that is by_speed; give the heat of friction
-        and fracture to the elements."""
+    def search(self, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
+        """Find what can touch before surfaces have moved `travel` m, slow ones less where that is by_speed, among what waves reach
+        in `time` s; give the heat of friction and fracture to the elements."""
         self.release_heat()
         if self.contact is not None:
             v = self.target.v if by_speed else None
-            self.contact.search(self.target.x, travel, self.bond, self.target.active_nodes, v)
+            self.contact.search(self.target.x, travel, self.bond, self.target.active_after(time), v)
 
     def release_heat(self) -> None:
         """Give the heat of friction and fracture since the last call to the elements."""
@@ -111,7 +111,7 @@ class Bodies:
         """Add what bodies do to each other at this instant to the target's outer forces."""
         t = self.target
         if self.contact is not None:
-            self.contact.forces(dt, t.x, t.v, t.f_ext)
+            self.contact.forces(dt, t.x, t.v, t.f_ext, t.active_nodes)
         if self.bond is not None:
             self.bond.forces(t.x, t.f_ext)
 

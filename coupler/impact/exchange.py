@@ -134,7 +134,8 @@ class Impact:
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
-        self.bodies.search(3.0 * self._fastest() * WINDOW * self.particle.totals.dt, by_speed=True)
+        time = 3.0 * WINDOW * self.particle.totals.dt
+        self.bodies.search(self._fastest() * time, by_speed=True, time=time)
 
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""
