@@ -191,7 +191,7 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
     place = point_of_impact(whole, planned.impacts[0].offset)
     positions = []
     for bodies in (whole.renumbered(place), cut_out(whole, place, planned.impacts[0].window)[0]):
-        prepare(planned, 0, bodies)
+        prepare(planned, 0, bodies, place)
         domains = build_domains(planned, 0, bodies)
         impact = Impact(domains)
         try:

@@ -322,6 +322,8 @@ class SideBySide:
     def energy(self) -> float:
         """Energy stored in the penalty and friction springs of all contacts, J."""
         w = self._whole
+        if not self._contacts:
+            return 0.0
         squares = self._stiffness * w["depth"] ** 2 + np.einsum("ij,ij->i", w["spring"], w["spring"]) / self._tangential
         return 0.5 * float(squares.sum())
 

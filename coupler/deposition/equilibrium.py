@@ -50,6 +50,9 @@ class Known:
         return self._grid[1]
 
 
+BACK = 20  # steps in which nodes that are held are moved
+
+
 def settle(
     bodies: Bodies,
     kinetic_0: float,
@@ -57,13 +60,15 @@ def settle(
     ramp: bool = False,
     radius: float = np.inf,
     known: Known | None = None,
+    back: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
     kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
     after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
     numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
-    there too. known: of an equilibrium of these bodies before, and for the next.
+    there too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m
+    they are moved meanwhile.
     This time is not part of the simulated time: no heat is conducted during it. Returns what it took and what was
     left. Raises SolverError when a tetrahedron inverts.
     """
@@ -77,7 +82,7 @@ def settle(
     try:
         with t.active_within(radius, RELAX_STEP):
             with t.quasi_static():
-                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known())
+                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
             taken = held - _held(bodies)
             released = _run_for(bodies, release_time)
             t.rest()
@@ -93,11 +98,15 @@ def _held(bodies: Bodies) -> float:
     return t.elastic() + float(t.sums[0]) + bodies.energy
 
 
-def _relax(bodies: Bodies, enough: float, ramp: bool, known: Known) -> dict[str, float]:
-    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known: see `settle`."""
+def _relax(
+    bodies: Bodies, enough: float, ramp: bool, known: Known, back: tuple[np.ndarray, np.ndarray] | None
+) -> dict[str, float]:
+    """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
     portion, portions = t.heat[:m] / RAMP, RAMP if ramp else 0
+    moved, moving = back if back is not None else (np.zeros(0, np.int64), np.zeros((0, 3)))
+    goal, moving_for = t.x[moved] + moving, BACK if len(moved) else 0
     if ramp:
         t.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
@@ -117,13 +126,14 @@ def _relax(bodies: Bodies, enough: float, ramp: bool, known: Known) -> dict[str,
             np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
             if steps < portions:
                 t.heat[:m] += portion
+            t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
             _step(bodies, dt)
             steps += 1
             along = grid.acceleration(t.total[:n])
             kinetic, omega2 = _lowest(t, momentum, before, free, dt)
             before[:] = t.total[:n]
             damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
-            if steps > max(2 * SEARCH_EVERY, portions):
+            if steps > max(2 * SEARCH_EVERY, portions, moving_for):
                 left = max(kinetic, _loose(t, along, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
         return {"settle_steps": float(steps), "left_J": float(left)}
     finally:

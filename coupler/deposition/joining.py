@@ -9,6 +9,7 @@ import numpy as np
 from ..contact.overlap import overlaps
 from ..errors import SolverError
 from ..fe.assemble import BodyState, Point
+from ..fe.explicit import Target
 from ..files.summary import Values
 from ..impact.bodies import Bodies, level_under
 from ..impact.domains import Domains
@@ -25,7 +26,7 @@ from .mass_scaling import prepare
 from .pause import pause
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
-REST = 1.75  # windows round an impact in which equilibrium is found after it
+REST = 2.25  # windows round an impact in which equilibrium is found after it
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 
@@ -56,7 +57,8 @@ def join(
         if place is None:
             new, report["detached"] = without_detached(plan, new, i + 1, "impact")
         new.target.window(radius)
-        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan))}
+        back = _way_back(bodies.target, new.target)
+        report |= {"rebounded": True, "bodies": 0, **settle(new, kinetic_0, release_time(plan), back=back)}
         return (new if place else _ready(plan, i, new, origin, kinetic_0, report)), report
     progress.stage("meshing the splat")
     cloud = cloud_of(domains)
@@ -87,7 +89,7 @@ def join(
     }  # fmt: skip
     progress.stage("bringing splat and target to rest")
     new.target.window(radius)
-    report |= settle(new, kinetic_0, release_time(plan))
+    report |= settle(new, kinetic_0, release_time(plan), back=_way_back(bodies.target, new.target))
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
             f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
@@ -119,6 +121,18 @@ def point_of_impact(bodies: Bodies, offset: tuple[float, float], domains: Domain
         surface = domains.surface
         z = max(z, level_under(axis, surface.positions(domains.particle.x), surface.triangles, 0.0))
     return (*offset, z if np.isfinite(z) else 0.0)
+
+
+def _way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
+    """The nodes (k,) of a target that were at the elastic edge of the window before, and the way (k,3) m that leads them back to where
+    they were at rest: what lies beyond the edge has not moved."""
+    if before.edge is None:
+        return None
+    number, place = now.node_number, np.full(1 + int(before.node_number.max()), -1)
+    known = np.flatnonzero(number >= 0)
+    place[number[known]] = known
+    nodes = place[before.node_number[before.edge.nodes]]
+    return nodes, before.edge.rest - now.x[nodes]
 
 
 def _ready(plan: Plan, i: int, bodies: Bodies, origin: Point, kinetic_0: float, report: Values) -> Bodies:

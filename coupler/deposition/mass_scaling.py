@@ -1,8 +1,8 @@
 """What keeps the cost of an impact from growing much with the number of those before it: heavier small elements, a window.
 
 A few elements of splats that others have crushed would dictate the time step of all impacts to come: they are made heavier, by
-a small share of a particle's mass in all and at rest, which changes no energy and no momentum. And what is far from the impact
-keeps still (`Target.window`): it is in equilibrium, and no wave that matters comes back from there.
+a small share of a particle's mass in all and at rest, which changes no energy and no momentum. And what is far from the impact is not
+computed (`Target.window`): it is in equilibrium, and answers as an elastic body.
 """
 
 import math
@@ -10,17 +10,18 @@ import math
 import numpy as np
 
 from ..fe import kernels
+from ..fe.assemble import Point
 from ..impact.bodies import Bodies
 from ..plan.planning import Plan
 from ..sph.inertia import ENOUGH
 
 
-def prepare(plan: Plan, i: int, bodies: Bodies) -> dict[str, float]:
-    """Make bodies at rest, numbered outwards from where impact i comes, ready for it; what was done, for the report."""
+def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> dict[str, float]:
+    """Make bodies at rest, numbered outwards from the place (m) where impact i comes, ready for it; what was done, for the report."""
     report = scale_masses(bodies, *_allowed(plan, i)) if i and plan.mass_scaling else {}
     radius = plan.impacts[i].window
     if math.isfinite(radius):
-        report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius)}
+        report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius, place and np.array(place))}
     return report
 
 

@@ -74,7 +74,7 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
         if kept is not None:
             store.go_on(kept.store, log)
         bodies = restored_target(plan, running.impact.bodies if running is not None else task.bodies)
-        prepared = prepare(plan, i, bodies) if running is None or kept is None else kept.prepared
+        prepared = prepare(plan, i, bodies, task.place) if running is None or kept is None else kept.prepared
         last = running
 
         def save(state: RunningState | None, result: TaskResult | None = None) -> None:

@@ -30,12 +30,23 @@ def dashpots(
     return nodes, matrix[nodes]
 
 
+def together_with(
+    nodes: np.ndarray, matrix: np.ndarray, others: np.ndarray, more: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and matrices (k,3,3) of both, added up where a node is among both."""
+    both = np.union1d(nodes, others)
+    total = np.zeros((len(both), 3, 3))
+    total[np.searchsorted(both, nodes)] += matrix
+    total[np.searchsorted(both, others)] += more
+    return both, total
+
+
 def foundation(mesh: TetMesh, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The static stiffness of a half-space at the facets HALF_SPACE: nodes (k,) and a matrix (k,3,3) N/m of each. G (m,) Pa.
 
     What a coating does to its substrate is in balance with itself: its displacements fall with the square of the distance R, u ~ R^-2.
     Of a centre of dilatation the traction is then -4 G u / R, normal to a sphere; the tangential stiffness is half of that, as in
-    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 77). R is reckoned from the mesh's axis at z = 0.
+    viscous-spring boundaries (Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93). R is reckoned from the mesh's axis at z = 0.
     """
     ids = mesh.sets.get(HALF_SPACE, np.zeros(0, np.int64))
     matrix = np.zeros((len(mesh.points), 3, 3))

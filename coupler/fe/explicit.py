@@ -20,12 +20,12 @@ from ..state.loops import PARTS
 from ..state.records import assign, collect, fill_rows
 from ..state.threads import share, together
 from . import kernels as k
-from .boundary import HALF_SPACE, dashpots, foundation, nodes_of
+from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
 from .heat import Conduction, take_heat
-from .mesh import TetMesh
+from .mesh import TetMesh, inverted
 from .stability import HighestFrequency, Springs
 from .state import ElementState, NodeState, TargetState
-from .window import LAYER, layer, outside
+from .window import LAYER, Edge, layer, outside
 
 LINEAR_VISCOSITY = 0.06
 QUADRATIC_VISCOSITY = 1.2
@@ -108,6 +108,7 @@ class Target:
         self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = nodes_of(mesh, fixed)
         self.horizon = np.inf
+        self.edge: Edge | None = None
         self._weigh()
         own = self.laws[self.law_of]
         self.dashpot_nodes, self.dashpot = dashpots(
@@ -155,8 +156,9 @@ class Target:
         self.inertia[:] = inertia
         self._weigh()
 
-    def window(self, radius: float) -> int:
-        """Compute nothing farther than `radius` m from the point of impact, and damp waves before it (`fe.window`).
+    def window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
+        """Compute nothing farther than `radius` m from the point of impact (`fe.window`). origin (3,) m: that point, for an edge that
+        is elastic, at rest where it is or at rest (k,3) m; None: the edge is held, and waves are damped before it.
 
         What is there must be at rest, in equilibrium. For good: the bodies of the next impact are a new target. Returns how many
         elements are within.
@@ -165,14 +167,17 @@ class Target:
         n, m = self._active_counts(np.inf)
         if m == len(self.mesh.conn):
             return m
-        self.fixed = np.union1d(self.fixed, outside(self.mesh, m, n))
+        beyond = outside(self.mesh, m, n)
+        if origin is None:
+            nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
+            damping = (rate * self.mass[nodes])[:, None, None] * np.eye(3)
+        else:
+            among = np.setdiff1d(beyond, np.union1d(self.fixed, self.spring_nodes))
+            self.edge = Edge.of(self, m, among, origin, rest)
+            beyond, nodes, damping = np.setdiff1d(beyond, self.edge.nodes), self.edge.nodes, self.edge.damping
+        self.fixed = np.union1d(self.fixed, beyond)
         self.inv_mass[self.fixed] = 0.0
-        nodes, rate = layer(self.mesh, radius, n, self.wave_speed / AHEAD)
-        matrices = np.zeros((len(self.mass), 3, 3))
-        matrices[self.dashpot_nodes] = self.dashpot
-        matrices[nodes] += (rate * self.mass[nodes])[:, None, None] * np.eye(3)
-        self.dashpot_nodes = np.union1d(self.dashpot_nodes, nodes)
-        self.dashpot = matrices[self.dashpot_nodes]
+        self.dashpot_nodes, self.dashpot = together_with(self.dashpot_nodes, self.dashpot, nodes, damping)
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.deactivate_beyond(self.reach)
         return m
@@ -249,7 +254,7 @@ class Target:
             smallest, sums,
         )  # fmt: skip
         if smallest.min() <= 0.0:
-            raise SolverError(self._inverted())
+            raise SolverError(inverted(self))
         self.sums += sums.sum(axis=0)
         if self.conduction is not None:
             self.conduction.advance(dt, self)
@@ -267,6 +272,10 @@ class Target:
             power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.v, self.drag, self.total)
             self.absorbed -= 0.5 * dt * power
             self.support += motion.sum_over(0, len(self.drag), self.drag)
+        if self.edge is not None:
+            pull = self.edge.pull(self.x)
+            self.total[self.edge.nodes] += pull
+            self.support += pull.sum(axis=0)
         if len(self.spring_nodes):
             active = self.spring_nodes < n  # what is inactive is in balance with its springs
             nodes = self.spring_nodes[active]
@@ -284,8 +293,9 @@ class Target:
         """Everything that makes the target go on as if nothing had happened. The mesh is not in it."""
         nodes, elements = collect(NodeState, self), collect(ElementState, self)
         return collect(
-            TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state()
-        )
+            TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state(),
+            edge=self.edge and self.edge.state(),
+        )  # fmt: skip
 
     def restore(self, state: TargetState) -> None:
         """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
@@ -294,12 +304,14 @@ class Target:
             raise CheckpointError("a state does not fit: the target has another number of nodes or elements")
         self.scale_masses(state.inertia)
         if state.horizon != self.horizon:
-            self.window(state.horizon)
+            self.window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
         for record in (state, state.nodes, state.elements):
             assign(self, record)
         self._weigh()
+        if self.edge is not None:
+            self.edge = self.edge.loaded(self, self._active_counts(np.inf)[1])
         if (self.conduction is None) != (state.conduction is None):
             raise CheckpointError("a state does not fit: heat is conducted in one of target and state")
         if self.conduction is not None and state.conduction is not None:
@@ -389,11 +401,13 @@ class Target:
         return self.mass @ self.velocity()
 
     def elastic(self) -> float:
-        """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of the half-space."""
+        """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of half-space and edge."""
         m = len(self.mesh.conn)  # inactive elements may be under stress
         shear = k.elastic_shear_energy(0, m, self.volume, self.mesh.V0, self.laws, self.law_of, self.s)
         way = self.x[self.spring_nodes] - self.spring_rest
         shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
+        if self.edge is not None:
+            shear += self.edge.energy(self.x)
         pending = float(np.sum(self.heat))  # reaches the nodes in the next step
         return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
 
@@ -428,14 +442,3 @@ class Target:
         sigma = self.s.copy()
         sigma[:, :3] -= self.p[self.mesh.conn].mean(axis=1)[:, None]
         return sigma
-
-    def _inverted(self) -> str:
-        e = int(np.argmin(self.volume[: self.active_elements]))
-        x, y, z = self.x[self.mesh.conn[e]].mean(axis=0) * 1e6
-        body = int(self.law_of[e])  # each has a law of its own; those after the first are splats
-        within = f", in splat{body}," if body else ""
-        remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"
-        return (
-            f"element {e} of the target{within} inverted at t = {self.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um: try"
-            f" {remedy} or a smaller dt"
-        )

@@ -47,6 +47,7 @@ class FiniteElements(Protocol):
     x: np.ndarray
     J: np.ndarray
     volume: np.ndarray
+    fe: np.ndarray
     T: np.ndarray
     heat: np.ndarray
     sigma_y: np.ndarray
@@ -54,6 +55,7 @@ class FiniteElements(Protocol):
     mass: np.ndarray
     inv_mass: np.ndarray
     dt_of: np.ndarray
+    time: float
     active_nodes: int
     active_elements: int
 
@@ -114,3 +116,16 @@ def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]
     top = np.all(z > high - close, axis=1)
     bottom = np.all(z < low + close, axis=1)
     return {"top": np.flatnonzero(top), "bottom": np.flatnonzero(bottom), "sides": np.flatnonzero(~top & ~bottom)}
+
+
+def inverted(t: FiniteElements) -> str:
+    """What is said of the most inverted element of a target."""
+    e = int(np.argmin(t.volume[: t.active_elements]))
+    x, y, z = t.x[t.mesh.conn[e]].mean(axis=0) * 1e6
+    body = int(t.law_of[e])  # each has a law of its own; those after the first are splats
+    within = f", in splat{body}," if body else ""
+    remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"
+    return (
+        f"element {e} of the target{within} inverted at t = {t.time * 1e9:.3f} ns near ({x:.2f}, {y:.2f}, {z:.2f}) um: try"
+        f" {remedy} or a smaller dt"
+    )

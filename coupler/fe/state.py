@@ -47,19 +47,28 @@ class ElementState:
 
 
 @dataclass(frozen=True)
+class EdgeState:
+    """Of an elastic edge (`fe.window.Edge`): origin (3,) m and where its nodes are at rest, (k,3) m."""
+
+    origin: Annotated[np.ndarray, Shape(3)]
+    rest: Annotated[np.ndarray, Shape(-1, 3)]
+
+
+@dataclass(frozen=True)
 class TargetState:
     """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
 
     inertia (m,): factor on the mass of each element; force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at
     the time they became inactive; drag (d,3) N: of the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work,
     work of the bulk viscosity, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
-    active_nodes, active_elements: how many are computed.
+    active_nodes, active_elements: how many are computed. edge: of a window, where that is elastic.
     """
 
     nodes: NodeState
     elements: ElementState
     conduction: ConductionState | None
     highest: FrequencyState | None
+    edge: EdgeState | None
     internal_work: float
     absorbed: float
     dt_last: float

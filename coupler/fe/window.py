@@ -1,14 +1,20 @@
-"""A window on the target: what lies beyond a radius round the impact is at rest, and a layer before it damps waves.
+"""A window on the target: what lies beyond a radius round the impact is not computed.
 
-Nodes on the window's edge are held, so that what is outside neither moves nor strains, and only has to be added up once: the forces
-of its resting elements are in equilibrium. Before the edge a layer takes velocity away, with a rate that grows with the square of the
-depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
+The forces of its resting elements are in equilibrium and have to be added up only once. In an impact the nodes on the window's edge
+have springs and dashpots, which stand for what goes on beyond it (`Edge`). In a relaxation they are held, and before them a layer
+takes velocity away, with a rate that grows with the square of the depth into it (Israeli & Orszag 1981, J. Comput. Phys. 41, 115).
 """
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .mesh import TetMesh
+from ..geometry.tetrahedra import boundary_faces
+from ..geometry.triangles import areas_and_normals
+from .mesh import FiniteElements, TetMesh
+from .state import EdgeState
 
+NORMAL = 2.0  # stiffness of the edge along the radius, over G / R
 LAYER = 0.2  # of the radius
 ABSORBED = 3.0  # wave speeds over the layer's thickness, the rate at its end: a dashpot of rho c to long waves
 
@@ -26,3 +32,92 @@ def layer(mesh: TetMesh, radius: float, nodes: int, wave_speed: float) -> tuple[
     depth = (mesh.reach_node[:nodes] - (radius - thickness)) / thickness
     inside = np.flatnonzero(depth > 0.0)
     return inside, ABSORBED * wave_speed / thickness * np.minimum(depth[inside], 1.0) ** 2
+
+
+@dataclass(frozen=True)
+class Edge:
+    """Springs and dashpots at the edge of a window, for waves and static displacements of a source at `origin` (3,) m.
+
+    A viscous-spring boundary (Deeks & Randolph 1994, J. Eng. Mech. 120, 25; Liu et al. 2006, Earthq. Eng. Eng. Vib. 5, 93): on each
+    area of a sphere of radius R stiffness NORMAL G / R along the radius and half of that across it, damping rho c_p and rho c_s. nodes
+    (k,); rest (k,3) m: where they are at rest; origin (3,) m; stiffness (k,3,3) N/m; damping (k,3,3) kg/s;
+    load (k,3) N: force of what lies beyond, at rest.
+    """
+
+    nodes: np.ndarray
+    rest: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    load: np.ndarray
+    origin: np.ndarray
+
+    @classmethod
+    def of(
+        cls, t: FiniteElements, elements: int, among: np.ndarray, origin: np.ndarray, rest: np.ndarray | None = None
+    ) -> "Edge":
+        """The edge of the first `elements` of a target, at those nodes `among` (a,) that have a facet there. rest (k,3) m: where its
+        nodes are at rest, if that is not where they are."""
+        n = len(t.x)
+        chosen = np.zeros(n, bool)
+        chosen[among] = True
+        faces, behind = boundary_faces(t.mesh.conn[:elements])
+        cut = chosen[faces].all(axis=1) & ~np.isin(_keys(faces, n), _keys(t.mesh.facets, n))
+        faces, law = faces[cut], t.laws[t.law_of[behind[cut]]]
+        nodes, x = np.unique(faces), t.x
+        if rest is not None:
+            x = x.copy()
+            x[nodes] = rest
+        area, normal = areas_and_normals(x, faces)
+        away = x[faces].mean(axis=1) - origin
+        R = np.linalg.norm(away, axis=1)
+        radial = away / R[:, None]
+        area = area * np.einsum("ij,ij->i", normal, radial)  # of a ragged edge that on the sphere
+        c_p, c_s = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"]), np.sqrt(law["G"] / law["rho"])
+        spring, dashpot = (
+            _of_nodes(faces, area, radial, along, across, n)[nodes]
+            for along, across in (
+                (NORMAL * law["G"] / R, 0.5 * NORMAL * law["G"] / R),
+                (law["rho"] * c_p, law["rho"] * c_s),
+            )
+        )
+        return cls(nodes, x[nodes], spring, dashpot, np.zeros((len(nodes), 3)), origin).loaded(t, elements)
+
+    def loaded(self, t: FiniteElements, elements: int) -> "Edge":
+        """The same with the forces of what lies beyond the first `elements` now."""
+        load = np.zeros((len(t.x), 3))
+        np.add.at(load, t.mesh.conn[elements:].ravel(), t.fe[elements:].reshape(-1, 3))
+        return replace(self, load=load[self.nodes])
+
+    def state(self) -> EdgeState:
+        """That from which `of` makes the same edge again."""
+        return EdgeState(self.origin, self.rest)
+
+    def pull(self, x: np.ndarray) -> np.ndarray:
+        """Forces (k,3) N of the springs where the nodes are at x (N,3) m."""
+        return -np.einsum("aij,aj->ai", self.stiffness, x[self.nodes] - self.rest)
+
+    def energy(self, x: np.ndarray) -> float:
+        """What the springs hold, less the work of what lies beyond at rest, J."""
+        way = x[self.nodes] - self.rest
+        return float(0.5 * np.einsum("ai,aij,aj->", way, self.stiffness, way) - np.einsum("ai,ai->", self.load, way))
+
+
+def _keys(faces: np.ndarray, n: int) -> np.ndarray:
+    """A number for each triangle (k,3) of n nodes that does not depend on the order of its corners."""
+    a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
+    return (a * n + b) * n + c
+
+
+def _of_nodes(
+    faces: np.ndarray, area: np.ndarray, radial: np.ndarray, along: np.ndarray, across: np.ndarray, n: int
+) -> np.ndarray:
+    """Matrices (n,3,3): a third of (along r r^T + across (1 - r r^T)) area of each facet to its nodes; none where the areas of a node
+    add up to less than nothing."""
+    rr = radial[:, :, None] * radial[:, None, :]
+    share = (area / 3.0)[:, None, None] * (along[:, None, None] * rr + across[:, None, None] * (np.eye(3) - rr))
+    matrix, own = np.zeros((n, 3, 3)), np.zeros(n)
+    for i in range(3):
+        np.add.at(matrix, faces[:, i], share)
+        np.add.at(own, faces[:, i], area)
+    matrix[own <= 0.0] = 0.0
+    return matrix

@@ -18,7 +18,7 @@ LEAST_POINTS = 200
 ELEMENT_SIZE_OVER_SPACING = 1.7
 REFINED_RADIUS_OVER_DIAMETER = 0.55  # the part of the target with the smallest elements
 
-WINDOW_OVER_DIAMETER = 2.25  # radius round an impact within which the target of many impacts is computed
+WINDOW_OVER_DIAMETER = 1.75  # radius round an impact within which the target of many impacts is computed
 MANY = 10  # particles from which on that is done
 CAP = 3.0  # heights over velocity that an impact may take, or what is longer of ...
 SLIDES = 1.5  # ... heights over the velocity towards the target: beyond 60 degrees that is more

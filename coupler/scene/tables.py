@@ -276,7 +276,7 @@ class Spray(Section):
 
 
 class Substrate(Section):
-    """The target, a cylinder whose top is the surface. SI units. window: radius (m) round each impact beyond which it rests."""
+    """The target, a cylinder whose top is the surface. SI units. window: radius (m) of what is computed round each impact."""
 
     material: str
     diameter: Annotated[float, Quantity("um", "3 um", "5000 um")] = 200e-6
