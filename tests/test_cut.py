@@ -15,15 +15,18 @@ from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.run import resume, run
+from coupler.deposition.task import Task, run_task
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
+from coupler.impact.run import RunOptions
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.batches import Landing, batches, side_by_side
 from coupler.plan.planning import plan
+from coupler.progress import Progress
 from coupler.sph.inertia import ENOUGH
 from coupler.state.records import rows_of
 
@@ -203,6 +206,31 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
             domains.particle.close()
     for on_whole, on_cut in zip(*positions, strict=True):
         np.testing.assert_array_equal(on_cut, on_whole)
+
+
+def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Path) -> None:
+    """What lies beyond has not moved: so the cut can be put back."""
+    planned = plan(Scene.from_text(SIDE, "x"))
+    whole = build_target(planned).renumbered((0.0, 0.0, 0.0))
+    place = point_of_impact(whole, planned.impacts[0].offset)
+    part, cut = cut_out(whole, place, planned.impacts[0].window)
+    moved: list[float] = []
+    rest: dict[int, np.ndarray] = {}
+
+    def watch(impact: Impact) -> None:
+        t = impact.target
+        assert t.edge is not None
+        rest.update(zip(t.node_number[t.edge.nodes].tolist(), t.edge.rest, strict=True))
+        moved.append(float(np.abs(t.x[t.edge.nodes] - t.edge.rest).max()))
+
+    options = RunOptions(Progress(True), tmp_path / "log", probe=watch)
+    result = run_task(Task(planned, 0, part.state(), place, tmp_path / "task", {}), options)
+    assert max(moved) > 1e-9
+    after = result.bodies.target.nodes
+    place_of = {number: i for i, number in enumerate(after.node_number.tolist()) if number >= 0}
+    x = np.array([after.x[place_of[number]] for number in rest])
+    np.testing.assert_allclose(x, np.array(list(rest.values())), rtol=0.0, atol=1e-18)
+    assert np.isin(list(rest), cut.nodes).all()
 
 
 @pytest.mark.parametrize(("after", "jobs"), [(0, 2), (2, 1)])
