@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from coupler.errors import SceneError
 from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.report.picture import _most_cut
+from coupler.studies import coating_growth
 from coupler.studies.coating import Columns, Splats, measure, over_depth, per_layer, read, roughness
 from coupler.studies.coating_growth import growth
 
@@ -201,6 +203,16 @@ def test_layers_depth_and_efficiency(built: Splats) -> None:
         row["sigma_p5"] - 1.0 <= 0.5 * (row["sigma_xx"] + row["sigma_yy"]) <= row["sigma_p95"] + 1.0 for row in by_depth
     )
     assert built.deposition_efficiency == pytest.approx(0.75)
+
+
+@pytest.mark.parametrize(("finished", "rows"), [(1, 1), (60, 60), (500, 60)])
+def test_growth_over_many_impacts_has_sixty_rows(monkeypatch: pytest.MonkeyPatch, finished: int, rows: int) -> None:
+    read = lambda _, number=finished + 1: SimpleNamespace(finished=number - 1)  # noqa: E731
+    monkeypatch.setattr(coating_growth, "read", read)
+    monkeypatch.setattr(coating_growth, "row", lambda built, _: {"impacts": built.finished})
+    numbers = [each["impacts"] for each in growth(None, 1.0)]  # type: ignore[arg-type]
+    assert len(numbers) == len(set(numbers)) == rows
+    assert (numbers[0], numbers[-1]) == (1, finished)
 
 
 def test_growth_has_a_row_for_each_impact(

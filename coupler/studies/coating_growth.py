@@ -12,14 +12,17 @@ from ..report.picture import MICRO, blank, save
 from .coating import COLUMN, Splats, read, shape, window_radius
 
 COARSE = 2.0  # times the distance of the columns: a curve needs less than the final figures
+MOST = 60  # rows
 Row = dict[str, float]
 
 
 def growth(result: Result, radius: float | None = None) -> list[Row]:
-    """A row for each finished impact (see `row`), in one window for all: radius m, by default that of the coating."""
+    """A row for each finished impact, of many for MOST of them (see `row`), in one window for all: radius m, by default that of the
+    coating."""
     built = read(result)
     radius = radius or window_radius(built)
-    rows = [row(read(result, number), radius) for number in range(2, built.finished + 1)]
+    numbers = np.unique(np.linspace(2, built.finished, min(MOST, built.finished) - 1).round().astype(int))
+    rows = [row(read(result, number), radius) for number in numbers.tolist()]
     return [*rows, row(built, radius)]
 
 
