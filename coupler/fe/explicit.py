@@ -185,7 +185,7 @@ class Target:
     @property
     def undisturbed(self) -> float:
         """Distance from the point of impact (m) up to which no window holds the target back."""
-        return (1.0 - LAYER) * self.horizon
+        return (1.0 - (0.5 * LAYER if self.edge is not None else LAYER)) * self.horizon
 
     def _active_counts(self, reach: float) -> tuple[int, int]:
         """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""

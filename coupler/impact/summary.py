@@ -136,8 +136,8 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
         )
     if recorder.in_layer:
         beyond.append(
-            f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, where the"
-            " target is held back: make substrate.window larger"
+            f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, beyond which"
+            " the target does not give way: make substrate.window larger"
         )
     return beyond
 
