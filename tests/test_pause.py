@@ -102,7 +102,7 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
     heat = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
     full = metal.E / (1 - metal.nu) * (13e-6 * (CAME - AMBIENT) + heat)
     assert 0.75 * full < sigma < 1.02 * full
-    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=1e-5 * full)
+    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=2e-5 * full)  # within COOLED
 
 
 COLD = scenes.scene(("Ni", 20, 550), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0})

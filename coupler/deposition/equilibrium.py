@@ -17,13 +17,12 @@ from ..impact.bodies import Bodies
 from ..physics import motion
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
-RELAX_SAFETY = 0.9
 SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
 RELAX_STEPS = 2500  # at most
-RAMP = 50  # steps in which a change of temperature becomes pressure
-RELAXED = 2e-5  # of the impact's kinetic energy: what may be left to be set free
+RAMP = 30  # steps in which a change of temperature becomes pressure
+RELAXED = 2e-5  # of the kinetic energy of the impacts before: what may be left to be set free
 COOLED = 1e-7  # the same after cooling: stresses within a few MPa
 LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
@@ -64,8 +63,8 @@ def settle(
 ) -> dict[str, float]:
     """Bring all bodies to rest in equilibrium; all elements are active meanwhile, and those out of reach are inactive after it.
 
-    kinetic_0: J of the impact, by which what is left is judged; release_time: s of real motion in which is measured what is set free
-    after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
+    kinetic_0: J of the impacts before, by which what is left is judged; release_time: s of real motion in which is measured what is set
+    free after all; ramp: the target's pending heat becomes pressure little by little, as in slow cooling. radius: m from where the
     numbering begins, beyond which all keeps still, unless this holds more than LOCAL of the elements; pending heat becomes pressure
     there too. known: of an equilibrium of these bodies before, and for the next. back: held nodes (k,), and by how much (k,3) m
     they are moved meanwhile.
@@ -150,7 +149,7 @@ def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float
     t = bodies.target
     n, mass = len(t.x), masses_for(t, RELAX_STEP)
     t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
-    dt = RELAX_SAFETY * highest.longest_step(t, RELAX_STEP, t.active_nodes, t.active_elements)
+    dt = highest.longest_step(t, RELAX_STEP, t.active_nodes, t.active_elements)
     for springs in (bodies.bond, bodies.contact):
         if springs is not None:
             mass += 0.25 * dt * dt * springs.load(n)

@@ -153,7 +153,7 @@ def rest(
     plan: Plan, impacts: range, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values
 ) -> Bodies:
     """The bodies after a batch of impacts and all the time until the next: heat has flowed, all is in equilibrium, and splats that are
-    not held have left. places: of the impacts, m; kinetic_0: J, of the last; report: of its joining, to which this is added.
+    not held have left. places: of the impacts, m; kinetic_0: J, of all; report: of the last one's joining, to which this is added.
 
     Where that is less than all, equilibrium is found round the places up to REST windows from them, and after a pause as far as
     temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage.

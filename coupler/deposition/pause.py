@@ -29,7 +29,7 @@ _EXACT = 1e-6  # K: to which all comes to ambient
 
 
 def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: float = np.inf) -> Values:
-    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impact before; radius: m from
+    """Let heat flow for `time` s, and bodies at rest come to equilibrium again. kinetic_0: J, of the impacts before; radius: m from
     where the numbering begins, up to which the impact has left them out of it. Returns the report.
 
     The substrate's bottom and sides are kept at its temperature, the jet heats what it reaches where the spray says so, all else is

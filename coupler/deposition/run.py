@@ -345,7 +345,7 @@ class Deposition:
             joined = {**result.joined, "elements": len(written.cells), "mass_scaling": result.prepared}
             self.joins.append(joined)
         options.progress.stage("cooling, and preparing the next impact")
-        kinetic_0 = self.records[-1].values["kinetic_energy_0_J"]
+        kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [task.place for task, _ in tasks]
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
         if self.records[-1].values["verdict"] != UNDECIDED:

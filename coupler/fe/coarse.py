@@ -22,10 +22,11 @@ from scipy.sparse.linalg import splu
 from ..state.arrays import Floats, Ints, Laws, SpringTable
 from .blocks import edge_cofactors
 from .explicit import Target
+from .products import times_rows
 
-FREQUENCY = 0.5  # omega dt of the grid's displacements: adds a sixteenth to the bound of the step, 4 / dt^2
-NODES, MOST = 150, 1000  # nodes in a box of the grid, and boxes, about
-MOST_ACROSS = 16  # boxes in one direction, at most
+FREQUENCY = 0.7  # omega dt of the grid's displacements: adds an eighth to the bound of the step, 4 / dt^2
+NODES, MOST = 100, 1500  # nodes in a box of the grid, and boxes, about: with more, solving costs what the steps save
+MOST_ACROSS = 20  # boxes in one direction, at most
 CORNERS = 8  # of a box
 LEAST = 1e-4  # of the nodes' masses, in the mass of motions that nothing resists
 ALONE = 1e-9  # of the largest mass, for points of the grid that no free node depends on
@@ -96,7 +97,8 @@ class CoarseGrid:
         _stiffness(m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
         stiff = sparse.csr_array(A)
         stiff = stiff + stiff.T + _of_half_space(P, t)
-        for springs in links:
+        if links:
+            springs = SpringTable(*map(np.concatenate, zip(*links, strict=True)))
             stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
         heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
         alone = sparse.diags_array(np.full(len(A), ALONE * heavy.diagonal().max()))
@@ -107,7 +109,7 @@ class CoarseGrid:
 
     def acceleration(self, force: np.ndarray) -> np.ndarray:
         """Acceleration (n,3) m/s2 by forces (n,3) N beside that by the masses of the nodes."""
-        return self._P @ self._inertia.solve((self._PT @ force).ravel()).reshape(-1, 3)
+        return times_rows(self._P, self._inertia.solve(times_rows(self._PT, force).ravel()).reshape(-1, 3))
 
 
 def _interpolation(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,10 +10,10 @@ to the tolerance of the linear solver.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
-from numba import njit
 from numpy.lib.recfunctions import repack_fields
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.linalg import LinearOperator, cg
@@ -21,10 +21,9 @@ from skfem import Basis, ElementTetP1, MeshTet
 
 from ..errors import SolverError
 from ..physics.constitutive import conductivities
-from ..state.arrays import Floats, Ints
-from ..state.threads import share
 from .explicit import Target
-from .heat import LEAST, gains, means, shares, take_heat
+from .heat import gains, means, shares, take_heat
+from .products import times
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 STEP_GROWTH = (
@@ -102,12 +101,13 @@ def cool(
         A = matrix.filled(GAMMA * dt * K.data * between)
         A.data[matrix.diagonal] += free * capacity + (1.0 - free)
         inverse = 1.0 / A.data[matrix.diagonal]
+        conduct = LinearOperator(A.shape, partial(times, A), dtype=float)
         jacobi = LinearOperator(A.shape, lambda r, inverse=inverse: inverse * r)
         change = fixed.copy()
         stage = np.zeros(n)
         for weight in ((1.0 - GAMMA) / GAMMA, 1.0):
             b = GAMMA * free * (source - dt * (K @ (T + change) - from_gas * T_gas))
-            stage, failed = cg(_on_two_cores(A), b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
+            stage, failed = cg(conduct, b, x0=stage, rtol=CG_TOLERANCE, maxiter=5000, M=jacobi)
             if failed:
                 raise SolverError(
                     "the heat conduction of the pause does not converge: give a shorter dwell or a finer preset"
@@ -190,27 +190,6 @@ class _Conduction:
         n, between = len(self.from_gas), self.parts @ np.append(k, k.min())
         own = np.bincount(self.low, between, n) + np.bincount(self.high, between, n) + self.from_gas
         return self.filled(np.concatenate([-between, -between, own])[self.source])
-
-
-def _on_two_cores(A: csr_matrix) -> LinearOperator:
-    """A matrix (n,n) that multiplies its rows on both cores, where there is a second thread."""
-
-    def times(x: np.ndarray) -> np.ndarray:
-        product = np.empty(len(x))
-        share(lambda lo, hi: products(lo, hi, A.indptr, A.indices, A.data, x, product), len(x), LEAST)
-        return product
-
-    return LinearOperator(A.shape, times, dtype=float)
-
-
-@njit(cache=True, nogil=True)
-def products(lo: int, hi: int, indptr: Ints, indices: Ints, data: Floats, x: Floats, product: Floats) -> None:
-    """Rows lo to hi of a sparse matrix times x (n,), into product (n,)."""
-    for i in range(lo, hi):
-        total = 0.0
-        for z in range(indptr[i], indptr[i + 1]):
-            total += data[z] * x[indices[z]]
-        product[i] = total
 
 
 def _extremes(t: Target) -> tuple[float, float]:
