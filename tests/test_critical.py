@@ -83,6 +83,18 @@ def test_sticking_at_low_velocity_is_no_critical_velocity() -> None:
     assert bracket({100.0: STICKS, 400.0: REBOUNDS, 800.0: STICKS}) == Bracket(400.0, 800.0)
 
 
+def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
+    rows = read_rows(Path(__file__).parents[1] / "docs/tables/critical_resolution.csv")
+    at = {(row["metal"], row["preset"]): float(row["critical_m_s"]) for row in rows}
+    for preset, (least, most) in critical.LOWER_AT_SMALL_SPACING.items():
+        lower = [1.0 - at[metal, "half of standard"] / at[metal, preset] for metal in ("Ni", "OFHC_Cu")]
+        assert [round(min(lower), 2), round(max(lower), 2)] == pytest.approx([least, most])
+    exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
+    assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
+    plain = Scene.load(Path(__file__).parents[1] / "workflows/critical_cu.toml")
+    assert "9 to 11 % lower velocities than at `standard`" in critical.resolution_words(plain)
+
+
 def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rebound at the lower limit, sticking at the upper one: the bracket is as wide as asked for after both."""
     file, out = tmp_path / "ni.toml", tmp_path / "out"
@@ -104,6 +116,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     assert main(call) == 0
     said = capsys.readouterr()
     assert "critical velocity" in said.out
+    assert "not in the band: the error of the resolution" in said.out
     rows = read_rows(out / "critical.csv")
     assert {row["verdict"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
     assert all((out / "runs" / f"{row['velocity_m_s']}ms" / "summary.json").is_file() for row in rows)

@@ -79,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"nearest to sticking: {slowest}")
     if arguments.repeat == 1:
         print("one placement at each velocity: that its verdict may be chance is not in the band (--repeat 3)")
+    print(critical.resolution_words(scene))
     if (formula := critical.schmidt(scene)) is not None:
         print(f"Schmidt's formula: {formula:.4g} m/s")
     if not arguments.quiet:
