@@ -8,6 +8,8 @@ bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh 
 flow, bonds, contact and friction go their way as in the explicit solver.
 """
 
+from functools import partial
+
 import numpy as np
 
 from ..fe.coarse import CoarseGrid
@@ -15,6 +17,8 @@ from ..fe.explicit import Target
 from ..fe.stability import HighestFrequency, masses_for
 from ..impact.bodies import Bodies
 from ..physics import motion
+from ..state.loops import PARTS
+from ..state.threads import share, together
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
 SEARCH_EVERY = 10
@@ -121,7 +125,7 @@ def _relax(
         while steps < RELAX_STEPS and left > enough:
             if steps % SEARCH_EVERY == 0:
                 _search(bodies, dt)
-            motion.damp(free[:n], dt, damping, t.total[:n], along, t.v[:n], momentum)
+            share(partial(_damp, t, free, dt, damping, along, momentum), n, motion.LEAST)
             np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
             if steps < portions:
                 t.heat[:m] += portion
@@ -129,11 +133,10 @@ def _relax(
             _step(bodies, dt)
             steps += 1
             along = grid.acceleration(t.total[:n])
-            kinetic, omega2 = _lowest(t, momentum, before, free, dt)
-            before[:] = t.total[:n]
+            kinetic, omega2, loose = _moving(t, free[:n], dt, along, momentum, before)
             damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
             if steps > max(2 * SEARCH_EVERY, portions, moving_for):
-                left = max(kinetic, _loose(t, along, free) / max(omega2, (LEAST_DAMPING / dt) ** 2))
+                left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
         return {"settle_steps": float(steps), "left_J": float(left)}
     finally:
         t.rest()
@@ -158,18 +161,22 @@ def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float
     return dt
 
 
-def _lowest(t: Target, momentum: np.ndarray, before: np.ndarray, free: np.ndarray, dt: float) -> tuple[float, float]:
-    """Kinetic energy (J) in the masses of the relaxation, and the squared frequency (1/s2) of what moves now."""
-    n = len(before)  # those that are active
-    twice, power = motion.moving(free[:n], momentum, t.v[:n], t.total[:n], before)
-    return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0
+def _damp(
+    t: Target, free: np.ndarray, dt: float, damping: float, along: np.ndarray, momentum: np.ndarray, lo: int, hi: int
+) -> None:
+    motion.damp(lo, hi, free, dt, damping, t.total, along, t.v, momentum)
 
 
-def _loose(t: Target, along: np.ndarray, free: np.ndarray) -> float:
-    """f M^-1 f / 2 of the forces that nothing balances; over omega^2 an energy, J. along (n,3) m/s2: the grid's part of M^-1 f."""
-    n = t.active_nodes
-    own = float(motion.unbalanced(free[:n], t.mass[:n], t.total[:n]))
-    return own + 0.5 * float(np.einsum("ai,ai->", t.total[:n], along))
+def _moving(
+    t: Target, free: np.ndarray, dt: float, along: np.ndarray, momentum: np.ndarray, before: np.ndarray
+) -> tuple[float, float, float]:
+    """Kinetic energy (J) in the masses of the relaxation, the squared frequency (1/s2) of what moves now, and f M^-1 f / 2 (N m/s2) of
+    the forces f that nothing balances: over omega^2 an energy. along (n,3) m/s2: the grid's part of M^-1 f; before (n,3) N: the
+    forces a step ago, and then those of now."""
+    n, sums = len(before), np.zeros((PARTS, 3))
+    together(motion.moving, free, t.mass[:n], t.total[:n], along, momentum, t.v[:n], before, sums)
+    twice, power, loose = sums.sum(axis=0)
+    return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * loose
 
 
 def _run_for(bodies: Bodies, time: float) -> float:

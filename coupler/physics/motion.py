@@ -3,6 +3,9 @@
 from numba import njit
 
 from ..state.arrays import Bools, Floats, Ints, Vector
+from ..state.loops import ranges
+
+LEAST = 2000  # rows in a range of a shared loop, at least
 
 
 @njit(cache=True, nogil=True)
@@ -83,14 +86,16 @@ def add_drag(rows: Ints, matrix: Floats, v: Floats, drag: Floats, total: Floats)
 
 
 @njit(cache=True, nogil=True)
-def damp(free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Floats, momentum: Floats) -> None:
+def damp(
+    lo: int, hi: int, free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Floats, momentum: Floats
+) -> None:
     """Velocity and momentum of the free rows over a step: (1 + a) v' = (1 - a) v + dt M^-1 f, and M v' in the same way.
 
     Stable up to the step without damping. damping a: of the critical one of the step. Of M^-1 f only the part `along` m/s2 is added
     to v: that of the nodes' own masses is added by `kick`.
     """
     keep, add = (1.0 - damping) / (1.0 + damping), dt / (1.0 + damping)
-    for a in range(len(free)):
+    for a in range(lo, hi):
         if free[a]:
             for d in range(3):
                 v[a, d] = keep * v[a, d] + add * along[a, d]
@@ -98,22 +103,26 @@ def damp(free: Bools, dt: float, damping: float, f: Floats, along: Floats, v: Fl
 
 
 @njit(cache=True, nogil=True)
-def moving(free: Bools, momentum: Floats, v: Floats, f: Floats, before: Floats) -> tuple[float, float]:
-    """Sums of momentum . v (J) and of -v . (f - f before) (W) over the free rows."""
-    twice = power = 0.0
-    for a in range(len(free)):
-        if free[a]:
-            for d in range(3):
-                twice += momentum[a, d] * v[a, d]
-                power -= v[a, d] * (f[a, d] - before[a, d])
-    return twice, power
-
-
-@njit(cache=True, nogil=True)
-def unbalanced(free: Bools, mass: Floats, f: Floats) -> float:
-    """Sum of f . f / 2 m over the free rows."""
-    total = 0.0
-    for a in range(len(free)):
-        if free[a]:
-            total += (f[a, 0] * f[a, 0] + f[a, 1] * f[a, 1] + f[a, 2] * f[a, 2]) / mass[a]
-    return 0.5 * total
+def moving(
+    team: Ints,
+    free: Bools,
+    mass: Floats,
+    f: Floats,
+    along: Floats,
+    momentum: Floats,
+    v: Floats,
+    before: Floats,
+    sums: Floats,
+) -> None:
+    """Sums over the free rows, part by part, into sums (PARTS,3): of momentum . v (J), of -v . (f - before) (W), and of
+    f . M^-1 f (N m/s2), of which `along` m/s2 is the part beside that of the nodes' own masses. f becomes `before`."""
+    for lo, hi, part in ranges(team, 0, len(free), LEAST):
+        twice = power = loose = 0.0
+        for a in range(lo, hi):
+            if free[a]:
+                for d in range(3):
+                    twice += momentum[a, d] * v[a, d]
+                    power -= v[a, d] * (f[a, d] - before[a, d])
+                    loose += f[a, d] * (f[a, d] / mass[a] + along[a, d])
+                    before[a, d] = f[a, d]
+        sums[part, 0], sums[part, 1], sums[part, 2] = twice, power, loose
