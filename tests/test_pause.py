@@ -92,7 +92,8 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
     metal = stiff(NI, 13e-6)
     base = replace(STEEL, G=20 * STEEL.G, c0=np.sqrt(20) * STEEL.c0, rho=STEEL.rho)
     bodies = coated(metal, base, "tied")
-    settle(bodies, 1e-6, 0.0, ramp=True)  # what is out of balance before is none of the cooling's
+    for _ in range(2):  # what is out of balance before is none of the cooling's
+        settle(bodies, 1e-6, 0.0, ramp=True)
     started = bodies.target.stress()
     cool_to_ambient(planned(metal, base), bodies, 1e-6)
     t = bodies.target
@@ -102,7 +103,7 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
     heat = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
     full = metal.E / (1 - metal.nu) * (13e-6 * (CAME - AMBIENT) + heat)
     assert 0.75 * full < sigma < 1.02 * full
-    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=2e-5 * full)  # within COOLED
+    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=1e-5 * full)
 
 
 COLD = scenes.scene(("Ni", 20, 550), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0})

@@ -201,7 +201,8 @@ def schmidt(scene: Scene) -> float | None:
 
 def resolution_words(scene: Scene) -> str:
     """What is known of the error of the scene's resolution, which is not in the band."""
-    known = LOWER_AT_SMALL_SPACING.get(scene.preset) if scene.resolution.spacing is None else None
+    own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
+    known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
     if known is None:
         return "not in the band: the error of the resolution, which is not known for this spacing (compare with a smaller one)"
     least, most = (100 * share for share in known)
