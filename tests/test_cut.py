@@ -11,6 +11,7 @@ from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
 from test_sequence import block, substrate
 
 from coupler import Scene
+from coupler.contact.bodies import new_history
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
@@ -64,6 +65,22 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     np.testing.assert_array_equal(same.contact.history(), whole.contact.history())
     np.testing.assert_array_equal(same.buried, whole.buried)
     assert same.energy == pytest.approx(whole.energy, rel=1e-12)
+
+
+def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
+    """At the rim of a cut what lies opposite is not there: nodes at rest are not looked at, and lose no spring."""
+    part, _ = cut_out(whole, (-24e-6, 0.0, 10e-6), 10e-6)
+    contact, x = part.contact, part.target.x
+    assert contact is not None
+    moving = int(np.count_nonzero(np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 10e-6))
+    springs = contact.history()
+    springs[np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 20e-6] = new_history(1)
+    contact.begin(springs, 0.0, 0.0, 0.0, 0)
+    held = contact.penalty_energy
+    contact.search(x, 1e-7, part.bond, moving)
+    contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
+    assert contact.dropped == 0
+    assert 0.0 < 0.9 * held < contact.penalty_energy <= held  # some pass to bonds
 
 
 def test_cuts_put_back_together_are_those_put_back_one_after_another(whole: Bodies, rng: np.random.Generator) -> None:

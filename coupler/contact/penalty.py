@@ -143,6 +143,11 @@ class PointContact:
         if always is not None:
             held[always] = True
         rows = np.flatnonzero((np.diff(self._start) > 0) | held)
+        away, holds = np.ones(len(xp), bool), np.inf
+        if nodes is not None:  # what faces a point at rest may not be here: the contact of a cut ends at its rim
+            still, holds = self._at_rest(rows, nodes, active)
+            away[rows[still]] = False
+            rows = rows[~still]
         self._nearest[:] = -1
         # from here on facets move from zero; of points that were not among `rows` it is not known how near they were
         way = np.full(len(xp), np.inf)
@@ -156,9 +161,13 @@ class PointContact:
         self._start, self._boxes = k.reachable(
             self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
         )
-        away = np.ones(len(xp), bool)
         away[self.rows] = False
-        holds = self._leave_at_rest(nodes, active, travel, xp) if nodes is not None else np.inf
+        if nodes is not None:  # of the candidates that are left
+            still, others = self._at_rest(self.rows, nodes, active)
+            holds, self.rows = min(holds, others), self.rows[~still]
+            self._start, self._boxes = k.reachable(
+                self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
+            )
         self._ids = self._ids[broad.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
         self.depth[away] = 0.0
@@ -166,18 +175,11 @@ class PointContact:
         self.ignored[away] = 0.0
         return holds
 
-    def _leave_at_rest(self, nodes: np.ndarray, active: int, travel: float, xp: np.ndarray) -> float:
-        """Take out of `rows` what does not move, see `search`."""
-        rows = self.rows
+    def _at_rest(self, rows: np.ndarray, nodes: np.ndarray, active: int) -> tuple[np.ndarray, float]:
+        """Which of the points `rows` (n,) bool do not move, and no facet near them, see `search`; the least node of all of these."""
         first = np.minimum(nodes[rows], broad.least_corners(rows, self._start, self._boxes, self._ids, self.facets))
         still = first >= active
-        if not still.any():
-            return np.inf
-        self.rows = rows[~still]
-        self._start, self._boxes = k.reachable(
-            self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
-        )
-        return float(first[still].min())
+        return still, float(first[still].min()) if still.any() else np.inf
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
