@@ -409,3 +409,47 @@ def test_an_overlap_that_did_not_come_from_a_motion_sets_no_energy_free() -> Non
     seen = [energy_at(depth) for depth in (0.05, 0.14, 0.2)]
     assert 0.0 < seen[0] < seen[1] < seen[2]
     assert energy_at(0.4) == 0.0
+
+
+def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
+    """Two blocks side by side on a slab: what is closest to their edges is the other block, and they lie in the slab all the same."""
+    gap, depth = 0.002, 0.008  # m; a block's spacing is 0.1
+    left = ((0.3, 0.3, 0.2), 0.1, (0.2, 0.25, 0.4))
+    right = ((0.3, 0.3, 0.2), 0.1, (0.5 + gap, 0.25, 0.4))
+    b = Blocks(SLAB, left, right, fixed=("a.bottom",))
+    contact, t = b.touch(), b.target
+    assert gap < depth < 0.1 * b.surfaces.spacing(t.x, 1)
+    above = np.union1d(b.nodes(1), b.nodes(2))
+    for _ in range(4):
+        t.x[above, 2] -= 0.25 * depth
+        contact.search(t.x, 0.01)
+        f = np.zeros_like(t.x)
+        contact.forces(0.0, t.x, t.v, f)
+    bottom = above[t.mesh.points[above, 2] < 0.4 + 1e-9]
+    np.testing.assert_allclose(contact.history()[bottom, 3], depth, rtol=1e-6)
+    inner = bottom[np.abs(t.x[bottom, 0] - 0.5) < 2.0 * gap]
+    assert len(inner) >= 8
+    assert (f[inner, 2] > 0.0).all()
+    np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-9 * np.abs(f).max())
+
+
+def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
+    """Two blocks are pressed on each other, and nodes of a third into the seam between them: these lie in both."""
+    lower, upper = ((0.4, 0.3, 0.3), 0.13, (0.0, 0.0, -0.301)), ((0.4, 0.3, 0.3), 0.12, (0.0, 0.0, 0.001))
+    b = Blocks(lower, upper, ((0.3, 0.3, 0.3), 0.15, (0.401, 0.0, -0.15)))
+    contact, t, second = b.touch(friction=0.3), b.target, [0.0]
+    t.v[b.nodes(0)] = [0.0, 0.0, 8.0]
+    t.v[b.nodes(1)] = [0.0, 0.0, -8.0]
+    t.v[b.nodes(2)] = [-8.0, 0.5, 0.0]
+    start, momentum, moment = b.energy(), t.momentum(), b.moment()
+
+    def watch() -> None:
+        second[0] = max(second[0], *(float(side.contact.second_depth.max()) for side in contact._sides))
+
+    b.run(1e-3, limit=1e-6, watch=watch)
+    assert second[0] > 1e-4 * b.surfaces.spacing(t.x, 1)
+    assert b.velocity(2)[0] > 0.0
+    assert b.energy() + contact.dropped_energy == pytest.approx(start, rel=1e-3)
+    scale = float(t.mass.sum()) * 10.0
+    assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
+    assert np.abs(b.moment() - moment).max() < 1e-12 * scale

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from coupler.contact import broad, kernels
+from coupler.contact import broad, closest, kernels
 from coupler.contact.penalty import PointContact
 from coupler.errors import SolverError
+from coupler.fe.mesh import prepare
+from coupler.geometry import mesher
 
 
 def sheet(rng: np.random.Generator, n: int = 12, bumps: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -153,22 +155,66 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     assert np.array_equal(high, before[facets].max(axis=1))
     start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
-    kernels.closest_facets(xp, ids[:0], start, boxes, facets, ids, x, low, high, shift, nearest, foot, gap)
+    second = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
+    searched = start, boxes, facets, ids, 0 * ids, x, low, high, shift, np.full(300, np.inf)
+    closest.closest_facets(xp, ids[:0], *searched, nearest, foot, gap, *second)
     assert np.all(nearest == -1)
     rows = np.arange(300)
-    kernels.closest_facets(xp, rows, start, boxes, facets, ids, x, low, high, shift, nearest, foot, gap)
+    closest.closest_facets(xp, rows, *searched, nearest, foot, gap, *second)
     brute = np.empty((300, len(ids)))
     for i in range(300):
         for j in range(len(ids)):
-            u = np.array(kernels.closest_on_triangle(xp[i], *corners[j]))
+            u = np.array(closest.closest_on_triangle(xp[i], *corners[j]))
             brute[i, j] = np.linalg.norm(xp[i] - u @ corners[j])
     assert np.abs(gap) == pytest.approx(brute.min(axis=1), rel=1e-9)
     place = np.einsum("ij,ijd->id", foot, corners[boxes[nearest]])
     assert np.linalg.norm(xp - place, axis=1) == pytest.approx(np.abs(gap), rel=1e-9)
     for _ in range(3):  # from any other guess the same
         again, where, far = start[:-1] + rng.integers(0, len(ids), 300), np.zeros((300, 3)), np.zeros(300)
-        kernels.closest_facets(xp, rows, start, boxes, facets, ids, x, low, high, shift, again, where, far)
+        closest.closest_facets(xp, rows, *searched, again, where, far, *second)
         assert far == pytest.approx(gap, rel=1e-9)
+
+
+def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: np.random.Generator) -> None:
+    """Three boxes that overlap; bodies in which it lies deeper than the limit it does not meet."""
+    boxes = [mesher.box((1.0, 1.0, 1.0), 0.5) for _ in range(3)]
+    meshes = [
+        prepare(points + place, tets) for (points, tets), place in zip(boxes, np.diag([0.0, 0.9, 0.8]), strict=True)
+    ]
+    first = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
+    x = np.concatenate([mesh.points for mesh in meshes])
+    facets = np.concatenate([mesh.facets + at for mesh, at in zip(meshes, first, strict=False)])
+    owner, ids = np.repeat([0, 1, 2], [len(mesh.facets) for mesh in meshes]), np.arange(len(facets))
+    order = rng.permutation(len(facets))
+    facets, owner = facets[order], owner[order]
+    low, high = np.zeros((2, len(ids), 3))
+    broad.facet_boxes(x, facets, ids, low, high)
+    xp, limit, rows = rng.uniform(-0.1, 2.0, (400, 3)), np.full(400, 0.15), np.arange(400)
+
+    def gaps(chosen: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        start, near, _ = broad.candidates(xp, low[chosen] - 10, high[chosen] + 10, 0.5, 400 * len(ids))
+        searched = start, near, facets, ids[chosen], of, x, low[chosen], high[chosen], 0.0, limit
+        first, second = [(np.full(400, -1), np.zeros((400, 3)), np.zeros(400)) for _ in range(2)]
+        closest.closest_facets(xp, rows, *searched, *first, *second)
+        for place, foot, gap in (first, second):
+            met = place >= 0
+            there = np.einsum("ij,ijd->id", foot[met], x[facets[ids[chosen][near[place[met]]]]])
+            assert np.linalg.norm(xp[met] - there, axis=1) == pytest.approx(np.abs(gap[met]), rel=1e-9)
+            assert not gap[~met].any()
+        return first[2], second[2]
+
+    of_each = np.array([gaps(np.flatnonzero(owner == body), owner)[0] for body in range(3)])
+    nearest = of_each[np.abs(of_each).argmin(axis=0), rows]
+    met = np.sort(np.where(of_each < -limit, np.inf, of_each), axis=0)
+    several = np.abs(nearest) <= limit
+    first, second = gaps(ids, owner)
+    assert first == pytest.approx(np.where(several, met[0], nearest), rel=1e-9)
+    assert second == pytest.approx(np.where(several, np.minimum(met[1], 0.0), 0.0), rel=1e-9)
+    assert np.count_nonzero(first != nearest) > 10
+    assert np.count_nonzero(second) > 10
+    alone = gaps(ids, 0 * owner)
+    assert alone[0] == pytest.approx(nearest, rel=1e-9)
+    assert not alone[1].any()
 
 
 def test_only_the_rows_of_a_search_are_read_and_none_is_missed(rng: np.random.Generator) -> None:
@@ -213,7 +259,7 @@ def test_closest_point_of_a_triangle_is_the_closest(rng: np.random.Generator) ->
     w = rng.dirichlet([1, 1, 1], 4000)
     for _ in range(50):
         a, b, c, p = rng.standard_normal((4, 3))
-        u = np.array(kernels.closest_on_triangle(p, a, b, c))
+        u = np.array(closest.closest_on_triangle(p, a, b, c))
         assert u.min() >= 0
         assert u.sum() == pytest.approx(1.0)
         mine = np.linalg.norm(p - u @ np.stack([a, b, c]))

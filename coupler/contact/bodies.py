@@ -21,7 +21,7 @@ JUMP = 0.1  # spacings in one step: bodies move by far less against each other
 
 def new_history(nodes: int) -> np.ndarray:
     """What `BodyContact.history` has for nodes that have never touched."""
-    history = np.zeros((nodes, 5))
+    history = np.zeros((nodes, 7))
     history[:, 4] = UNKNOWN
     return history
 
@@ -116,6 +116,7 @@ class BodyContact:
         softer = min(self.bulk_modulus[: alike + 1])
         contact = PointContact(
             len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=0.5 * factor, facet_ids=ids, jump=JUMP,
+            owner=s.body[ids],
         )  # fmt: skip
         return _Side(
             nodes,
@@ -174,12 +175,13 @@ class BodyContact:
         for side in self._sides:
             if not side.idle:
                 load[side.nodes] += 2.0 * side.contact.stiffness
+                load[side.nodes[side.contact.between_bodies()]] += 2.0 * side.contact.stiffness
                 load[side.corners] += 4.0 * side.contact.stiffness
         return load
 
     def springs(self) -> list[SpringTable]:
         """Of all that may touch before the next search."""
-        return [side.contact.springs(side.nodes) for side in self._sides if not side.idle]
+        return [table for side in self._sides if not side.idle for table in side.contact.springs(side.nodes)]
 
     def search(
         self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None, v: np.ndarray | None = None
@@ -260,7 +262,7 @@ class BodyContact:
     ) -> None:
         """Find what one side can touch. taken (nodes,): its nodes that bonds hold; speed, fastest: m/s; the rest as in `search`."""
         c = side.contact
-        c.spring[taken], c.depth[taken], c.ignored[taken] = 0.0, 0.0, UNKNOWN
+        c.forget(taken)
         side.clear, side.since = c.spacing + 2.0 * travel, self._way.copy()
         side.near, side.reach = self._around(side, x, side.clear), -np.inf
         side.known[:] = False
@@ -273,7 +275,7 @@ class BodyContact:
         side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
         side.resting = np.inf
         if side.idle:
-            c.depth[:] = 0.0
+            c.depth[:] = c.second_depth[:] = 0.0
         else:
             moving = (None, 0) if active is None else (side.nodes, active)
             side.resting = c.search(x[side.nodes], x, reach, np.flatnonzero(side.known), None, *moving)
@@ -326,11 +328,10 @@ class BodyContact:
             side.reach = -np.inf
 
     def history(self) -> np.ndarray:
-        """Friction springs (N), depths and ignored depths (m) of all nodes, (N,5)."""
+        """What all nodes remember, (N,7): see `PointContact.history`."""
         history = new_history(len(self._held))
         for side in self._sides:
-            c = side.contact
-            history[side.nodes] = np.column_stack([c.spring, c.depth, c.ignored])
+            history[side.nodes] = side.contact.history()
         return history
 
     def follow(self, before: "BodyContact", node: np.ndarray) -> None:
@@ -346,8 +347,7 @@ class BodyContact:
     ) -> None:
         """Go on from a `history` and a ledger, J."""
         for side in self._sides:
-            c, own = side.contact, history[side.nodes]
-            c.remember(own[:, :3], own[:, 3], own[:, 4])
+            side.contact.remember(history[side.nodes])
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
             side.contact.dropped, side.reach = 0, -np.inf
         if self._sides:

@@ -7,7 +7,7 @@ from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Bools, Floats, Ints
-from .kernels import closest_on_triangle
+from .closest import closest_on_triangle
 
 
 @njit(cache=True, nogil=True)

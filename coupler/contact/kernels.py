@@ -1,4 +1,4 @@
-"""Contact of points against triangles: closest points, penalty forces, Coulomb friction with history (numba)."""
+"""Contact of points against triangles: penalty forces, Coulomb friction with history (numba)."""
 
 from math import inf, sqrt
 
@@ -9,46 +9,11 @@ from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Arrays, Floats, Ints
 from ..state.loops import ranges
 from .broad import facet_boxes, farthest
+from .closest import closest_facets
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
 # m, depths that are ignored: of a point that has no contact, and of one that has not been looked at
 ALL, UNKNOWN = 1e300, -1.0
-
-
-@njit(cache=True, nogil=True, inline="always")
-def closest_on_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float]:
-    """Barycentric weights (wa, wb, wc) of the point of triangle abc closest to p. Ericson (2005), section 5.1.5."""
-    ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    ap0, ap1, ap2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-    d1 = ab0 * ap0 + ab1 * ap1 + ab2 * ap2
-    d2 = ac0 * ap0 + ac1 * ap1 + ac2 * ap2
-    if d1 <= 0.0 and d2 <= 0.0:
-        return 1.0, 0.0, 0.0
-    bp0, bp1, bp2 = p[0] - b[0], p[1] - b[1], p[2] - b[2]
-    d3 = ab0 * bp0 + ab1 * bp1 + ab2 * bp2
-    d4 = ac0 * bp0 + ac1 * bp1 + ac2 * bp2
-    if d3 >= 0.0 and d4 <= d3:
-        return 0.0, 1.0, 0.0
-    vc = d1 * d4 - d3 * d2
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        v = d1 / (d1 - d3)
-        return 1.0 - v, v, 0.0
-    cp0, cp1, cp2 = p[0] - c[0], p[1] - c[1], p[2] - c[2]
-    d5 = ab0 * cp0 + ab1 * cp1 + ab2 * cp2
-    d6 = ac0 * cp0 + ac1 * cp1 + ac2 * cp2
-    if d6 >= 0.0 and d5 <= d6:
-        return 0.0, 0.0, 1.0
-    vb = d5 * d2 - d1 * d6
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        w = d2 / (d2 - d6)
-        return 1.0 - w, 0.0, w
-    va = d3 * d6 - d5 * d4
-    if va <= 0.0 and d4 >= d3 and d5 >= d6:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return 0.0, 1.0 - w, w
-    inv = 1.0 / (va + vb + vc)
-    return 1.0 - (vb + vc) * inv, vb * inv, vc * inv
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -65,15 +30,6 @@ def _solve3(
         (m01 * r0 + m11 * r1 + m12 * r2) * inv,
         (m02 * r0 + m12 * r1 + m22 * r2) * inv,
     )
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
-    """Square of the distance of p from the box [low, high], m2."""
-    u = max(low[0] - p[0], p[0] - high[0], 0.0)
-    v = max(low[1] - p[1], p[1] - high[1], 0.0)
-    w = max(low[2] - p[2], p[2] - high[2], 0.0)
-    return u * u + v * v + w * w
 
 
 @njit(cache=True, nogil=True)
@@ -102,55 +58,6 @@ def note(rows: Ints, xp: Floats, gap: Floats, way: float, seen: Floats, room: Fl
         i = rows[q]
         seen[i, 0], seen[i, 1], seen[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
         room[i] = gap[i] + way
-
-
-@njit(cache=True, nogil=True)
-def closest_facets(
-    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, x: Floats, low: Floats, high: Floats,
-    shift: float, nearest: Ints, foot: Floats, gap: Floats,
-) -> None:  # fmt: skip
-    """Which of its candidate triangles each point of `rows` is closest to, where, and how far away.
-
-    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; low, high (k,3): boxes around the triangles `facet_ids` at the last
-    search, from which these have moved by `shift` m at the most. nearest (n,): place in `boxes`, -1 for none; what it holds is where
-    to look first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative
-    inside, m.
-    """
-    for q in range(len(rows)):
-        i = rows[q]
-        p = xp[i]
-        best, reach = 1e300, 1e300
-        facing = side = -1.0
-        face = -1
-        first = nearest[i]
-        for look in range(start[i] - 1, start[i + 1]):
-            r = look
-            if look < start[i]:
-                if first < 0:
-                    continue
-                r = first
-            elif look == first:
-                continue
-            # no triangle is closer than the box around it: most are left out so, once one close by is known
-            if boxes[r] < 0 or _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
-                continue
-            t = facets[facet_ids[boxes[r]]]
-            A, B, C = x[t[0]], x[t[1]], x[t[2]]
-            a, b, c = closest_on_triangle(p, A, B, C)
-            d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
-            dd = d0 * d0 + d1 * d1 + d2 * d2
-            if dd > best * (1.0 + 1e-9):
-                continue
-            n0, n1, n2 = area_vector(A, B, C)
-            dn = d0 * n0 + d1 * n1 + d2 * n2
-            align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
-            # on a shared edge or corner the face that looks most towards the point decides inside or outside
-            if dd < best * (1.0 - 1e-9) or align > facing:
-                best, facing, side, face = dd, align, dn, r
-                reach = (sqrt(best) + shift) ** 2 * (1.0 + 4e-9)
-                foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
-        nearest[i] = face
-        gap[i] = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -185,43 +92,65 @@ def begin_look(
 
 
 @njit(cache=True, nogil=True)
+def deepest(rows: Ints, margin: float, jump: float, depth: Floats, ignored: Floats) -> Floats:
+    """How deep each of the points `rows` may lie and keep its contact, m; see `end_look`."""
+    limit = np.empty(len(rows))
+    for q in range(len(rows)):
+        i = rows[q]
+        kept = max(ignored[i], 0.0) if ignored[i] < ALL else 0.0
+        limit[q] = min(margin, depth[i] + kept + jump)
+    return limit
+
+
+@njit(cache=True, nogil=True)
 def end_look(
     rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
-    x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap:
-    Floats, depth: Floats, ignored: Floats, spring: Floats,
+    owner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot:
+    Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats,
+    second_ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
-    """Find the closest facet of those points `rows` of `begin_look`; the others keep theirs, which they cannot touch.
+    """Find the facets that each of those points `rows` of `begin_look` meets; the others keep theirs, which they cannot touch.
 
     A point that lies deeper than margin, or by more than jump deeper than before, lies outside: nearer facets are only known to be
     among the candidates within the margin. It loses its contact: lost, [points that had one, squares of their depths (m2) and of
     their springs (N2)], is added to. For ignored see `follow`, for the rest `closest_facets`, `due` and `note`.
     """
     before = gap[rows]
-    closest_facets(xp, rows, start, boxes, facets, facet_ids, x, low, high, shift, nearest, foot, gap)
+    limit = deepest(rows, margin, jump, depth, ignored)
+    closest_facets(
+        xp, rows, start, boxes, facets, facet_ids, owner, x, low, high, shift, limit, nearest, foot, gap, second, second_foot,
+        second_gap,
+    )  # fmt: skip
     for q in range(len(rows)):
         i = rows[q]
         kept = max(ignored[i], 0.0) if ignored[i] < ALL else 0.0
-        if nearest[i] < 0 or gap[i] < -min(margin, depth[i] + kept + jump):
-            nearest[i] = -1
+        moved = 1e-9 * margin
+        if room[i] == -inf:  # at a search, of a point that was not in question; nothing has moved in it
+            before[q] = -depth[i] - kept
+        else:
+            u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
+            moved += sqrt(u * u + v * v + w * w) + way[0] - (room[i] - before[q])
+        if nearest[i] < 0 or gap[i] < -limit[q]:
+            nearest[i] = second[i] = -1
             ignored[i] = ALL
             stretch = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
             if depth[i] > 0.0 or stretch > 0.0:
                 lost[0] += 1.0
-                lost[1] += depth[i] * depth[i]
+                lost[1] += depth[i] * depth[i] + second_depth[i] * second_depth[i]
                 lost[2] += stretch
-            depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
-        elif ignored[i] == UNKNOWN:
+            depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = second_depth[i] = second_ignored[i] = 0.0
+            continue
+        if ignored[i] == UNKNOWN:
             ignored[i] = 0.0
         else:
-            moved = 1e-9 * margin
-            if room[i] == -inf:  # at a search, of a point that was not in question; nothing has moved in it
-                before[q] = -depth[i] - kept
-            else:
-                u, v, w = xp[i, 0] - seen[i, 0], xp[i, 1] - seen[i, 1], xp[i, 2] - seen[i, 2]
-                moved += sqrt(u * u + v * v + w * w) + way[0] - (room[i] - before[q])
             ignored[i] = follow(-gap[i], -before[q], moved, ignored[i])
             if gap[i] > before[q] + moved:  # out of contact by a jump: what its spring held is lost
                 lost[1] += max(depth[i] ** 2 - max(-gap[i] - ignored[i], 0.0) ** 2, 0.0)
+        deep, was = -second_gap[i], second_depth[i] + second_ignored[i]
+        if deep > 0.0 or was > 0.0:
+            second_ignored[i] = follow(deep, was, moved, second_ignored[i])
+            if deep < was - moved:
+                lost[1] += max(second_depth[i] ** 2 - max(deep - second_ignored[i], 0.0) ** 2, 0.0)
     note(rows, xp, gap, way[0], seen, room)
 
 
@@ -239,34 +168,48 @@ def look(team: Ints, rows: Ints, begin: Arrays, end: Arrays, near_rows: Ints, sh
         end_look(near_rows[lo + 1 : hi + 1], shift[0], lost[part], *end)
 
 
-@njit(cache=True, nogil=True)
-def reachable(
-    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, gap: Floats, nearest: Ints,
-) -> tuple[Ints, Ints]:  # fmt: skip
-    """The candidates (start, boxes) of the points `rows` that can become their closest facet while point and facets come `travel` m
-    closer or farther: no more than twice that farther away than the closest now. nearest (n,) moves to its new place.
+@njit(cache=True, nogil=True, inline="always")
+def _normal(
+    p: Floats, A: Floats, B: Floats, C: Floats, w0: float, w1: float, w2: float, gap: float, tiny: float
+) -> tuple[float, float, float]:
+    """Unit vector out of the triangle's body along the line that joins p and its closest point; below the distance `tiny` (m), and
+    on the surface, the normal."""
+    if abs(gap) > tiny:
+        d0, d1, d2 = from_foot(p, A, B, C, w0, w1, w2)
+        return d0 / gap, d1 / gap, d2 / gap
+    n0, n1, n2 = area_vector(A, B, C)
+    scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    return n0 * scale, n1 * scale, n2 * scale
 
-    A point without a closest facet keeps all of its candidates, others than `rows` keep none. Arrays as in `closest_facets`.
-    """
-    first = np.zeros(len(start), np.int64)
-    kept = np.empty(len(boxes), np.int64)
-    count = 0
-    last = 0
+
+@njit(cache=True, nogil=True)
+def second_forces(
+    tiny: float, stiffness: float, xp: Floats, rows: Ints, boxes: Ints, facet_ids: Ints, second: Ints, second_foot: Floats,
+    second_gap: Floats, second_ignored: Floats, facets: Ints, x: Floats, f_point: Floats, f_node: Floats, node: Ints, active: int,
+    sums: Floats, second_depth: Floats,
+) -> None:  # fmt: skip
+    """Penalty forces, without friction, between points and the bodies in which they lie second deepest; added to f_point, f_node and
+    to sums[0]. Arguments as in `contact_forces` and `closest_facets`."""
     for q in range(len(rows)):
         i = rows[q]
-        first[last + 1 : i + 1] = count
-        last = i
-        place = -1
-        reach = np.inf if nearest[i] < 0 else (abs(gap[i]) + 2.0 * travel) ** 2 * (1.0 + 4e-9)
-        for r in range(start[i], start[i + 1]):
-            if r == nearest[i]:
-                place = count
-            if r == nearest[i] or _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach:
-                kept[count] = boxes[r]
-                count += 1
-        nearest[i] = place
-    first[last + 1 :] = count
-    return first, kept[:count]
+        if second[i] < 0:
+            second_depth[i] = 0.0
+            continue
+        t = facets[facet_ids[boxes[second[i]]]]
+        if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
+            continue
+        pen = max(-second_gap[i] - second_ignored[i], 0.0)
+        second_depth[i] = pen
+        if pen == 0.0:
+            continue
+        w0, w1, w2 = second_foot[i, 0], second_foot[i, 1], second_foot[i, 2]
+        n0, n1, n2 = _normal(xp[i], x[t[0]], x[t[1]], x[t[2]], w0, w1, w2, second_gap[i], tiny)
+        sums[0] += 0.5 * stiffness * pen * pen
+        f0, f1, f2 = stiffness * pen * n0, stiffness * pen * n1, stiffness * pen * n2
+        add(f_point, i, f0, f1, f2)
+        add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
+        add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
+        add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
 
 
 @njit(cache=True, nogil=True)
@@ -310,16 +253,9 @@ def contact_forces(
                 heat_facet[fid] += (1.0 - share) * 0.5 * lost / tangential
                 spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
-        p = xp[i]
         A, B, C = x[t[0]], x[t[1]], x[t[2]]
         w0, w1, w2 = foot[i, 0], foot[i, 1], foot[i, 2]
-        if abs(gap) > tiny:
-            d0, d1, d2 = from_foot(p, A, B, C, w0, w1, w2)
-            n0, n1, n2 = d0 / gap, d1 / gap, d2 / gap
-        else:
-            n0, n1, n2 = area_vector(A, B, C)
-            scale = 1.0 / sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 * scale, n1 * scale, n2 * scale
+        n0, n1, n2 = _normal(xp[i], A, B, C, w0, w1, w2, gap, tiny)
         depth[i] = pen
         fn = stiffness * pen
         sums[0] += 0.5 * stiffness * pen * pen
@@ -395,8 +331,9 @@ def boxes_of_sides(
 @njit(cache=True, nogil=True)
 def look_of_sides(
     lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
-    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, seen: Floats, room:
-    Floats, nearest: Ints, foot: Floats, gap: Floats, depth: Floats, ignored: Floats, spring: Floats, lost: Floats,
+    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, x: Floats, xp: Floats, seen:
+    Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth:
+    Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
     for their rows."""
@@ -410,9 +347,9 @@ def look_of_sides(
             rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1], nearest[p:p1]
         )
         end_look(
-            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], x, start[q:q1], boxes[b:b1],
-            low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], depth[p:p1], ignored[p:p1],
-            spring[p:p1],
+            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], x, start[q:q1],
+            boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1],
+            second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
         )  # fmt: skip
 
 
@@ -420,9 +357,10 @@ def look_of_sides(
 def forces_of_sides(
     dt: float, mu: float, share: float, spans: Ints, numbers: Floats, rows: Ints, boxes: Ints, ids: Ints, node_of: Ints, facets:
     Ints, x: Floats, v: Floats, f: Floats, active: int, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats,
-    depth: Floats, ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
+    second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored:
+    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """`contact_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
+    """`contact_forces` and `second_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
     for s in range(len(spans)):
         r, r1, p, p1, _, _, b, b1, i, i1, _, _, t, t1 = spans[s]
         for row in rows[r:r1]:
@@ -433,6 +371,10 @@ def forces_of_sides(
             dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1],
             nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], facets[t:t1], x, v, fp[p:p1], f, node_of[p:p1], active, spring[p:p1],
             heat_point[p:p1], heat_facet[t:t1], share, sums[s], depth[p:p1],
+        )  # fmt: skip
+        second_forces(
+            numbers[s, 2], numbers[s, 3], xp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1], second[p:p1], second_foot[p:p1],
+            second_gap[p:p1], second_ignored[p:p1], facets[t:t1], x, fp[p:p1], f, node_of[p:p1], active, sums[s], second_depth[p:p1],
         )  # fmt: skip
         for row in rows[r:r1]:
             add(f, node_of[p + row], fp[p + row, 0], fp[p + row, 1], fp[p + row, 2])

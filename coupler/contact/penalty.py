@@ -14,6 +14,7 @@ from ..state.records import Shape, assign, collect
 from ..state.threads import share, together
 from . import broad
 from . import kernels as k
+from .closest import reachable, several_bodies
 
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
@@ -21,7 +22,8 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 @dataclass(frozen=True)
 class ContactState:
     """spring (n,3) N: of friction, depth (n,) m: penetration that gives force, ignored (n,) m: penetration beside it that gives none
-    (`kernels.follow`), heat_point (n,) J of each point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat
+    (`kernels.follow`), second_depth, second_ignored (n,) m: the same in the body in which it lies second deepest, heat_point (n,) J of
+    each point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat
     of the last step, J, and the number of points that touch; friction_heat: so far, J; dropped: points that have lost their contact
     as too deep so far, dropped_energy: what the springs of these held, and of those whose depth has jumped, J."""
 
@@ -31,6 +33,8 @@ class ContactState:
     spring: Annotated[np.ndarray, Shape(-1, 3)]
     depth: Annotated[np.ndarray, Shape(-1)]
     ignored: Annotated[np.ndarray, Shape(-1)]
+    second_depth: Annotated[np.ndarray, Shape(-1)]
+    second_ignored: Annotated[np.ndarray, Shape(-1)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
     heat_facet: Annotated[np.ndarray, Shape(-1)]
     sums: Annotated[np.ndarray, Shape(4)]
@@ -57,19 +61,23 @@ class PointContact:
         factor: float = 1.0,
         facet_ids: np.ndarray | None = None,
         jump: float = np.inf,
+        owner: np.ndarray | None = None,
     ):
-        """facets (k,3) node indices, outward; facet_ids (k,): their numbers in the target; spacing m of the particle;
+        """facets (k,3) node indices, outward; facet_ids (k,): their numbers in the target; owner (k,): the body of each, of which each
+        has all of its facets here (default: all are one body's); spacing m of the particle;
         area m2 of a point; bulk_modulus Pa; share: of the friction heat, for the side of the points; factor: of the stiffness;
         jump: spacings that a point may move inwards in one step. A point found deeper did not enter through this surface: it
         has no contact until it is outside again.
         """
         self.facets = np.ascontiguousarray(facets, np.int64)
         self.facet_ids = np.arange(len(facets)) if facet_ids is None else facet_ids
+        self.owner = np.zeros(len(facets), np.int64) if owner is None else owner
         self.spacing = spacing
         self.stiffness = factor * bulk_modulus * area / spacing
         self.tangential = 0.5 * self.stiffness
         self.friction, self.share = friction, share
         self.spring, self.depth, self.ignored = np.zeros((points, 3)), np.zeros(points), np.full(points, k.UNKNOWN)
+        self.second_depth, self.second_ignored = np.zeros((2, points))
         self.heat_point, self.heat_facet = np.zeros(points), np.zeros(len(facets))
         self.sums = np.zeros(4)
         self.friction_heat = self.dropped_energy = 0.0
@@ -86,6 +94,7 @@ class PointContact:
         #: Signed distance of the points `rows` from the facets, m.
         self.gap: np.ndarray
         self._nearest, self._foot, self.gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
+        self._second, self._second_foot, self._second_gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
         self._capacity = 64 * points
         self._margin, self._jump = np.inf, jump * spacing
 
@@ -105,11 +114,21 @@ class PointContact:
             raise CheckpointError("a state does not fit: the contact has other surfaces")
         assign(self, state)
 
-    def remember(self, spring: np.ndarray, depth: np.ndarray, ignored: np.ndarray) -> None:
-        """Go on from what points have of another contact: spring (n,3) N, depth and ignored depth (n,) m; its energies follow."""
-        self.spring[:], self.depth[:], self.ignored[:] = spring, depth, ignored
-        self.sums[0] = 0.5 * self.stiffness * float(depth @ depth)
-        self.sums[1] = 0.5 * float(np.einsum("ij,ij->", spring, spring)) / self.tangential
+    def history(self) -> np.ndarray:
+        """What each point remembers (n,7): friction spring N, depth and ignored depth m, and those in the second body."""
+        return np.column_stack([self.spring, self.depth, self.ignored, self.second_depth, self.second_ignored])
+
+    def remember(self, history: np.ndarray) -> None:
+        """Go on from what points have of another contact, see `history`; its energies follow."""
+        self.spring[:] = history[:, :3]
+        self.depth[:], self.ignored[:], self.second_depth[:], self.second_ignored[:] = history[:, 3:].T
+        self.sums[0] = 0.5 * self.stiffness * float(self.depth @ self.depth + self.second_depth @ self.second_depth)
+        self.sums[1] = 0.5 * float(np.einsum("ij,ij->", self.spring, self.spring)) / self.tangential
+
+    def forget(self, which: np.ndarray) -> None:
+        """Take the contact from the points of a mask (n,): bonds hold them."""
+        self.spring[which], self.depth[which], self.ignored[which] = 0.0, 0.0, k.UNKNOWN
+        self.second_depth[which] = self.second_ignored[which] = 0.0
 
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
@@ -148,7 +167,7 @@ class PointContact:
             still, holds = self._at_rest(rows, nodes, active)
             away[rows[still]] = False
             rows = rows[~still]
-        self._nearest[:] = -1
+        self._nearest[:] = self._second[:] = -1
         # from here on facets move from zero; of points that were not among `rows` it is not known how near they were
         way = np.full(len(xp), np.inf)
         way[self.rows] = self._way[0] + broad.farthest(x, self._nodes, self._last)
@@ -158,21 +177,17 @@ class PointContact:
         # a tenth of a spacing for what the surfaces gain in speed
         close = (self._nearest[rows] >= 0) & (self.gap[rows] < travel + 0.1 * self.spacing)
         self.rows = rows[close | held[rows]]
-        self._start, self._boxes = k.reachable(
-            self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
-        )
+        self._keep_reachable(xp, travel)
         away[self.rows] = False
         if nodes is not None:  # of the candidates that are left
             still, others = self._at_rest(self.rows, nodes, active)
             holds, self.rows = min(holds, others), self.rows[~still]
-            self._start, self._boxes = k.reachable(
-                self.rows, travel, xp, self._start, self._boxes, self._low, self._high, self.gap, self._nearest
-            )
+            self._keep_reachable(xp, travel)
         self._ids = self._ids[broad.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
-        self.depth[away] = 0.0
+        self.depth[away] = self.second_depth[away] = 0.0
         away[rows] = False  # what has no candidate is outside
-        self.ignored[away] = 0.0
+        self.ignored[away] = self.second_ignored[away] = 0.0
         return holds
 
     def _at_rest(self, rows: np.ndarray, nodes: np.ndarray, active: int) -> tuple[np.ndarray, float]:
@@ -180,6 +195,14 @@ class PointContact:
         first = np.minimum(nodes[rows], broad.least_corners(rows, self._start, self._boxes, self._ids, self.facets))
         still = first >= active
         return still, float(first[still].min()) if still.any() else np.inf
+
+    def _keep_reachable(self, xp: np.ndarray, travel: float) -> None:
+        """Of the candidates of `rows`, those that they can meet before the surfaces have moved `travel` m against each other."""
+        limit = k.deepest(self.rows, self._margin, self._jump, self.depth, self.ignored)
+        self._start, self._boxes = reachable(
+            self.rows, travel, xp, self._start, self._boxes, self._ids, self.owner, self._low, self._high, limit, self.gap,
+            self._nearest, self._second,
+        )  # fmt: skip
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
@@ -201,11 +224,19 @@ class PointContact:
         rows = rows[self._nearest[rows] >= 0]
         return rows, self.facet_ids[self._ids[self._boxes[self._nearest[rows]]]]
 
-    def springs(self, nodes: np.ndarray) -> SpringTable:
-        """Those of all points that may touch before the next search, at the places closest to them. nodes (n,): that the points are."""
-        rows = self.rows[self._nearest[self.rows] >= 0]
-        corners = self.facets[self._ids[self._boxes[self._nearest[rows]]]]
-        return SpringTable.of(nodes[rows], corners, self._foot[rows], np.full(len(rows), self.stiffness))
+    def springs(self, nodes: np.ndarray) -> list[SpringTable]:
+        """Those of all points that may touch before the next search, at the places closest to them, and at those in a second body in
+        which they lie now. nodes (n,): that the points are."""
+        tables = []
+        for nearest, foot in ((self._nearest, self._foot), (self._second, self._second_foot)):
+            rows = self.rows[nearest[self.rows] >= 0]
+            corners = self.facets[self._ids[self._boxes[nearest[rows]]]]
+            tables.append(SpringTable.of(nodes[rows], corners, foot[rows], np.full(len(rows), self.stiffness)))
+        return tables
+
+    def between_bodies(self) -> np.ndarray:
+        """Those of `rows` that may meet two bodies before the next search."""
+        return self.rows[several_bodies(self.rows, self._start, self._boxes, self._ids, self.owner)]
 
     def sliding(self, rows: np.ndarray, vp: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Speed (k,) m/s of points `rows` (k,) that touch along the facets they are on. vp (k,3) of these points; x, v (N,3)."""
@@ -221,8 +252,9 @@ class PointContact:
         lost = np.zeros((PARTS, 3))
         together(
             k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
-            (self._way, self._margin, self._jump, xp, self.facets, self._ids, x, self._start, self._boxes, self._low, self._high,
-             self._seen, self._room, self._nearest, self._foot, self.gap, self.depth, self.ignored, self.spring),
+            (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, x, self._start, self._boxes, self._low,
+             self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self._second, self._second_foot,
+             self._second_gap, self.depth, self.ignored, self.second_depth, self.second_ignored, self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
         self._drop(lost.sum(axis=0))
@@ -244,12 +276,19 @@ class PointContact:
             self._boxes, self._ids, self._nearest, self._foot, self.gap, self.ignored, self.facets, x, v, f_point, f_node,
             _NO_NODES, 0, self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
+        k.second_forces(
+            1e-6 * self.spacing, self.stiffness, xp, self.rows, self._boxes, self._ids, self._second, self._second_foot,
+            self._second_gap, self.second_ignored, self.facets, x, f_point, f_node, _NO_NODES, 0, self.sums, self.second_depth,
+        )  # fmt: skip
         self.friction_heat += float(self.sums[2])
 
 
 _NO_NODES = np.zeros(0, np.int64)  # points that are no nodes all move
-_OF_POINT = ("spring", "depth", "ignored", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap")
-_OF_FACET = ("facets", "heat_facet")
+_OF_POINT = (
+    "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap",
+    "_second", "_second_foot", "_second_gap",
+)  # fmt: skip
+_OF_FACET = ("facets", "owner", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
 
 
@@ -326,7 +365,8 @@ class SideBySide:
         w = self._whole
         if not self._contacts:
             return 0.0
-        squares = self._stiffness * w["depth"] ** 2 + np.einsum("ij,ij->i", w["spring"], w["spring"]) / self._tangential
+        squares = self._stiffness * (w["depth"] ** 2 + w["second_depth"] ** 2)
+        squares += np.einsum("ij,ij->i", w["spring"], w["spring"]) / self._tangential
         return 0.5 * float(squares.sum())
 
     def forces(self, dt: float, x: Floats, v: Floats, f: Floats, active: int) -> None:
@@ -341,8 +381,9 @@ class SideBySide:
         def look(lo: int, hi: int) -> None:
             k.look_of_sides(
                 lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
-                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], x, self._x, w["_seen"], w["_room"],
-                w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"], self._lost,
+                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], x, self._x, w["_seen"], w["_room"],
+                w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"], w["_second_gap"], w["depth"], w["ignored"],
+                w["second_depth"], w["second_ignored"], w["spring"], self._lost,
             )  # fmt: skip
 
         self._lost[:] = 0.0
@@ -351,7 +392,8 @@ class SideBySide:
             self._active[i]._drop(self._lost[i])
         k.forces_of_sides(
             dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self.node_of, w["facets"], x, v, f,
-            active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["depth"], w["ignored"], w["spring"],
+            active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"],
+            w["_second_gap"], w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"],
             w["heat_point"], w["heat_facet"], self._sums,
         )  # fmt: skip
         for c, slip in zip(self._active, self._sums[:, 2].tolist(), strict=True):

@@ -1,0 +1,207 @@
+"""The facets that points are closest to: places on triangles, and which of several bodies a point meets (numba)."""
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from ..geometry.vector_kernels import area_vector, from_foot
+from ..state.arrays import Bools, Floats, Ints
+
+ANY = -1  # body
+
+
+@njit(cache=True, nogil=True, inline="always")
+def closest_on_triangle(p: Floats, a: Floats, b: Floats, c: Floats) -> tuple[float, float, float]:
+    """Barycentric weights (wa, wb, wc) of the point of triangle abc closest to p. Ericson (2005), section 5.1.5."""
+    ab0, ab1, ab2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    ac0, ac1, ac2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ap0, ap1, ap2 = p[0] - a[0], p[1] - a[1], p[2] - a[2]
+    d1 = ab0 * ap0 + ab1 * ap1 + ab2 * ap2
+    d2 = ac0 * ap0 + ac1 * ap1 + ac2 * ap2
+    if d1 <= 0.0 and d2 <= 0.0:
+        return 1.0, 0.0, 0.0
+    bp0, bp1, bp2 = p[0] - b[0], p[1] - b[1], p[2] - b[2]
+    d3 = ab0 * bp0 + ab1 * bp1 + ab2 * bp2
+    d4 = ac0 * bp0 + ac1 * bp1 + ac2 * bp2
+    if d3 >= 0.0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+        v = d1 / (d1 - d3)
+        return 1.0 - v, v, 0.0
+    cp0, cp1, cp2 = p[0] - c[0], p[1] - c[1], p[2] - c[2]
+    d5 = ab0 * cp0 + ab1 * cp1 + ab2 * cp2
+    d6 = ac0 * cp0 + ac1 * cp1 + ac2 * cp2
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        w = d2 / (d2 - d6)
+        return 1.0 - w, 0.0, w
+    va = d3 * d6 - d5 * d4
+    if va <= 0.0 and d4 >= d3 and d5 >= d6:
+        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        return 0.0, 1.0 - w, w
+    inv = 1.0 / (va + vb + vc)
+    return 1.0 - (vb + vc) * inv, vb * inv, vc * inv
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
+    """Square of the distance of p from the box [low, high], m2."""
+    u = max(low[0] - p[0], p[0] - high[0], 0.0)
+    v = max(low[1] - p[1], p[1] - high[1], 0.0)
+    w = max(low[2] - p[2], p[2] - high[2], 0.0)
+    return u * u + v * v + w * w
+
+
+@njit(cache=True, nogil=True)
+def _closest_of(
+    p: Floats, body: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints,
+    x: Floats, low: Floats, high: Floats, shift: float,
+) -> tuple[int, float, float, float, float, float]:  # fmt: skip
+    """The triangle of a body (ANY: of all) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1 for none; the
+    square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to look first, -1
+    for nowhere; reach: square of the distance up to which boxes are looked at, m2. Arrays as in `closest_facets`."""
+    best = 1e300
+    facing = side = -1.0
+    face = -1
+    wa = wb = wc = 0.0
+    for look in range(lo - 1, hi):
+        r = look
+        if look < lo:
+            if first < 0:
+                continue
+            r = first
+        elif look == first:
+            continue
+        if boxes[r] < 0 or (body != ANY and owner[facet_ids[boxes[r]]] != body):
+            continue
+        # no triangle is closer than the box around it: most are left out so, once one close by is known
+        if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
+            continue
+        t = facets[facet_ids[boxes[r]]]
+        A, B, C = x[t[0]], x[t[1]], x[t[2]]
+        a, b, c = closest_on_triangle(p, A, B, C)
+        d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
+        dd = d0 * d0 + d1 * d1 + d2 * d2
+        if dd > best * (1.0 + 1e-9):
+            continue
+        n0, n1, n2 = area_vector(A, B, C)
+        dn = d0 * n0 + d1 * n1 + d2 * n2
+        align = abs(dn) / sqrt((n0 * n0 + n1 * n1 + n2 * n2) * dd + 1e-300)
+        # on a shared edge or corner the face that looks most towards the point decides inside or outside
+        if dd < best * (1.0 - 1e-9) or align > facing:
+            best, facing, side, face = dd, align, dn, r
+            reach = min(reach, (sqrt(best) + shift) ** 2 * (1.0 + 4e-9))
+            wa, wb, wc = a, b, c
+    return face, best, side, wa, wb, wc
+
+
+@njit(cache=True, nogil=True)
+def _next_body(after: int, lo: int, hi: int, boxes: Ints, facet_ids: Ints, owner: Ints) -> int:
+    """The least number above `after` of a body that has one of the candidates [lo, hi); ANY for none."""
+    found = ANY
+    for r in range(lo, hi):
+        if boxes[r] >= 0:
+            body = owner[facet_ids[boxes[r]]]
+            if body > after and (found == ANY or body < found):
+                found = body
+    return found
+
+
+@njit(cache=True, nogil=True)
+def several_bodies(rows: Ints, start: Ints, boxes: Ints, facet_ids: Ints, owner: Ints) -> Bools:
+    """Whether each of the points `rows` has candidates of more than one body. Arguments as in `closest_facets`."""
+    several = np.zeros(len(rows), np.bool_)
+    for q in range(len(rows)):
+        lo, hi = start[rows[q]], start[rows[q] + 1]
+        one = _next_body(ANY, lo, hi, boxes, facet_ids, owner)
+        several[q] = one != ANY and _next_body(one, lo, hi, boxes, facet_ids, owner) != ANY
+    return several
+
+
+@njit(cache=True, nogil=True)
+def closest_facets(
+    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints, x: Floats, low: Floats, high:
+    Floats, shift: float, limit: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
+    Floats,
+) -> None:  # fmt: skip
+    """Which of its candidate triangles each point of `rows` meets, where, and how far away it is: the closest one; of a point that
+    lies in several bodies, or outside one and inside another, the closest ones of the two in which it lies deepest.
+
+    A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
+
+    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; owner (facets,): the body of each; low, high (k,3): boxes around the
+    triangles `facet_ids` at the last search, from which these have moved by `shift` m at the most. limit (rows,) m: other bodies than
+    that of the closest one are not met deeper than that. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look
+    first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative inside, m.
+    second, second_foot, second_gap: the same of the body in which it lies second deepest, -1 and 0 where it lies in one at most.
+    """
+    for q in range(len(rows)):
+        i = rows[q]
+        lo, hi = start[i], start[i + 1]
+        face, best, side, a, b, c = _closest_of(
+            xp[i], ANY, nearest[i], lo, hi, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+        )
+        away = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
+        face_2, away_2, a_2, b_2, c_2 = -1, 0.0, 0.0, 0.0, 0.0
+        if face >= 0 and best <= limit[q] ** 2:
+            closest = owner[facet_ids[boxes[face]]]
+            within = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
+            body = _next_body(ANY, lo, hi, boxes, facet_ids, owner)
+            while body != ANY:
+                if body != closest:
+                    other, best, side, u, v, w = _closest_of(
+                        xp[i], body, -1, lo, hi, within, boxes, facets, facet_ids, owner, x, low, high, shift
+                    )
+                    if other >= 0 and side < 0.0 and best <= limit[q] ** 2:
+                        if -sqrt(best) < away:
+                            if away < 0.0:
+                                face_2, away_2, a_2, b_2, c_2 = face, away, a, b, c
+                            face, away, a, b, c = other, -sqrt(best), u, v, w
+                        elif -sqrt(best) < away_2:
+                            face_2, away_2, a_2, b_2, c_2 = other, -sqrt(best), u, v, w
+                body = _next_body(body, lo, hi, boxes, facet_ids, owner)
+        nearest[i], gap[i] = face, away
+        foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
+        second[i], second_gap[i] = face_2, away_2
+        second_foot[i, 0], second_foot[i, 1], second_foot[i, 2] = a_2, b_2, c_2
+
+
+@njit(cache=True, nogil=True)
+def reachable(
+    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, facet_ids: Ints, owner: Ints, low: Floats, high: Floats,
+    limit: Floats, gap: Floats, nearest: Ints, second: Ints,
+) -> tuple[Ints, Ints]:  # fmt: skip
+    """The candidates (start, boxes) of the points `rows` that they can meet while point and facets come `travel` m closer or farther:
+    no more than twice that farther away than the closest now or, where there are several bodies, than `limit` (rows,) m. nearest and
+    second (n,) move to their new places.
+
+    A point without a closest facet keeps all of its candidates, others than `rows` keep none. Arrays as in `closest_facets`.
+    """
+    several = several_bodies(rows, start, boxes, facet_ids, owner)
+    first = np.zeros(len(start), np.int64)
+    kept = np.empty(len(boxes), np.int64)
+    count = 0
+    last = 0
+    for q in range(len(rows)):
+        i = rows[q]
+        first[last + 1 : i + 1] = count
+        last = i
+        place = place_2 = -1
+        lo, hi = start[i], start[i + 1]
+        far = max(abs(gap[i]), limit[q]) if several[q] else abs(gap[i])
+        reach = np.inf if nearest[i] < 0 else (far + 2.0 * travel) ** 2 * (1.0 + 4e-9)
+        for r in range(lo, hi):
+            if r == nearest[i]:
+                place = count
+            if r == second[i]:
+                place_2 = count
+            if r == nearest[i] or _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach:
+                kept[count] = boxes[r]
+                count += 1
+        nearest[i], second[i] = place, place_2
+    first[last + 1 :] = count
+    return first, kept[:count]
