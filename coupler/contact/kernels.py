@@ -182,6 +182,17 @@ def _normal(
     return n0 * scale, n1 * scale, n2 * scale
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _add_pair(
+    f_point: Floats, f_node: Floats, i: int, t: Ints, w0: float, w1: float, w2: float, f0: float, f1: float, f2: float
+) -> None:
+    """A force on point i, and the opposite one on the place with the weights w on the triangle of nodes t, N."""
+    add(f_point, i, f0, f1, f2)
+    add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
+    add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
+    add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
+
+
 @njit(cache=True, nogil=True)
 def second_forces(
     tiny: float, stiffness: float, xp: Floats, rows: Ints, boxes: Ints, facet_ids: Ints, second: Ints, second_foot: Floats,
@@ -206,10 +217,7 @@ def second_forces(
         n0, n1, n2 = _normal(xp[i], x[t[0]], x[t[1]], x[t[2]], w0, w1, w2, second_gap[i], tiny)
         sums[0] += 0.5 * stiffness * pen * pen
         f0, f1, f2 = stiffness * pen * n0, stiffness * pen * n1, stiffness * pen * n2
-        add(f_point, i, f0, f1, f2)
-        add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
-        add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
-        add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
+        _add_pair(f_point, f_node, i, t, w0, w1, w2, f0, f1, f2)
 
 
 @njit(cache=True, nogil=True)
@@ -309,10 +317,7 @@ def contact_forces(
             add(f_node, t[1], m1 * rb2 - m2 * rb1, m2 * rb0 - m0 * rb2, m0 * rb1 - m1 * rb0)
             add(f_node, t[2], m1 * rc2 - m2 * rc1, m2 * rc0 - m0 * rc2, m0 * rc1 - m1 * rc0)
         f0, f1, f2 = f0 + g0, f1 + g1, f2 + g2
-        add(f_point, i, f0, f1, f2)
-        add(f_node, t[0], -w0 * f0, -w0 * f1, -w0 * f2)
-        add(f_node, t[1], -w1 * f0, -w1 * f1, -w1 * f2)
-        add(f_node, t[2], -w2 * f0, -w2 * f1, -w2 * f2)
+        _add_pair(f_point, f_node, i, t, w0, w1, w2, f0, f1, f2)
 
 
 @njit(cache=True, nogil=True)
