@@ -133,6 +133,7 @@ class PointContact:
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
         lightest = float(np.min(node_mass)) if len(node_mass) else np.inf
+        # with 0.8 a point bears a spring to a second body too, where it is no lighter than three quarters of the lightest node
         return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
 
     def search(
@@ -181,8 +182,9 @@ class PointContact:
         away[self.rows] = False
         if nodes is not None:  # of the candidates that are left
             still, others = self._at_rest(self.rows, nodes, active)
-            holds, self.rows = min(holds, others), self.rows[~still]
-            self._keep_reachable(xp, travel)
+            if still.any():
+                holds, self.rows = min(holds, others), self.rows[~still]
+                self._keep_reachable(xp, travel)
         self._ids = self._ids[broad.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
         self.depth[away] = self.second_depth[away] = 0.0
