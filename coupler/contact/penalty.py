@@ -133,7 +133,7 @@ class PointContact:
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
         lightest = float(np.min(node_mass)) if len(node_mass) else np.inf
-        # with 0.8 a point bears a spring to a second body too, where it is no lighter than three quarters of the lightest node
+        # with 0.8 a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node
         return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
 
     def search(
