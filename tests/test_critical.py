@@ -92,7 +92,15 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
     exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
     assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
     plain = Scene.load(Path(__file__).parents[1] / "workflows/critical_cu.toml")
-    assert "9 to 11 % lower velocities than at `standard`" in critical.resolution_words(plain)
+    assert "2 to 3 % lower velocities than at `fine`" in critical.resolution_words(plain)
+
+
+def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:
+    """At `standard` and below verdicts still move with the spacing (docs/evidence/bonding.md)."""
+    text = scene(("Ni", 25, 500), more=EXPOSED)
+    assert Scene.from_text(text).preset == "fine"
+    assert Scene.from_text('preset = "draft"\n' + text).preset == "draft"
+    assert Scene.from_text(scene(("Ni", 25, 500), more=HELD.format(20))).preset == "standard"
 
 
 def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,7 @@ from pages import PAGES, markdown, options, single_impact, study_table, versions
 from coupler import Scene, run
 from coupler.geometry.triangles import vertex_areas
 from coupler.impact.exchange import Impact
-from coupler.impact.exposure import softer_strength
+from coupler.impact.touching import softer_strength
 from coupler.physics.adhesion import EXTRUSION
 from coupler.progress import Progress
 from coupler.studies.critical import at_velocity

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
+from ..geometry.triangles import area_vectors
 from ..state.arrays import Floats, Ints, SpringTable
 from ..state.loops import PARTS
 from ..state.records import Shape, assign, collect
@@ -244,8 +245,7 @@ class PointContact:
         """Speed (k,) m/s of points `rows` (k,) that touch along the facets they are on. vp (k,3) of these points; x, v (N,3)."""
         nodes = self.facets[self._ids[self._boxes[self._nearest[rows]]]]
         relative = vp - np.einsum("ki,kij->kj", self._foot[rows], v[nodes])
-        corners = x[nodes]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal = area_vectors(x, nodes)
         along = np.einsum("kj,kj->k", relative, normal) / np.einsum("kj,kj->k", normal, normal)
         return np.linalg.norm(relative - along[:, None] * normal, axis=1)
 

@@ -12,11 +12,11 @@ from typing import Annotated
 import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
-from ..contact.hold import CONTACT_RANGE, SECURE, Hold, HoldState
+from ..contact.hold import SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
 from ..errors import SolverError
 from ..geometry.points import depths
-from ..geometry.triangles import rings, vertex_areas
+from ..geometry.triangles import rings
 from ..physics.adhesion import HELD_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
@@ -26,8 +26,9 @@ from ..state.records import Shape, assign, check_indices, collect
 from .bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
-from .exposure import Exposure, ExposureState, softer_strength
+from .exposure import Exposure, ExposureState
 from .ledger import Ledger, LedgerState
+from .touching import Touching
 
 # Steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable.
 WINDOW = 10
@@ -177,54 +178,52 @@ class Impact:
         if self.hold is not None:
             self.paths.release_fracture(self.hold)
 
-    def expose(self, plan: Plan, impact_plan: ImpactPlan) -> None:
-        """Take note of the clean metal that this window has exposed."""
+    def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
+        """Take note of the clean metal that this window has exposed where it touches now."""
         if self.exposure is None:
             self.exposure = Exposure(self.domains)
         if self._films is None:
             self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
-        self.exposure.update(self.domains, self._films[:, 0], self.time)
+        self.exposure.update(self.domains, touching, self._films[:, 0], self.time)
 
-    def bond(self, plan: Plan, impact_plan: ImpactPlan) -> None:
+    def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.
 
         By exposure a place bonds when its pressure has fallen below that of extrusion, and anew when it has risen above it again: until
         then fresh metal welds as it slides.
         Of both sides the larger strain counts. Raises SolverError where strength and energy make no bond.
         """
-        adhesion = plan.adhesion
-        p, t, s = self.particle, self.target, self.surface
-        rows, facets = self.contact.touching(s.weights.shape[0], CONTACT_RANGE * p.spacing)
-        new = self._pressed(rows)
         if self.hold is not None and self.exposure is not None:
             again = self.exposure.extruding[self.hold.rows]
             if again.any():
                 self.hold = self.hold.without(again).on(*self._rings)
+        chosen = touching.pressed
         if self.hold is not None:
-            new &= ~np.isin(rows, self.hold.rows)
-        rows, facets = rows[new], facets[new]
-        if len(rows) == 0:
-            return
-        strain = np.maximum(s.values(p.eps_p)[rows], t.eps_p[t.mesh.facet_element[facets]])
-        stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
-        area = vertex_areas(s.positions(p.x), s.triangles)[rows]
-        pressure = self.contact.stiffness * s.at_vertices(self.contact.depth)[rows] / area
-        if self.exposure is not None:
-            sound, strength = self.exposure.sound[rows], softer_strength(self.domains, rows, facets)
-            chosen = (sound > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows] & (strength > 0.0)  # molten: later
-        else:
-            chosen = adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
+            chosen &= ~np.isin(touching.rows, self.hold.rows)
         if chosen.any():
-            rows, facets, area = rows[chosen], facets[chosen], area[chosen]
-            law_of = t.law_of[t.mesh.facet_element[facets]]
-            if self.exposure is not None and self._films is not None:
-                law = self.exposure.bonds(rows, self._films[law_of, 1], strength[chosen], stiffness)
-            else:
-                metals = self._metals(plan)
-                law = adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
-            corners = t.mesh.facets[facets]
-            later = Hold(rows, corners, s.contacts(p.x), t.x, area, stiffness, **law)
-            self.hold = (later if self.hold is None else self.hold.joined(later)).on(*self._rings)
+            chosen &= self._meets_criterion(plan, impact_plan, touching)
+        if not chosen.any():
+            return
+        p, t, s = self.particle, self.target, self.surface
+        rows, facets, law_of = touching.rows[chosen], touching.facets[chosen], t.law_of[touching.element[chosen]]
+        stiffness = HELD_STIFFNESS * min(float(p.law["K"][0]), float(t.laws["K"].min())) / p.spacing
+        if self.exposure is not None and self._films is not None:
+            law = self.exposure.bonds(rows, self._films[law_of, 1], touching.strength[chosen], stiffness)
+        else:
+            metals = self._metals(plan)
+            law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
+        later = Hold(rows, t.mesh.facets[facets], s.contacts(p.x), t.x, touching.area[rows], stiffness, **law)
+        self.hold = (later if self.hold is None else self.hold.joined(later)).on(*self._rings)
+
+    def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
+        """Which of what touches (k,) bool bonds by the criterion."""
+        rows, area = touching.rows, touching.area[touching.rows]
+        if self.exposure is not None:
+            sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
+            return sound & (touching.strength > 0.0)  # molten: later
+        strain = np.maximum(self.surface.values(self.particle.eps_p)[rows], self.target.eps_p[touching.element])
+        pressure = touching.force[rows] / area
+        return plan.adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
 
     def _metals(self, plan: Plan) -> list[Material]:
         """The metal of each law of the target."""
@@ -233,14 +232,6 @@ class Impact:
             for i in np.flatnonzero(is_metal(self.target.laws, metal)):
                 metals[i] = metal
         return metals
-
-    def _pressed(self, rows: np.ndarray) -> np.ndarray:
-        """Mask (n,) of vertices of the particle's surface, near the target's, that press on it or have a neighbour that does, by
-        themselves or the points under them."""
-        pressing = self.surface.at_vertices(self.contact.depth) > 0.0
-        beside = np.zeros(len(pressing), bool)
-        beside[self.surface.triangles[pressing[self.surface.triangles].any(axis=1)]] = True
-        return beside[rows] | pressing[rows]
 
     def _depths(self) -> np.ndarray:
         """How deep the particle's points (n,) lie in the target, in spacings."""

@@ -6,12 +6,11 @@ from typing import Annotated
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..contact.hold import CONTACT_RANGE
 from ..geometry.triangles import areas, rings, vertex_areas
 from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, overlap, sound_fraction
-from ..physics.constitutive import yield_stresses
 from ..state.records import Shape, assign, collect
 from .domains import Domains
+from .touching import Touching
 
 
 @dataclass(frozen=True)
@@ -44,25 +43,23 @@ class Exposure:
         start, ring = rings(surface.triangles, np.arange(len(skin)))
         self._ring = csr_matrix((np.ones(len(ring)), ring, start), shape=(len(skin), len(skin)))
 
-    def update(self, domains: Domains, threshold: np.ndarray, time: float) -> None:
-        """Take note of the instant `time` s. threshold (l,): exposure at which the films on each law of the target crack."""
-        surface, particle, target, contact = domains.surface, domains.particle, domains.target, domains.contact
-        rows, facets = contact.touching(len(self.sound), CONTACT_RANGE * particle.spacing)
+    def update(self, domains: Domains, touching: Touching, threshold: np.ndarray, time: float) -> None:
+        """Take note of what touches at `time` s. threshold (l,): exposure at which the films on each law of the target crack."""
+        surface, particle, target = domains.surface, domains.particle, domains.target
+        rows, facets = touching.rows, touching.facets
         elapsed, self.time = time - self.time, time
         self.extruding[:] = False
         if len(rows) == 0:
             return
-        area = vertex_areas(surface.positions(particle.x), surface.triangles)
+        area, force, strength = touching.area, touching.force, touching.strength
         own = 1.0 - self.area_0[rows] / area[rows]
         other = 1.0 - self.facet_area_0[facets] / areas(target.x, target.mesh.facets[facets])
-        cracked = threshold[target.law_of[target.mesh.facet_element[facets]]]
+        cracked = threshold[target.law_of[touching.element]]
         clean = np.sort(np.stack([clean_share(own, cracked), clean_share(other, cracked)], axis=1), axis=1)
         self.clean[rows] = np.where((clean > self.clean[rows])[:, :1], clean, self.clean[rows])
-        speed = contact.sliding(rows, surface.positions(particle.v)[rows], target.x, target.v)
+        speed = domains.contact.sliding(rows, surface.positions(particle.v)[rows], target.x, target.v)
         self.slip[rows] += np.where(self.clean[rows, 0] > 0.0, speed * elapsed, 0.0)
-        force = contact.stiffness * surface.at_vertices(contact.depth)
         pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
-        strength = softer_strength(domains, rows, facets)
         self.extruding[rows] = pressure > EXTRUSION * strength
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
 
@@ -83,13 +80,3 @@ class Exposure:
     def restore(self, state: ExposureState) -> None:
         """Go on from a `state`. Raises CheckpointError where it does not fit."""
         assign(self, state)
-
-
-def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Flow stress (k,) Pa, slow and at its strain and temperature, of the softer of the two metals at vertices `rows` on facets."""
-    surface, particle, target = domains.surface, domains.particle, domains.target
-    element = target.mesh.facet_element[facets]
-    first = np.zeros(len(rows), np.int32)
-    own = yield_stresses(particle.law, first, surface.values(particle.eps_p)[rows], surface.values(particle.T)[rows])
-    other = yield_stresses(target.laws, target.law_of[element], target.eps_p[element], target.T[element])
-    return np.minimum(own, other)

@@ -7,6 +7,7 @@ import numpy as np
 from .ending import EndCriterion
 from .exchange import WINDOW, Impact
 from .recorder import Recorder
+from .touching import Touching
 
 
 def advance_to_end(
@@ -25,15 +26,16 @@ def advance_to_end(
         keep()
         dt = advance_window(impact, end_time)
         if adhesion.criterion == "exposure":
-            impact.expose(recorder.plan, recorder.impact_plan)
-            impact.bond(recorder.plan, recorder.impact_plan)
+            touching = Touching(impact.domains)
+            impact.expose(recorder.plan, recorder.impact_plan, touching)
+            impact.bond(recorder.plan, recorder.impact_plan, touching)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above, impact.dissipated)
         if ending.hardly_deforms and impact.has_lost_points:
             ending.wait()  # as it springs back they come out
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
-                impact.bond(recorder.plan, recorder.impact_plan)
+                impact.bond(recorder.plan, recorder.impact_plan, Touching(impact.domains))
             if recorder.greatest is None:
                 recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))

@@ -10,7 +10,7 @@ from typing import Protocol
 
 LARGEST_BATCH = 8
 GAP = 0.5  # diameters between two windows
-AHEAD = 64  # impacts among which those of a batch are looked for
+AHEAD = 64  # impacts back among which those of a batch are looked for
 
 
 class Impact(Protocol):
@@ -50,16 +50,24 @@ def batches(impacts: Sequence[Impact]) -> list[range]:
 
 
 def side_by_side(impacts: Sequence[Impact]) -> list[int]:
-    """An order of impacts that makes large batches: each is brought forward where its window lies apart from those of all that it
-    passes, so that all that meet each other arrive in the order they had."""
-    left, order = list(range(len(impacts))), []
+    """An order of impacts that makes large batches: each is put off where its window lies apart from those of all that it passes, so
+    that all that meet each other arrive in the order they had.
+
+    Batches are made from the last one back, each as large as can be: the pause after a batch costs the more the higher the coating is.
+    """
+    left, groups = list(range(len(impacts)))[::-1], list[list[int]]()
     while left:
         chosen, passed = left[:1], list[int]()
         for i in left[1:AHEAD]:
             alone = _apart([impacts[k] for k in (*chosen, *passed)], impacts[i])
             (chosen if alone and len(chosen) < LARGEST_BATCH else passed).append(i)
-        order += chosen
+        groups.insert(0, sorted(chosen))
         left = passed + left[AHEAD:]
+    order: list[int] = []
+    for before, group in zip([[], *groups], groups, strict=False):
+        # one that meets the group before it comes first: there `batch` ends
+        meets = [i for i in group if not _apart([impacts[k] for k in before], impacts[i])][:1]
+        order += meets + [i for i in group if i not in meets]
     return order
 
 

@@ -98,6 +98,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
         problems += expand(raw, Path(source).parent)
         _set_half_space(raw)
     _set_end(raw)
+    _set_preset(raw)
     if "gas" in raw or "nozzles" in raw:
         problems += fill(raw, catalogue)
     with_folders(raw, source)
@@ -148,6 +149,12 @@ def _set_end(raw: dict[str, object]) -> None:
     end, particles = raw.get("end", {}), raw.get("particle")
     if isinstance(particles, list) and len(particles) > 1 and isinstance(end, dict) and not end.keys() & {"at", "time"}:
         raw["end"] = {**end, "at": "cold"}
+
+
+def _set_preset(raw: dict[str, object]) -> None:
+    """Let bonds by exposure have the spacing at which their verdicts hold, where a scene does not say how fine it is."""
+    if isinstance(adhesion := raw.get("adhesion"), dict) and adhesion.get("criterion") == "exposure":
+        raw.setdefault("preset", "fine")
 
 
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:

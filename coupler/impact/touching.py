@@ -1,0 +1,59 @@
+"""What touches at one instant of an impact: computed once, for exposure and for bonds."""
+
+from functools import cached_property
+
+import numpy as np
+
+from ..contact.hold import CONTACT_RANGE
+from ..geometry.triangles import vertex_areas
+from ..physics.constitutive import yield_stresses
+from .domains import Domains
+
+
+class Touching:
+    """rows (k,): vertices of the particle's surface within CONTACT_RANGE spacings of the target; facets (k,): those they are on."""
+
+    def __init__(self, domains: Domains):
+        self._domains = domains
+        vertices = domains.surface.weights.shape[0]
+        self.rows, self.facets = domains.contact.touching(vertices, CONTACT_RANGE * domains.particle.spacing)
+
+    @cached_property
+    def area(self) -> np.ndarray:
+        """Area (v,) m2 of all vertices of the surface."""
+        surface = self._domains.surface
+        return vertex_areas(surface.positions(self._domains.particle.x), surface.triangles)
+
+    @cached_property
+    def force(self) -> np.ndarray:
+        """Force (v,) N that presses on all vertices, with their shares of that on the points under them."""
+        contact = self._domains.contact
+        return contact.stiffness * self._domains.surface.at_vertices(contact.depth)
+
+    @cached_property
+    def element(self) -> np.ndarray:
+        """Elements (k,) of the target behind the facets."""
+        return self._domains.target.mesh.facet_element[self.facets]
+
+    @cached_property
+    def strength(self) -> np.ndarray:
+        """Flow stress (k,) Pa, see `softer_strength`."""
+        return softer_strength(self._domains, self.rows, self.facets)
+
+    @property
+    def pressed(self) -> np.ndarray:
+        """Which of `rows` (k,) bool press on the target or have a neighbour that does, by themselves or the points under them."""
+        pressing, triangles = self.force > 0.0, self._domains.surface.triangles
+        beside = np.zeros(len(pressing), bool)
+        beside[triangles[pressing[triangles].any(axis=1)]] = True
+        return beside[self.rows] | pressing[self.rows]
+
+
+def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Flow stress (k,) Pa, slow and at its strain and temperature, of the softer of the two metals at vertices `rows` on facets."""
+    surface, particle, target = domains.surface, domains.particle, domains.target
+    element = target.mesh.facet_element[facets]
+    first = np.zeros(len(rows), np.int32)
+    own = yield_stresses(particle.law, first, surface.values(particle.eps_p)[rows], surface.values(particle.T)[rows])
+    other = yield_stresses(target.laws, target.law_of[element], target.eps_p[element], target.T[element])
+    return np.minimum(own, other)
