@@ -433,6 +433,32 @@ def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
     np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-9 * np.abs(f).max())
 
 
+def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
+    """A block on a slab, bonded to it or not, and another that is pushed into its side: the lowest row of nodes is stopped as well."""
+    depth = 0.008  # m
+    b = Blocks(SLAB, ((0.3, 0.3, 0.2), 0.1, (0.2, 0.25, 0.4)), ((0.3, 0.3, 0.3), 0.13, (0.501, 0.25, 0.35)))
+    t = b.target
+    b.tie()
+    assert b.bond is not None
+    held = np.zeros(len(t.x), bool)
+    held[b.bond.held] = True
+    start, depths = t.x.copy(), []
+    for bond in (None, b.bond):
+        contact = b.touch()
+        t.x[:] = start
+        for _ in range(5):
+            contact.search(t.x, 0.01, bond)
+            contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
+            t.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
+        depths.append(contact.history()[:, 3])
+    side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]
+    inside = side[(np.abs(start[side, 1] - 0.4) < 0.1)]
+    assert 2 <= np.count_nonzero(held[inside]) < len(inside)
+    np.testing.assert_allclose(depths[1][inside], depth, rtol=1e-6)
+    np.testing.assert_allclose(depths[1][inside], depths[0][inside], rtol=1e-6)
+    assert not depths[1][held & (start[:, 0] < 0.45)].any()
+
+
 def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
     """Two blocks are pressed on each other, and nodes of a third into the seam between them: these lie in both."""
     lower, upper = ((0.4, 0.3, 0.3), 0.13, (0.0, 0.0, -0.301)), ((0.4, 0.3, 0.3), 0.12, (0.0, 0.0, 0.001))

@@ -156,7 +156,7 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     second = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
-    searched = start, boxes, facets, ids, 0 * ids, x, low, high, shift, np.full(300, np.inf)
+    searched = start, boxes, facets, ids, 0 * ids, np.full(300, -1), x, low, high, shift, np.full(300, np.inf)
     closest.closest_facets(xp, ids[:0], *searched, nearest, foot, gap, *second)
     assert np.all(nearest == -1)
     rows = np.arange(300)
@@ -176,7 +176,7 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
 
 
 def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: np.random.Generator) -> None:
-    """Three boxes that overlap; bodies in which it lies deeper than the limit it does not meet."""
+    """Three boxes that overlap; bodies in which it lies deeper than the limit, and the one that a bond holds it to, it does not meet."""
     boxes = [mesher.box((1.0, 1.0, 1.0), 0.5) for _ in range(3)]
     meshes = [
         prepare(points + place, tets) for (points, tets), place in zip(boxes, np.diag([0.0, 0.9, 0.8]), strict=True)
@@ -191,9 +191,9 @@ def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: n
     broad.facet_boxes(x, facets, ids, low, high)
     xp, limit, rows = rng.uniform(-0.1, 2.0, (400, 3)), np.full(400, 0.15), np.arange(400)
 
-    def gaps(chosen: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def gaps(chosen: np.ndarray, of: np.ndarray, partner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         start, near, _ = broad.candidates(xp, low[chosen] - 10, high[chosen] + 10, 0.5, 400 * len(ids))
-        searched = start, near, facets, ids[chosen], of, x, low[chosen], high[chosen], 0.0, limit
+        searched = start, near, facets, ids[chosen], of, partner, x, low[chosen], high[chosen], 0.0, limit
         first, second = [(np.full(400, -1), np.zeros((400, 3)), np.zeros(400)) for _ in range(2)]
         closest.closest_facets(xp, rows, *searched, *first, *second)
         for place, foot, gap in (first, second):
@@ -203,16 +203,21 @@ def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: n
             assert not gap[~met].any()
         return first[2], second[2]
 
-    of_each = np.array([gaps(np.flatnonzero(owner == body), owner)[0] for body in range(3)])
+    nobody = np.full(400, closest.ANY)
+    of_each = np.array([gaps(np.flatnonzero(owner == body), owner, nobody)[0] for body in range(3)])
+    for partner in (nobody, rng.integers(-1, 3, 400)):
+        left = of_each.copy()
+        left[partner[partner >= 0], rows[partner >= 0]] = np.inf
+        nearest = left[np.abs(left).argmin(axis=0), rows]
+        met = np.sort(np.where(left < -limit, np.inf, left), axis=0)
+        several = np.abs(nearest) <= limit
+        first, second = gaps(ids, owner, partner)
+        assert first == pytest.approx(np.where(several, met[0], nearest), rel=1e-9)
+        assert second == pytest.approx(np.where(several, np.minimum(met[1], 0.0), 0.0), rel=1e-9)
+        assert np.count_nonzero(first != nearest) > 4
+        assert np.count_nonzero(second) > 4
     nearest = of_each[np.abs(of_each).argmin(axis=0), rows]
-    met = np.sort(np.where(of_each < -limit, np.inf, of_each), axis=0)
-    several = np.abs(nearest) <= limit
-    first, second = gaps(ids, owner)
-    assert first == pytest.approx(np.where(several, met[0], nearest), rel=1e-9)
-    assert second == pytest.approx(np.where(several, np.minimum(met[1], 0.0), 0.0), rel=1e-9)
-    assert np.count_nonzero(first != nearest) > 10
-    assert np.count_nonzero(second) > 10
-    alone = gaps(ids, 0 * owner)
+    alone = gaps(ids, 0 * owner, nobody)
     assert alone[0] == pytest.approx(nearest, rel=1e-9)
     assert not alone[1].any()
 

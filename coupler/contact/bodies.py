@@ -11,6 +11,7 @@ from ..state.arrays import SpringTable
 from ..state.records import Shape
 from . import broad
 from .bond import Bond
+from .closest import ANY
 from .kernels import UNKNOWN
 from .penalty import ContactState, PointContact, SideBySide
 from .surfaces import Surfaces, neighbours
@@ -69,7 +70,7 @@ class BodyContact:
     The same sums as between particle and target: penalty k = factor K a / 2h for each node (K the softer bulk modulus, a
     the mean area of a node, h the spacing of its body's surface, for the substrate, whose own grows outwards, of the first splat's),
     half of it because both sides of a pair press; Coulomb friction with history, forces equal and opposite in force and moment. Nodes
-    that a bond holds are left to it; those of the other side between them are not. Bodies fitted together (`Interface.fitted`) begin
+    that a bond holds to a body meet the others; those of the other side between them meet both. Bodies fitted together (`Interface.fitted`) begin
     all but without a force.
     """
 
@@ -87,7 +88,8 @@ class BodyContact:
         if len(self.bulk_modulus) != surfaces.bodies:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
-        self._held = np.zeros(len(x), bool)
+        self._held, self._body_of = np.zeros(len(x), bool), np.full(len(x), ANY)
+        self._body_of[surfaces.facets] = surfaces.body[:, None]
         count = len(surfaces.facets)
         self._all = np.arange(count)
         self._low, self._high = np.zeros((count, 3)), np.zeros((count, 3))
@@ -196,20 +198,24 @@ class BodyContact:
         if not np.isfinite(x).all():
             raise SolverError("positions are no longer numbers: try a smaller time step or smaller elements")
         given_up = bond.release() if bond is not None else 0.0
-        held = np.zeros(len(x), bool)
+        held, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
         if bond is not None:
             held[bond.held] = True
-        changed = bool(np.any(held != self._held))
-        before, before_held, self._held = self._energy, self._held, held
+            partner[bond.held] = self._body_of[bond.triangles[~bond.loose, 0]]
+        handed_over = held != self._held
+        changed = bool(handed_over.any())
+        before, self._held = self._energy, held
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
         speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else np.zeros(0)
         fastest, searched = float(speed.max(initial=0.0)), False
         surface, bounds = self._step.node_of, self._step.bounds
         broad.ways(x, surface, bounds, self._before, self._way)
         for side in self._sides:
-            handed_over = changed and not np.array_equal(held[side.nodes], before_held[side.nodes])
-            if handed_over or self._inactive(side, active) or not self._holds(side, x, travel, speed, fastest, active):
-                self._search_side(side, x, travel, speed, fastest, held[side.nodes], active)
+            new = handed_over[side.nodes]
+            side.contact.partner[:] = partner[side.nodes]
+            if new.any() or self._inactive(side, active) or not self._holds(side, x, travel, speed, fastest, active):
+                side.contact.forget(new)
+                self._search_side(side, x, travel, speed, fastest, active)
                 searched = True
         if searched:
             self._step.arrange([i for i, side in enumerate(self._sides) if not side.idle])
@@ -251,18 +257,10 @@ class BodyContact:
         return float(way[side.body] + way[side.partners].max(initial=0.0))
 
     def _search_side(
-        self,
-        side: _Side,
-        x: np.ndarray,
-        travel: float,
-        speed: np.ndarray,
-        fastest: float,
-        taken: np.ndarray,
-        active: int | None,
+        self, side: _Side, x: np.ndarray, travel: float, speed: np.ndarray, fastest: float, active: int | None
     ) -> None:
-        """Find what one side can touch. taken (nodes,): its nodes that bonds hold; speed, fastest: m/s; the rest as in `search`."""
+        """Find what one side can touch. speed, fastest: m/s; the rest as in `search`."""
         c = side.contact
-        c.forget(taken)
         side.clear, side.since = c.spacing + 2.0 * travel, self._way.copy()
         side.near, side.reach = self._around(side, x, side.clear), -np.inf
         side.known[:] = False
@@ -272,14 +270,13 @@ class BodyContact:
         if self._inactive(side, active):
             side.idle = True
             return
-        side.idle = bool(taken.all()) or (len(side.near) == 0 and not c.spring.any())
+        side.idle = len(side.near) == 0 and not c.spring.any()
         side.resting = np.inf
         if side.idle:
             c.depth[:] = c.second_depth[:] = 0.0
         else:
             moving = (None, 0) if active is None else (side.nodes, active)
             side.resting = c.search(x[side.nodes], x, reach, np.flatnonzero(side.known), None, *moving)
-            c.rows = c.rows[~taken[c.rows]]
             side.idle = len(c.rows) == 0
         side.reach, side.places = reach, (x[side.nodes], x[side.corners])
         if side.idle:

@@ -58,10 +58,10 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 
 @njit(cache=True, nogil=True)
 def _closest_of(
-    p: Floats, body: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints,
-    x: Floats, low: Floats, high: Floats, shift: float,
+    p: Floats, body: int, but: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, facets: Ints, facet_ids: Ints, owner:
+    Ints, x: Floats, low: Floats, high: Floats, shift: float,
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
-    """The triangle of a body (ANY: of all) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1 for none; the
+    """The triangle of a body (ANY: of all but one, `but`) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1 for none; the
     square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to look first, -1
     for nowhere; reach: square of the distance up to which boxes are looked at, m2. Arrays as in `closest_facets`."""
     best = 1e300
@@ -77,6 +77,8 @@ def _closest_of(
         elif look == first:
             continue
         if boxes[r] < 0 or (body != ANY and owner[facet_ids[boxes[r]]] != body):
+            continue
+        if but != ANY and owner[facet_ids[boxes[r]]] == but:
             continue
         # no triangle is closer than the box around it: most are left out so, once one close by is known
         if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
@@ -124,16 +126,17 @@ def several_bodies(rows: Ints, start: Ints, boxes: Ints, facet_ids: Ints, owner:
 
 @njit(cache=True, nogil=True)
 def closest_facets(
-    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints, x: Floats, low: Floats, high:
-    Floats, shift: float, limit: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
-    Floats,
+    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints, partner: Ints, x: Floats, low:
+    Floats, high: Floats, shift: float, limit: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats,
+    second_gap: Floats,
 ) -> None:  # fmt: skip
     """Which of its candidate triangles each point of `rows` meets, where, and how far away it is: the closest one; of a point that
     lies in several bodies, or outside one and inside another, the closest ones of the two in which it lies deepest.
 
     A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
 
-    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; owner (facets,): the body of each; low, high (k,3): boxes around the
+    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; owner (facets,): the body of each; partner (n,): the body that
+    each point does not meet because a bond holds it there, ANY for none; low, high (k,3): boxes around the
     triangles `facet_ids` at the last search, from which these have moved by `shift` m at the most. limit (rows,) m: other bodies than
     that of the closest one are not met deeper than that. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look
     first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative inside, m.
@@ -143,7 +146,7 @@ def closest_facets(
         i = rows[q]
         lo, hi = start[i], start[i + 1]
         face, best, side, a, b, c = _closest_of(
-            xp[i], ANY, nearest[i], lo, hi, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+            xp[i], ANY, partner[i], nearest[i], lo, hi, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
         )
         away = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
         face_2, away_2, a_2, b_2, c_2 = -1, 0.0, 0.0, 0.0, 0.0
@@ -152,9 +155,9 @@ def closest_facets(
             within = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
             body = _next_body(ANY, lo, hi, boxes, facet_ids, owner)
             while body != ANY:
-                if body != closest:
+                if body != closest and body != partner[i]:
                     other, best, side, u, v, w = _closest_of(
-                        xp[i], body, -1, lo, hi, within, boxes, facets, facet_ids, owner, x, low, high, shift
+                        xp[i], body, ANY, -1, lo, hi, within, boxes, facets, facet_ids, owner, x, low, high, shift
                     )
                     if other >= 0 and side < 0.0 and best <= limit[q] ** 2:
                         if -sqrt(best) < away:

@@ -105,9 +105,9 @@ def deepest(rows: Ints, margin: float, jump: float, depth: Floats, ignored: Floa
 @njit(cache=True, nogil=True)
 def end_look(
     rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
-    owner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest: Ints, foot:
-    Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats,
-    second_ignored: Floats, spring: Floats,
+    owner: Ints, partner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest:
+    Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats,
+    second_depth: Floats, second_ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
     """Find the facets that each of those points `rows` of `begin_look` meets; the others keep theirs, which they cannot touch.
 
@@ -118,7 +118,7 @@ def end_look(
     before = gap[rows]
     limit = deepest(rows, margin, jump, depth, ignored)
     closest_facets(
-        xp, rows, start, boxes, facets, facet_ids, owner, x, low, high, shift, limit, nearest, foot, gap, second, second_foot,
+        xp, rows, start, boxes, facets, facet_ids, owner, partner, x, low, high, shift, limit, nearest, foot, gap, second, second_foot,
         second_gap,
     )  # fmt: skip
     for q in range(len(rows)):
@@ -336,9 +336,9 @@ def boxes_of_sides(
 @njit(cache=True, nogil=True)
 def look_of_sides(
     lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
-    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, x: Floats, xp: Floats, seen:
-    Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth:
-    Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats, lost: Floats,
+    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, partner: Ints, x: Floats, xp:
+    Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
+    Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
     for their rows."""
@@ -352,9 +352,10 @@ def look_of_sides(
             rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1], nearest[p:p1]
         )
         end_look(
-            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], x, start[q:q1],
-            boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1],
-            second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
+            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], partner[p:p1], x,
+            start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1],
+            second[p:p1], second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1],
+            spring[p:p1],
         )  # fmt: skip
 
 

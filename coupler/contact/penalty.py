@@ -15,7 +15,7 @@ from ..state.records import Shape, assign, collect
 from ..state.threads import share, together
 from . import broad
 from . import kernels as k
-from .closest import reachable, several_bodies
+from .closest import ANY, reachable, several_bodies
 
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
@@ -73,6 +73,8 @@ class PointContact:
         self.facets = np.ascontiguousarray(facets, np.int64)
         self.facet_ids = np.arange(len(facets)) if facet_ids is None else facet_ids
         self.owner = np.zeros(len(facets), np.int64) if owner is None else owner
+        #: The body that each point (n,) does not meet, because a bond holds it there; ANY for none.
+        self.partner: Ints = np.full(points, ANY)
         self.spacing = spacing
         self.stiffness = factor * bulk_modulus * area / spacing
         self.tangential = 0.5 * self.stiffness
@@ -127,7 +129,7 @@ class PointContact:
         self.sums[1] = 0.5 * float(np.einsum("ij,ij->", self.spring, self.spring)) / self.tangential
 
     def forget(self, which: np.ndarray) -> None:
-        """Take the contact from the points of a mask (n,): bonds hold them."""
+        """Let the points of a mask (n,) begin anew: bonds have taken them, or let go of them."""
         self.spring[which], self.depth[which], self.ignored[which] = 0.0, 0.0, k.UNKNOWN
         self.second_depth[which] = self.second_ignored[which] = 0.0
 
@@ -254,8 +256,8 @@ class PointContact:
         lost = np.zeros((PARTS, 3))
         together(
             k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
-            (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, x, self._start, self._boxes, self._low,
-             self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self._second, self._second_foot,
+            (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, self.partner, x, self._start, self._boxes,
+             self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self._second, self._second_foot,
              self._second_gap, self.depth, self.ignored, self.second_depth, self.second_ignored, self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
@@ -287,8 +289,8 @@ class PointContact:
 
 _NO_NODES = np.zeros(0, np.int64)  # points that are no nodes all move
 _OF_POINT = (
-    "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_seen", "_room", "_nearest", "_foot", "gap",
-    "_second", "_second_foot", "_second_gap",
+    "partner", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_seen", "_room", "_nearest", "_foot",
+    "gap", "_second", "_second_foot", "_second_gap",
 )  # fmt: skip
 _OF_FACET = ("facets", "owner", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
@@ -383,9 +385,9 @@ class SideBySide:
         def look(lo: int, hi: int) -> None:
             k.look_of_sides(
                 lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
-                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], x, self._x, w["_seen"], w["_room"],
-                w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"], w["_second_gap"], w["depth"], w["ignored"],
-                w["second_depth"], w["second_ignored"], w["spring"], self._lost,
+                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], w["partner"], x, self._x,
+                w["_seen"], w["_room"], w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"], w["_second_gap"],
+                w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"], self._lost,
             )  # fmt: skip
 
         self._lost[:] = 0.0
