@@ -176,7 +176,7 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
 
 
 def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: np.random.Generator) -> None:
-    """Three boxes that overlap; bodies in which it lies deeper than the limit, and the one that a bond holds it to, it does not meet."""
+    """Three boxes that overlap; bodies deeper than the limit, and the one that a bond holds a point to, are not met."""
     boxes = [mesher.box((1.0, 1.0, 1.0), 0.5) for _ in range(3)]
     meshes = [
         prepare(points + place, tets) for (points, tets), place in zip(boxes, np.diag([0.0, 0.9, 0.8]), strict=True)

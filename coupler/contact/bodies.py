@@ -70,8 +70,8 @@ class BodyContact:
     The same sums as between particle and target: penalty k = factor K a / 2h for each node (K the softer bulk modulus, a
     the mean area of a node, h the spacing of its body's surface, for the substrate, whose own grows outwards, of the first splat's),
     half of it because both sides of a pair press; Coulomb friction with history, forces equal and opposite in force and moment. Nodes
-    that a bond holds to a body meet the others; those of the other side between them meet both. Bodies fitted together (`Interface.fitted`) begin
-    all but without a force.
+    that a bond holds to a body meet the others; those of the other side between them meet both. Bodies fitted together
+    (`Interface.fitted`) begin all but without a force.
     """
 
     def __init__(

@@ -61,9 +61,9 @@ def _closest_of(
     p: Floats, body: int, but: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, facets: Ints, facet_ids: Ints, owner:
     Ints, x: Floats, low: Floats, high: Floats, shift: float,
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
-    """The triangle of a body (ANY: of all but one, `but`) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1 for none; the
-    square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to look first, -1
-    for nowhere; reach: square of the distance up to which boxes are looked at, m2. Arrays as in `closest_facets`."""
+    """The triangle of a body (ANY: of all but one, `but`) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1
+    for none; the square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to
+    look first, -1 for nowhere; reach: square of the distance up to which boxes are looked at, m2. Arrays as in `closest_facets`."""
     best = 1e300
     facing = side = -1.0
     face = -1
