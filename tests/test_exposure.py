@@ -121,7 +121,7 @@ def test_the_smaller_fragments_and_the_tougher_film_decide() -> None:
 def test_a_particle_of_few_points_is_told_that_its_bonds_come_out_too_weak() -> None:
     few = [text for text in plan(Scene.from_text(TEXT, "few")).warnings if "too few for bonds by exposure" in text]
     assert len(few) == 1
-    many = TEXT.replace("2.7 um", "1 um")
+    many = TEXT.replace("2.7 um", "0.6 um")
     assert many != TEXT
     assert not any("too few" in text for text in plan(Scene.from_text(many, "many")).warnings)
 
