@@ -19,6 +19,8 @@ OF_THE_SURFACE = ("flattening_ratio", "flattening_ratio_total", "height_m", "thi
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
+# What decides a verdict: bonds computed in the impact, a formula of the velocity, ties of the scene, the motion of the particle alone.
+VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
 VERDICT, BALANCE = "verdict", "balance, of the initial energy"
@@ -111,6 +113,7 @@ TABLE = (
     Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
     Measure("verdict", group=VERDICT),
     Measure("verdict_criterion", "criterion", VERDICT),
+    Measure("verdict_by", "decided by", VERDICT),
     Measure("verdict_rests_on", "rests on", VERDICT),
     Measure("verdict_is_close", "margin within the scatter of placements", VERDICT),
     Measure("margin_m_s", "margin, as a velocity", VERDICT),

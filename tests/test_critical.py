@@ -1,5 +1,6 @@
 """The critical velocity by runs: the search itself, and the command on a scene of 200 points."""
 
+import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
@@ -137,6 +138,23 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     assert read_rows(out / "critical.csv") == rows
     assert main(call) == 0
     assert " ..." not in capsys.readouterr().err.splitlines()[-1:]
+    head = (out / "critical.csv").read_text().splitlines()[0]
+    remake = shlex.split(head.partition("remake: ")[2].partition(" (runs")[0])
+    assert remake[:3] == ["coldspray", "critical", str(file)]
+    assert {f"--out={out}", "--low=300 m/s", "--high=560 m/s", "--within=90%", "--repeat=1"} == set(remake[3:])
+    assert main([*remake[1:], "--quiet"]) == 0
+    assert read_rows(out / "critical.csv") == rows
+    whole = (out / "critical.csv").read_text()
+    for before_, after, says in (
+        (f",{rows[0]['verdict']},", ",nonsense,", "row 1: verdict = 'nonsense'"),
+        (f"\n{rows[1]['velocity_m_s']},", "\nfast,", "row 2: velocity_m_s = 'fast'"),
+    ):
+        (out / "critical.csv").write_text(whole.replace(before_, after, 1))
+        capsys.readouterr()
+        assert main(call) == 2
+        said = capsys.readouterr()
+        assert f"{out / 'critical.csv'} is damaged in {says}" in said.err
+        assert "no critical velocity" not in said.out
 
 
 @pytest.mark.parametrize("scatter", [0.0, 20.0, 60.0])

@@ -180,8 +180,17 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
     hint = "".join(capsys.readouterr().out.split())
     assert "undecided" in hint
     assert f"coldsprayresume{''.join(out.split())}--untilTIME" in hint
-    assert main(["resume", out, "--quiet"]) == 0
+    for quiet in ([], ["--quiet"]):
+        assert main(["resume", out, *quiet]) == 0
+        said = capsys.readouterr()
+        (line,) = (said.err if quiet else said.out).splitlines()
+        assert re.match(r"the run is at its own end \(10.* ns\), its verdict is undecided; ", line)
+        assert line.endswith(f"coldspray resume {out} --until TIME")
     assert Result(out).verdict == "undecided", "without a time it stays as it is"
+    assert list((tmp_path / "out").glob("checkpoint-*")), "nothing is lost"
+    with pytest.raises(SystemExit):
+        main(["resume", "--help"])
+    assert "at its own end, and undecided, goes on with --until only" in " ".join(capsys.readouterr().out.split())
     assert main(["resume", out, "--quiet", "--threads", "1", "--until", "100 ns"]) == 0
     assert Result(out).verdict == "rebounds"
     assert Result(out).end["time_s"] == pytest.approx(100e-9)

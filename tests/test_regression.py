@@ -35,7 +35,7 @@ TOLERANCES: dict[str, tuple[float, float]] = {
     "target_eps_p_max": (0.10, 0.0),
     "plastic_radius_m": (0.03, 0.0),
     "plastic_depth_m": (0.05, 0.0),
-    "rebound_velocity_m_s": (0.10, 3.0),
+    "velocity_z_m_s": (0.10, 3.0),
     "energy_drift": (0.0, 0.001),
     "numerical_dissipation": (0.0, 0.004),
     "time_s": (0.05, 0.0),

@@ -1,9 +1,13 @@
 """The verdict on a particle: what it says, what it rests on, and that one particle and several are judged alike."""
 
 import math
+import re
+from typing import Any
 
 import numpy as np
 import pytest
+from runs import SharedRuns
+from scenes import SHORT, TINY, scene
 from test_hold import ENERGY, SIDE, Sheet
 from test_plan import scene_with, several
 
@@ -11,6 +15,8 @@ from coupler.impact.verdict import judge
 from coupler.physics.adhesion import Adhesion, critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
+from coupler.report.screen import screen
+from coupler.report.words import remarks
 from coupler.report.words import verdict as in_words
 
 COHESIVE = Adhesion(kind="cohesive", strength=4e8, energy=ENERGY)
@@ -74,6 +80,7 @@ def test_nothing_that_holds_and_no_motion_is_no_verdict() -> None:
         left = judge(law, IMPACT, MASS, 20.0, hold)
         assert (left.verdict, left.margin_m_s) == ("rebounds", -20.0)
         assert left.margin_J == pytest.approx(-0.5 * MASS * 400.0)
+        assert left.by == ("bonds" if law.in_impact else "motion")
         assert judge(law, IMPACT, MASS, 0.3, hold).verdict == "undecided"
 
 
@@ -96,6 +103,7 @@ def test_the_default_compares_the_normal_velocity_with_the_critical_one(
         assert found.verdict == expected
         assert found.margin_m_s == pytest.approx(-impact.velocity[2] - critical)
         assert "Schmidt" in found.rests_on
+        assert found.by == "formula"
 
 
 def test_ties_of_the_scene_are_named_as_its_assumption() -> None:
@@ -106,7 +114,69 @@ def test_ties_of_the_scene_are_named_as_its_assumption() -> None:
 
 def test_the_verdict_in_words() -> None:
     record = {"verdict": "sticks", "verdict_rests_on": "bonds", "margin_m_s": 12.34, "verdict_criterion": "tied"}
-    assert in_words({"impacts": [record]}) == "sticks: bonds; margin +12.3 m/s (adhesion: tied)"
-    several_ = [{"verdict": word} for word in ("sticks", "sticks", "rebounds", "undecided")]
-    assert in_words({"impacts": several_}) == "of 4 particles 2 stick, 1 rebounds, 1 is undecided"
-    assert in_words({}) == ""
+    assert in_words({"impacts": [record]}) == ["sticks: bonds; margin +12.3 m/s (adhesion: tied)"]
+    assert in_words({}) == []
+    computed = record | {"bonded_area_m2": 120e-12, "bonded_area_end_m2": 98.7e-12}
+    assert in_words({"impacts": [computed]})[0].startswith(
+        "sticks: bonds; margin +12.3 m/s; bonded area 120 µm², 98.7 µm² at the end"
+    )
+
+
+def test_a_few_verdicts_have_a_line_each() -> None:
+    base = {"verdict_criterion": "tied, by velocity", "verdict_by": "formula", "particle_mass_kg": 1e-13}
+    records: list[dict[str, Any]] = [
+        base | {"verdict": "sticks", "verdict_rests_on": "formula A", "margin_m_s": 12.0},
+        base | {"verdict": "rebounds", "verdict_rests_on": "formula B", "margin_m_s": -165.0},
+        base | {"verdict": "undecided", "verdict_rests_on": "it sinks", "margin_m_s": None},
+    ]
+    assert in_words({"impacts": records}) == [
+        "of 3 particles 1 sticks, 1 rebounds, 1 is undecided (adhesion: tied, by velocity)",
+        "1 sticks: formula A; margin +12 m/s",
+        "2 rebounds: formula B; margin -165 m/s",
+        "3 undecided: it sinks",
+    ]
+    records[0]["detached_mass_kg"] = 1e-13
+    head, first, *_ = in_words({"impacts": records})
+    assert "particle 1 sticks at its impact and has come off later" in head
+    assert first.startswith("1 sticks at its impact and has come off later: formula A")
+    records[0]["detached_mass_kg"] = 0.3e-13
+    assert "parts of particle 1 have come off later" in in_words({"impacts": records})[0]
+
+
+def test_many_verdicts_are_counted_by_what_decides_them_with_the_closest() -> None:
+    """Nine by computed bonds with margins from +50 m/s down by 10, one by the formula at -3 m/s, one without an end."""
+    records: list[dict[str, Any]] = [
+        {"verdict": "sticks", "verdict_by": "bonds", "verdict_rests_on": f"bonds {k}", "margin_m_s": 130.0 - 10.0 * k}
+        for k in range(9)
+    ]
+    records += [
+        {"verdict": "rebounds", "verdict_by": "formula", "verdict_rests_on": "slow", "margin_m_s": -3.0},
+        {"verdict": "undecided", "verdict_by": None, "verdict_rests_on": "time", "margin_m_s": None},
+    ]
+    for k in (1, 2, 3, 6):
+        records[k] |= {"particle_mass_kg": 1e-13, "detached_mass_kg": 1e-13}
+    assert in_words({"impacts": records}) == [
+        "of 11 particles 9 stick, 1 rebounds, 1 is undecided;"
+        " particles 2 to 4, 7 stick at their impact and have come off later",
+        "verdicts: 9 by computed bonds, 1 by formula, 1 without an end of the contact",
+        "closest: particle 10 rebounds: slow; margin -3 m/s",
+    ]
+
+
+def test_the_verdict_stands_first_and_what_does_not_rebound_has_no_rebound_velocity(shared_run: SharedRuns) -> None:
+    """One that sticks by the formula, and moves off in its impact, in which nothing ties it; one whose run ends while it sinks."""
+    tied = shared_run(scene(("OFHC_Cu", 25, 600), **TINY))
+    (first,) = tied.impacts
+    assert next(iter(first)) == "verdict"
+    assert (first["verdict"], first["verdict_by"], first["restitution"]) == ("sticks", "formula", 0.0)
+    assert first["end"]["velocity_z_m_s"] > 1.0
+    assert first["rebound_velocity_m_s"] is None
+    assert first["refused"]["rebound_velocity_m_s"] == "the particle sticks"
+    assert not any("rebound velocity" in text for text in remarks(tied.summary))
+    sinking = shared_run(SHORT)
+    (last,) = sinking.impacts
+    assert (last["verdict"], last["verdict_by"], last["undecided"]) == ("undecided", None, None)
+    for key in ("rebound_velocity_m_s", "restitution", "rebounded"):
+        assert last[key] is None
+        assert last["refused"][key] == last["verdict_rests_on"] == "the contact has not come to an end"
+    assert re.search(r"rebound velocity +- ", screen(sinking)), screen(sinking)

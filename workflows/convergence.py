@@ -105,7 +105,7 @@ def case(points: int, velocity: float, change: Mapping[str, float | str]) -> dic
         "flattening_total_end": s["flattening_ratio_total"], "crater_gd_um": g["crater_depth_m"] * 1e6,
         "crater_end_um": s["crater_depth_m"] * 1e6, "diameter_end_um": s["splat_diameter_m"] * 1e6,
         **{k: s[k] for k in ("eps_p_mean", "eps_p_p99", "eps_p_max", "T_mean_K", "T_p99_K", "T_max_K")},
-        "rebound_m_s": s["rebound_velocity_m_s"],
+        "rebound_m_s": max(s["velocity_z_m_s"], 0.0),
         **{k: e[k] for k in ("plastic_particle", "plastic_target", "numerical_particle", "numerical_target", "friction")},
         "drift": s["energy_drift"], "failed": "",
     }  # fmt: skip

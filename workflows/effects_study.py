@@ -122,9 +122,11 @@ def compute(text: str, effects: Effects) -> dict[str, float]:
         result = run(checked, Path(folder) / "run", threads=1)
         cpu = time.process_time() - start
         last, T_0 = result.impacts[-1], checked.particles[-1].temperature
+        end = {**last, **last["end"]}
+        end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
         values = {
             f"{prefix}{key}": float(at[key]) - measure(key).initial(T_0) if at.get(key) is not None else math.nan
-            for prefix, at in (("", {**last, **last["end"]}), ("greatest.", last["greatest"]))
+            for prefix, at in (("", end), ("greatest.", last["greatest"]))
             for key in (*BANDED, "time_s")
         }
         values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}

@@ -276,7 +276,7 @@ def by_points(case: str, size: float, friction: float, numerics: Mapping[str, fl
     shutil.rmtree(folder)
     return {
         "points": s["points"], "elements": s["elements"], "steps": s["steps"], "dt_mean_ps": s["dt_mean_s"] * 1e12,
-        "rebound_m_s": s["rebound_velocity_m_s"], "plastic_particle": e["plastic_particle"],
+        "rebound_m_s": max(s["velocity_z_m_s"], 0.0), "plastic_particle": e["plastic_particle"],
         "plastic_target": e["plastic_target"], "numerical": e["numerical_particle"] + e["numerical_target"],
         "friction_heat": e["friction"], "drift": s["energy_drift"], **_shown({"greatest": greatest, "end": s}),
     }  # fmt: skip

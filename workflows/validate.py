@@ -58,12 +58,13 @@ COLUMNS = [
 ]  # fmt: skip
 # Columns of the table: measures of an impact, of its end, of a shape at some moment, with the factor from SI.
 OF_IMPACT = {
-    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0), "rebound_m_s": ("rebound_velocity_m_s", 1.0),
+    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0),
     "penetration_um": ("penetration_max_m", 1e6), "numerical_share": ("numerical_dissipation", 1.0), "drift": ("energy_drift", 1.0),
     "points": ("points", 1), "elements": ("elements", 1), "steps": ("steps", 1), "dt_ps": ("dt_mean_s", 1e12),
     "wall_s": ("wall_s", 1.0),
 }  # fmt: skip
 AT_END = {
+    "rebound_m_s": ("velocity_z_m_s", 1.0),
     "crater_um": ("crater_depth_m", 1e6), "target_eps_p_max": ("target_eps_p_max", 1.0), "target_T_max": ("target_T_max_K", 1.0),
     "von_mises_MPa": ("von_mises_max_Pa", 1e-6), "target_von_mises_MPa": ("target_von_mises_max_Pa", 1e-6),
     "plastic_radius_um": ("plastic_radius_m", 1e6), **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},

@@ -152,7 +152,9 @@ def share(text: str, option: str = "--accuracy") -> float:
     """An uncertainty such as "2%" as a share. Raises StoreError with what was expected."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
     if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        raise StoreError(f'{option} {text!r} is no uncertainty: expected a percentage above zero, such as "2%"')
+        raise StoreError(
+            f'{option} {text!r} is no uncertainty: expected a percentage above 0 and up to 100, such as "2%"'
+        )
     return float(match.group(1)) / 100.0
 
 

@@ -1,6 +1,7 @@
 """The command `coldspray critical`: the critical velocity of a scene, bracketed by runs."""
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,13 +67,15 @@ def run(arguments: argparse.Namespace) -> int:
         out / "critical.csv",
         critical.COLUMNS,
         critical.KEY,
-        "remake: coldspray critical (runs in this table are not computed again)",
+        f"remake: coldspray critical {shlex.join(_given(arguments, out))} (runs in this table are not computed again)",
     )
+    critical.check_rows(table.path, table.rows)
     try:
         bracket = critical.search(scene, out / "runs", table, limits, tolerance, say, arguments.repeat, arguments.jobs)
     except KeyboardInterrupt:
         say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} runs")
         raise
+    table.write()  # with the options of this call, also where it has computed nothing
     draw(critical.sorted_rows(table.rows), bracket, scene.particle.diameter, out / "critical.png")
     print(bracket.words)
     if bracket.velocity is None and (slowest := critical.slowest_rebound(table.rows)) is not None:
@@ -85,6 +88,22 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.quiet:
         print(f"table in {table.path}\nfigure in {out / 'critical.png'}")
     return 0
+
+
+def _given(arguments: argparse.Namespace, out: Path) -> list[str]:
+    """The scene and the options of a search that decide its runs."""
+    options = [f"--set={key}={'' if value is None else value}" for key, value in arguments.settings]
+    options += [f"--preset={arguments.preset}"] if arguments.preset is not None else []
+    options += [
+        f"--{name}={value:.10g} m/s" for name in ("low", "high") if (value := getattr(arguments, name)) is not None
+    ]
+    return [
+        str(arguments.scene),
+        f"--out={out}",
+        f"--within={arguments.within}",
+        f"--repeat={arguments.repeat}",
+        *options,
+    ]
 
 
 def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: float, picture: Path) -> None:

@@ -69,8 +69,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def read_conditions(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]") -> "tuple[GasConditions, list[float]]":
-    """The checked conditions and the diameters, m. Raises SceneError with every problem."""
+def read_conditions(
+    arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]", command: str = "gas", sizes: str = "--diameter"
+) -> "tuple[GasConditions, list[float]]":
+    """The checked conditions and the diameters, m. command, sizes: its name and its option of diameters, which messages name. Raises
+    SceneError with every problem."""
     from ..errors import ColdsprayError, SceneError
     from ..physics import materials
     from ..plan import gas as scene_gas
@@ -93,9 +96,9 @@ def read_conditions(arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]")
         try:
             diameters.append(scene_gas.diameter(text))
         except ValueError as error:
-            problems.append(f'--diameter "{text[:40]}" {error}')
+            problems.append(f'{sizes} "{text[:40]}" {error}')
     if problems or conditions is None:
-        raise SceneError(problems, "gas")
+        raise SceneError(problems, command)
     return conditions, diameters
 
 
@@ -159,6 +162,11 @@ def _table(flow: "Flow", material: "Material", diameters: list[float], flights: 
     return [*lines, "", *wrapped] if notes else lines
 
 
+def conditions_of(flow: "Flow") -> str:
+    """Gas, pressure, temperature and nozzle, for the title of a picture."""
+    return f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
+
+
 def _at_exit(flow: "Flow", flight: "Flight") -> float:
     """The particle's velocity at the nozzle's exit, m/s: at its last point inside the nozzle."""
     return float(flight.v[int((flight.x < flow.nozzle.end).sum())])
@@ -202,6 +210,5 @@ def _draw(path: Path, flow: "Flow", material: str, diameters: list[float], fligh
     below.set(ylabel="temperature (K)", xlabel="distance from the throat (mm)")
     above.set_ylim(bottom=0)
     above.legend(title=material, fontsize=8, loc="upper left")
-    head = f"{flow.gas.name}, {flow.p0 / 1e5:.4g} bar, {flow.T0 - 273.15:.4g} °C, nozzle {flow.nozzle.name}"
-    figure.suptitle(head, fontsize=11)
+    figure.suptitle(conditions_of(flow), fontsize=11)
     save(figure, path)

@@ -130,11 +130,12 @@ def _parser() -> argparse.ArgumentParser:
     option("--out", type=path, default=Path("comparison.png"), metavar="FILE",
            help="a .png figure or an .html page (default: comparison.png)")  # fmt: skip
     add_force(option)
-    text = "go on with an unfinished run, or one that was not at rest at its time limit"
+    text = "go on with an unfinished run, or one that is undecided"
     option = add_command(commands, "resume", _resume, text)
     option("folder", type=path, metavar="DIR", help="folder of the run")
     option("--until", type=quantity("--until", "time"), metavar="TIME",
-           help='time limit of its impact, such as "300 ns" (default: as long again as it has had)')  # fmt: skip
+           help='time to which its last impact goes on, such as "300 ns" (default: as long again as it has had, where that was its'
+           " time limit; a run that is at its own end, and undecided, goes on with --until only)")  # fmt: skip
     _add_running(option)
     for command in (new, watch, materials, gas, window, mesh, coating, accuracy, sweep, maps, critical):
         command.add(commands)
@@ -215,9 +216,21 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _resume(arguments: argparse.Namespace) -> int:
     from ..deposition.run import resume
+    from ..files.result import Result
 
+    if arguments.until is None and (result := Result(arguments.folder)).at_own_end:
+        resume(arguments.folder, quiet=True)  # completes the files of a run that was ended before
+        if is_first_rank():
+            at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), its verdict is undecided"
+            print(f"{at}; {_further(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
+        return 0
     more = {"until": arguments.until, "skip_failed": arguments.skip_failed}
     return _compute(arguments, arguments.folder, partial(resume, arguments.folder, **more))
+
+
+def _further(out: Path) -> str:
+    """How a run that is at its own end without a verdict goes on."""
+    return f"go on until it is decided: coldspray resume {out} --until TIME"
 
 
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
@@ -247,8 +260,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         from ..report import screen
 
         print(screen(result, arguments.verbose))
-        if result.undecided is None and not result.has_verdict:
-            print(f"go on until it is decided: coldspray resume {out} --until TIME")
+        if result.at_own_end:
+            print(_further(out))
         print(f"results in {out}{'' if arguments.verbose else f'; all measures: coldspray report {out}'}")
     return 0 if result.undecided is None else _UNDECIDED
 

@@ -42,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         if out is not None:
             claim_file(out, suffixes, [arguments.nozzles] if arguments.nozzles else [], arguments.force)
     within, nozzles = share(arguments.within, "--within"), gas.known_nozzles(arguments.nozzles)
-    conditions, sizes = gas.read_conditions(arguments, nozzles)
+    conditions, sizes = gas.read_conditions(arguments, nozzles, "window", "--powder")
     if not sizes[0] <= sizes[1] <= sizes[2]:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: D10, D50 and D90 must not fall"], "window")
     metal = materials.material(arguments.material)
@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.csv:
         _write_csv(arguments, spray)
     if arguments.png:
-        draw(arguments.png, metal, sizes[1], spray, within)
+        draw(arguments.png, metal, sizes[1], spray, within, gas.conditions_of(flow))
     return 0
 
 
@@ -96,29 +96,49 @@ def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
     )
 
 
-def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float) -> None:
-    """Velocity over temperature at impact as a PNG: the powder's classes, and the limits for its median diameter (m)."""
+def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within: float, conditions: str) -> None:
+    """Velocity over temperature at impact as a PNG: the powder's classes, and the limits for its median diameter (m).
+
+    A class above its own critical velocity, which falls with the diameter, is filled. conditions: gas and nozzle, for the title.
+    """
     import numpy as np
+    from matplotlib import colormaps
+    from matplotlib.colors import Normalize
 
     from ..report.picture import blank, save
     from ..spray import window
 
-    figure = blank(7.0, 5.0, dpi=150, layout="constrained")
+    figure = blank(7.0, 5.2, dpi=150, layout="constrained")
     axis = figure.subplots()
     T = np.linspace(
         min(273.0, float(spray.temperature.min())), min(float(spray.temperature.max()) + 300.0, 0.9 * metal.T_m), 60
     )
     critical = np.array([window.critical_at(metal, t, median) for t in T])
     axis.fill_between(T, (1.0 - within) * critical, (1.0 + within) * critical, color="0.9", linewidth=0.0)
+    size = f"of {median * 1e6:.3g} µm (median)"
     for factor, style, label in (
-        (1.0, "-", "critical"),
-        (window.OPTIMAL, "--", "optimal"),
-        (window.EROSION, ":", "erosion"),
+        (1.0, "-", f"critical velocity {size}, ± {within:.0%}"),
+        (window.OPTIMAL, "--", f"optimal velocity {size}"),
+        (window.EROSION, ":", f"erosion velocity {size}"),
     ):
-        axis.plot(T, factor * critical, "k", linestyle=style, linewidth=1.2, label=f"{label}, {median * 1e6:.3g} µm")
-    points = axis.scatter(spray.temperature, spray.velocity, c=spray.diameter * 1e6, cmap="viridis", s=22, zorder=3)
+        axis.plot(T, factor * critical, "k", linestyle=style, linewidth=1.2, label=label)
+    diameter, colours = spray.diameter * 1e6, colormaps["viridis"]
+    scale = Normalize(float(diameter.min()), float(diameter.max()))
+    above, n = spray.ratio >= 1.0, len(diameter)
+    points = axis.scatter(
+        spray.temperature[above], spray.velocity[above], c=diameter[above], cmap=colours, norm=scale, s=26, zorder=3
+    )
+    axis.scatter(
+        spray.temperature[~above], spray.velocity[~above], s=26, zorder=3, facecolors="none", linewidths=1.3,
+        edgecolors=colours(scale(diameter[~above])),
+    )  # fmt: skip
+    for face, count, side in (("0.3", int(above.sum()), "above"), ("none", int((~above).sum()), "below")):
+        axis.scatter([], [], s=26, facecolors=face, edgecolors="0.3",
+                     label=f"{count} of {n} classes of equal mass, {side} their own critical velocity")  # fmt: skip
     figure.colorbar(points, ax=axis, label="diameter (µm)")
     axis.set(xlabel="temperature at impact (K)", ylabel="velocity (m/s)", ylim=(0.0, None))
-    axis.set_title(f"{metal.name}: deposition efficiency {spray.efficiency():.0%}", fontsize=11)
+    low, high = spray.band(within)
+    efficiency = f"deposition efficiency {spray.efficiency():.0%} ({low:.0%} to {high:.0%})"
+    axis.set_title(f"{metal.name}: {efficiency}\n{conditions}", fontsize=10)
     axis.legend(fontsize=8)
     save(figure, picture)

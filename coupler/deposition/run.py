@@ -103,8 +103,8 @@ def resume(
 
     The number of ranks and their placement may differ from before. A finished run is returned as it is; an undecided one goes on: its
     last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
-    is undecided goes on where `until` is said. Arguments and errors as for `run`; raises
-    CheckpointError for a checkpoint of another version or another scene, or where `until` has passed.
+    is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. Arguments and errors as for
+    `run`; raises CheckpointError for a checkpoint of another version or another scene, or where `until` has passed.
     """
     folder = Path(out)
     result = Result(folder)

@@ -73,6 +73,11 @@ class Result:
         return self.values.get("verdict") != UNDECIDED
 
     @property
+    def at_own_end(self) -> bool:
+        """Whether the run has met its end criterion without a verdict on its last particle: it goes on to a later time only."""
+        return self.finished and self.undecided is None and not self.has_verdict
+
+    @property
     def at_limit(self) -> bool:
         """Whether the run is undecided because its time was over, so that more of it decides."""
         return "time limit" in (self.undecided or "")

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..files.summary import Values
-from ..measures import UNDECIDED, within_range
+from ..measures import REBOUNDS, STICKS, UNDECIDED, within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
 from .recorder import Recorder
@@ -17,7 +17,9 @@ from .verdict import verdict_values
 
 V = TypeVar("V")
 # beside the measures of the end
-NEEDS_REST = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s", "bonded_area_end_m2")
+_NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
+NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
+STUCK = "the particle sticks"  # why it has no rebound velocity
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,8 @@ def summarise(
     ended without its end criterion, None where it has met it; settled: whether the contact has come to an end; is_lost: whether
     the particle has slid over the rim of the target.
 
-    A measure outside its range, and one that needs the end criterion of an undecided impact, is None; `refused` has the reason.
+    A measure outside its range, one that needs the end criterion of an undecided impact, and the rebound velocity of a particle that
+    does not rebound, is None; `refused` has the reason.
     """
     particle, ledger, impact_plan = impact.particle, impact.ledger, recorder.impact_plan
     measured = recorder.measures(impact)
@@ -59,12 +62,11 @@ def summarise(
     )
     others = ("drift", "momentum_error")
     own = {
+        **verdict,
         "material": impact_plan.material.name,
         "diameter_m": impact_plan.diameter,
         "speed_m_s": float(np.linalg.norm(impact_plan.velocity)),
         "surface_level_m": impact.domains.level,
-        "rebound_velocity_m_s": max(measured["velocity_z_m_s"], 0.0),
-        **verdict,
         "penetration_max_m": impact.deepest,
         "contact_dropped": impact.contact.dropped,
         "contact_dropped_bodies": impact.bodies.contact.dropped if impact.bodies.contact is not None else 0,
@@ -93,13 +95,15 @@ def summarise(
         reason = undecided or "the contact has not come to an end"
         own |= {
             "verdict": UNDECIDED,
+            "verdict_by": None,
             "verdict_rests_on": reason,
             "verdict_is_close": False,
-            "margin_J": None,
-            "margin_m_s": None,
-            "rebounded": None,
-            "restitution": None,
+            **dict.fromkeys(_NEED_VERDICT),
         }
+    if own["verdict"] != REBOUNDS:
+        sticks = own["verdict"] == STICKS
+        keys = ("rebound_velocity_m_s",) if sticks else ("rebounded", "restitution", "rebound_velocity_m_s")
+        refused = dict.fromkeys(keys, STUCK if sticks else str(own["verdict_rests_on"]))
     if undecided is not None:
         end |= dict.fromkeys(measured.keys() - {"time_s"})
         unknown = [key for key in NEEDS_REST if key in own]

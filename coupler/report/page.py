@@ -208,7 +208,8 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
     notes += [("doubtful", "This result is doubtful", f": {escape(text)}") for text in alerts(result.summary)]
     state = "".join(f'<p class="warn" id="{name}"><b>{head}</b>{text}</p>' for name, head, text in notes)
     decided = verdict(result.summary)
-    return (f'<p id="verdict"><b>Verdict</b>: {escape(decided)}</p>' if decided else "") + state
+    lines = "<br>".join(map(escape, decided))
+    return (f'<p id="verdict"><b>Verdict</b>: {lines}</p>' if decided else "") + state
 
 
 def _so_far(history: Mapping[str, NDArray]) -> str:

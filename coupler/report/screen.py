@@ -26,7 +26,8 @@ def screen(result: Result, verbose: bool = False) -> str:
     if not verbose:
         more = len(remarks) - _MOST_REMARKS
         remarks, effects = [*remarks[:_MOST_REMARKS], *([f"{more} more remarks: -v"] if more > 0 else [])], []
-    head = [f"verdict: {text}"] if (text := verdict(summary)) else []
+    decided = verdict(summary)
+    head = [f"verdict: {text}" if k == 0 else f"  {text}" for k, text in enumerate(decided)]
     head += [f"doubtful: {text}" for text in doubts]
     tail = [*remarks, *effects, *(f"warning: {text}" for text in warnings if text not in doubts)]
     stream = io.StringIO()

@@ -11,15 +11,29 @@ from rich.text import Text
 
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
-from ..measures import BANDED, DISSIPATION_LIMIT, GROUPS, REBOUNDS, STICKS, UNDECIDED, axis_label, measure
+from ..measures import (
+    BANDED,
+    BY_BONDS,
+    BY_FORMULA,
+    BY_MOTION,
+    BY_SCENE,
+    DISSIPATION_LIMIT,
+    GROUPS,
+    REBOUNDS,
+    STICKS,
+    UNDECIDED,
+    axis_label,
+    measure,
+)
 
 NAMED = 3  # numbers that a title names
+MOST_VERDICTS = 6  # particles whose verdicts stand in a line each
 KEYS = (*BANDED, "numerical_dissipation", "energy_drift", "deposition_efficiency", "wall_s")
 OF_EACH = (
     "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
 )  # fmt: skip
 NOTES = ("effects", "warnings")  # lists of words, below the table
-_ABOVE = (*NOTES, "undecided", "verdict_criterion", "verdict_rests_on")  # not in the tables
+_ABOVE = (*NOTES, "undecided", "verdict_criterion", "verdict_by", "verdict_rests_on")  # not in the tables
 _BLOCKS = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
 Block = Mapping[str, object]  # measures of one impact or run at one time
 
@@ -58,7 +72,7 @@ def columns(summary: Summary) -> dict[str, Block]:
 def plain(values: Block) -> Block:
     """The values that fit into a table of measures: without lists of words, tables and lists of tables.
 
-    A particle that sticks has no rebound velocity: what was computed before its bonds is its mean velocity upwards.
+    A particle that sticks has no rebound velocity, and no line of it.
     """
 
     def is_nested(value: object) -> bool:
@@ -103,28 +117,104 @@ def impacts(summary: Summary) -> list[Block]:
     return [plain(impact_values(summary, i)) for i in range(len(summary.get("impacts", [])))]
 
 
-def verdict(summary: Summary) -> str:
-    """The verdict of a run in a sentence: on one particle with what it rests on, on several how many stick. "" without one."""
+def verdict(summary: Summary) -> list[str]:
+    """The verdict of a run, in lines; none without one.
+
+    Of one particle a line with what the verdict rests on. Of several how many stick, and which have come off later; then a line for
+    each, or beyond MOST_VERDICTS how many are decided by what, and the closest margin.
+    """
     records = summary.get("impacts", [])
     counts = {word: sum(r.get("verdict") == word for r in records) for word in (STICKS, REBOUNDS, UNDECIDED)}
     if sum(counts.values()) == 0:
-        return ""
-    if len(records) > 1:
-        words = [f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n]
-        if off := sum("detached_mass_kg" in r for r in records):
-            words.append(f"{off} of these {'has' if off == 1 else 'have'} come off later")
-        return f"of {len(records)} particles {', '.join(words)}"
-    record = records[0]
-    text = str(record["verdict"])
-    if record.get("verdict_rests_on"):
-        text += f": {record['verdict_rests_on']}"
-    if isinstance(margin := record.get("margin_m_s"), int | float):
-        text += f"; margin {margin:+.3g} m/s"
-    return f"{text} (adhesion: {record['verdict_criterion']})" if record.get("verdict_criterion") else text
+        return []
+    if len(records) == 1:
+        record = records[0]
+        text = _with_reason(record)
+        return [f"{text} (adhesion: {record['verdict_criterion']})" if record.get("verdict_criterion") else text]
+    words = ", ".join(f"{n} {_VERBS[word, n == 1]}" for word, n in counts.items() if n)
+    head = "; ".join([f"of {len(records)} particles {words}", *_come_off(records)])
+    criteria = list(dict.fromkeys(str(r["verdict_criterion"]) for r in records if r.get("verdict_criterion")))
+    if len(criteria) == 1:
+        head += f" (adhesion: {criteria[0]})"
+    if len(records) > MOST_VERDICTS:
+        return [head, *_decided_by(records), *_closest(records)]
+    lines = []
+    for number, record in enumerate(records, 1):
+        has_own = len(criteria) > 1 and record.get("verdict_criterion")
+        own = f" (adhesion: {record['verdict_criterion']})" if has_own else ""
+        lines.append(f"{number} {_with_reason(record)}{own}")
+    return [head, *lines]
 
 
 _VERBS = {(STICKS, True): "sticks", (STICKS, False): "stick", (REBOUNDS, True): "rebounds", (REBOUNDS, False): "rebound",
           (UNDECIDED, True): "is undecided", (UNDECIDED, False): "are undecided"}  # fmt: skip
+_BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "ties of the scene", BY_MOTION: "motion alone"}
+_WHOLE = 0.999  # share of its mass from which a splat has come off as a whole
+
+
+def _with_reason(record: Block) -> str:
+    """Verdict of a particle, what it rests on, its margin and what has bonded: "sticks: REASON; margin +12.3 m/s"."""
+    text = str(record.get("verdict"))
+    if lost := _lost_share(record):
+        text += " at its impact and " + ("has come off later" if lost >= _WHOLE else "parts of it have come off later")
+    if record.get("verdict_rests_on"):
+        text += f": {record['verdict_rests_on']}"
+    if isinstance(margin := record.get("margin_m_s"), int | float):
+        text += f"; margin {margin:+.3g} m/s"
+    return text + _bonded(record)
+
+
+def _bonded(record: Block) -> str:
+    """The bonded area of an impact with computed bonds: "; bonded area 120 µm², 98.7 µm² at the end"."""
+    first, last = record.get("bonded_area_m2"), record.get("bonded_area_end_m2")
+    if not isinstance(first, int | float):
+        return ""
+    if first == 0.0:
+        return "; bonded area 0 µm²"
+    area = f"; bonded area {shown('bonded_area_m2', first)} µm²"
+    return area + (f", {shown('bonded_area_end_m2', last)} µm² at the end" if isinstance(last, int | float) else "")
+
+
+def _lost_share(record: Block) -> float:
+    """Share of a particle's mass that has come off after its impact."""
+    lost, whole = record.get("detached_mass_kg"), record.get("particle_mass_kg")
+    if not isinstance(lost, int | float):
+        return 0.0
+    return lost / whole if isinstance(whole, int | float) and whole > 0.0 else 1.0
+
+
+def _come_off(records: Sequence[Block]) -> list[str]:
+    """Which particles have come off after their impact, as a whole or in part."""
+    shares = {number: share for number, record in enumerate(records, 1) if (share := _lost_share(record))}
+    whole = [number for number, share in shares.items() if share >= _WHOLE]
+    parts = [number for number, share in shares.items() if share < _WHOLE]
+    texts = []
+    if whole:
+        verbs = "sticks at its impact and has" if len(whole) == 1 else "stick at their impact and have"
+        texts.append(f"{_numbers(whole)} {verbs} come off later")
+    if parts:
+        texts.append(f"parts of {_numbers(parts)} have come off later")
+    return texts
+
+
+def _decided_by(records: Sequence[Block]) -> list[str]:
+    """How many verdicts are decided by what, in a line; none where the records do not say."""
+    each = [str(by) for record in records if (by := record.get("verdict_by"))]
+    texts = [f"{each.count(by)} by {_BY.get(by, by)}" for by in dict.fromkeys([*_BY, *each]) if by in each]
+    unsettled = sum("verdict_by" in record and record["verdict_by"] is None for record in records)
+    texts += [f"{unsettled} without an end of the contact"] if unsettled else []
+    return [f"verdicts: {', '.join(texts)}"] if texts else []
+
+
+def _closest(records: Sequence[Block]) -> list[str]:
+    """The particle whose margin is the least, in a line."""
+    margins = {
+        k: margin for k, record in enumerate(records) if isinstance(margin := record.get("margin_m_s"), int | float)
+    }
+    if not margins:
+        return []
+    k = min(margins, key=lambda k: abs(margins[k]))
+    return [f"closest: particle {k + 1} {_with_reason(records[k])}"]
 
 
 def alerts(summary: Summary) -> list[str]:
@@ -142,6 +232,8 @@ def remarks(summary: Summary) -> list[str]:
     for number, impact in enumerate(records, 1):
         reasons: dict[str, list[str]] = {}
         for path, reason in (impact.get("refused") or {}).items():
+            if path == "rebound_velocity_m_s" and impact.get("verdict") == STICKS:
+                continue  # the verdict says it
             reasons.setdefault(str(reason), []).append(_label(str(path)))
         for reason, names in reasons.items():
             of_end = {_label(f"end.{key}") for key in impact["end"] if key != "time_s"}
@@ -158,6 +250,11 @@ def remarks(summary: Summary) -> list[str]:
 
 def _of_impacts(numbers: Sequence[int]) -> str:
     """Numbers of impacts in ascending order before a remark: [1, 2, 3, 5] is "impacts 1 to 3, 5: "."""
+    return f"{_numbers(numbers, 'impact')}: "
+
+
+def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
+    """Numbers in ascending order with what they count: [1, 2, 3, 5] is "particles 1 to 3, 5"."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][-1] + 1:
@@ -165,7 +262,7 @@ def _of_impacts(numbers: Sequence[int]) -> str:
         else:
             runs.append([number])
     text = ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
-    return f"impact{'s' * (len(numbers) > 1)} {text}: "
+    return f"{name}{'s' * (len(numbers) > 1)} {text}"
 
 
 def _label(path: str) -> str:

@@ -41,6 +41,8 @@ COLUMNS = (
     "verdict_rests_on",
 )  # fmt: skip
 _MEASURES = COLUMNS[3:]
+_NUMBERS = _MEASURES[:-1]
+_VERDICTS = STICKS, REBOUNDS, UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -322,6 +324,31 @@ def rows_at(
             | {key: values.get(key) for key in _MEASURES}
         )
     return rows
+
+
+def check_rows(path: Path, rows: Iterable[Mapping[str, str]]) -> None:
+    """Raise StoreError for a row of the table that no run has written: it names file, row (from 1) and cell."""
+    for number, row in enumerate(rows, 1):
+        wrong = (
+            []
+            if row["verdict"] in _VERDICTS
+            else [f"verdict = {row['verdict'][:40]!r}: none of {', '.join(_VERDICTS)}"]
+        )
+        for key in (*KEY, *_NUMBERS):
+            needed = key in KEY or (key == "rebound_velocity_m_s" and row["verdict"] == REBOUNDS)
+            if not _is_number(row[key]) and (row[key] or needed):
+                wrong.append(f"{key} = {row[key][:40]!r}: no number")
+        if wrong:
+            raise StoreError(
+                f"{path} is damaged in row {number}: {'; '.join(wrong)}; take the row out, and the same command puts it in again"
+            )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def sorted_rows(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:

@@ -101,6 +101,10 @@ def compute(scene: Scene, point: LadderPoint, folder: Path, progress: Progress) 
     else:
         s = result.values
         row |= {name: s[name] for name in COLUMNS if name in s}
+        if (
+            s["rebound_velocity_m_s"] is None and (upwards := s["velocity_z_m_s"]) is not None
+        ):  # of a particle that is tied
+            row["rebound_velocity_m_s"] = max(upwards, 0.0)
         row |= {"points": point.points, "points_used": s["points"], "failed": ""}
         if result.undecided is not None:
             row |= dict.fromkeys(MEASURES, "") | {"failed": result.undecided[:200]}
