@@ -131,14 +131,14 @@ def test_a_few_verdicts_have_a_line_each() -> None:
     ]
     assert in_words({"impacts": records}) == [
         "of 3 particles 1 sticks, 1 rebounds, 1 is undecided (adhesion: tied, by velocity)",
-        "1 sticks: formula A; margin +12 m/s",
-        "2 rebounds: formula B; margin -165 m/s",
-        "3 undecided: it sinks",
+        "particle 1 sticks: formula A; margin +12 m/s",
+        "particle 2 rebounds: formula B; margin -165 m/s",
+        "particle 3 is undecided: it sinks",
     ]
     records[0]["detached_mass_kg"] = 1e-13
     head, first, *_ = in_words({"impacts": records})
     assert "particle 1 sticks at its impact and has come off later" in head
-    assert first.startswith("1 sticks at its impact and has come off later: formula A")
+    assert first.startswith("particle 1 sticks at its impact and has come off later: formula A")
     records[0]["detached_mass_kg"] = 0.3e-13
     assert "parts of particle 1 have come off later" in in_words({"impacts": records})[0]
 

@@ -102,7 +102,7 @@ def test_the_comparison_with_in718_is_that_of_its_table_and_the_picture_marks_wh
     drawn = [points for points in axis.collections if isinstance(points, PathCollection) and len(points.get_offsets())]
     filled, hollow = sorted(drawn, key=lambda points: len(points.get_offsets()))
     assert [len(points.get_offsets()) for points in (filled, hollow)] == [2, 23]
-    assert (len(filled.get_facecolors()), len(hollow.get_facecolors())) == (2, 0)
+    assert len(filled.get_facecolors()) > 0 == len(hollow.get_facecolors())
     assert axis.get_title() == ("IN718: deposition efficiency 9% (0% to 82%)\nHe, 20.6 bar, 500 °C, nozzle IN718_2023")
     texts = [text.get_text() for text in axis.get_legend().get_texts()]
     assert texts[0] == "critical velocity of 30 µm (median), ± 20%"

@@ -142,7 +142,7 @@ def verdict(summary: Summary) -> list[str]:
     for number, record in enumerate(records, 1):
         has_own = len(criteria) > 1 and record.get("verdict_criterion")
         own = f" (adhesion: {record['verdict_criterion']})" if has_own else ""
-        lines.append(f"{number} {_with_reason(record)}{own}")
+        lines.append(f"particle {number} {_with_reason(record, of_several=True)}{own}")
     return [head, *lines]
 
 
@@ -152,9 +152,10 @@ _BY = {BY_BONDS: "computed bonds", BY_FORMULA: "formula", BY_SCENE: "ties of the
 _WHOLE = 0.999  # share of its mass from which a splat has come off as a whole
 
 
-def _with_reason(record: Block) -> str:
+def _with_reason(record: Block, of_several: bool = False) -> str:
     """Verdict of a particle, what it rests on, its margin and what has bonded: "sticks: REASON; margin +12.3 m/s"."""
-    text = str(record.get("verdict"))
+    word = str(record.get("verdict"))
+    text = _VERBS.get((word, True), word) if of_several else word
     if lost := _lost_share(record):
         text += " at its impact and " + ("has come off later" if lost >= _WHOLE else "parts of it have come off later")
     if record.get("verdict_rests_on"):
@@ -214,7 +215,7 @@ def _closest(records: Sequence[Block]) -> list[str]:
     if not margins:
         return []
     k = min(margins, key=lambda k: abs(margins[k]))
-    return [f"closest: particle {k + 1} {_with_reason(records[k])}"]
+    return [f"closest: particle {k + 1} {_with_reason(records[k], of_several=True)}"]
 
 
 def alerts(summary: Summary) -> list[str]:
