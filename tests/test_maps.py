@@ -11,15 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_up_run import write
-from sweeps import flattening, made, points, pretend
+from matplotlib.figure import Figure
+from scipy.stats.qmc import Halton
+from sweeps import flattening, made, points, pretend, scattered
 
 from coupler.commands import main as cli
-from coupler.commands.map import _levels
+from coupler.commands.map import NO_VALUE, _fields, _levels
 from coupler.errors import StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.reading import Scene
-from coupler.studies.maps import BAND, interpolate, varying
+from coupler.studies.maps import BAND, best_point, brackets, interpolate, run_next, sparse, varying
 from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
 from coupler.studies.sweep import Sweep
 
@@ -136,6 +138,193 @@ def test_six_points_are_points_and_lines_and_no_surface(tmp_path, capsys) -> Non
     assert (tmp_path / "map_Ni_flattening_ratio.png").stat().st_size > 10_000
 
 
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
+    """The pictures that a test draws, by their names."""
+    from coupler.report import picture
+
+    kept: dict[str, Figure] = {}
+    save = picture.save
+
+    def keep(figure: Figure, path: Path) -> None:
+        kept[path.stem] = figure
+        save(figure, path)
+
+    monkeypatch.setattr(picture, "save", keep)
+    return kept
+
+
+def labels(figure: Figure) -> set[str]:
+    """Texts of all legends of a picture."""
+    legends = [*figure.legends, *(at.get_legend() for at in figure.axes if at.get_legend())]
+    return {text.get_text() for legend in legends for text in legend.get_texts()}
+
+
+def spread_over(n: int) -> list[tuple[float, float]]:
+    """n places (diameter in um, velocity in m/s) of a Halton sequence."""
+    unit = Halton(2, seed=1).random(n)
+    return [(float(8 * 5**a), float(300 * 3**b)) for a, b in unit]
+
+
+def test_four_points_on_a_diagonal_give_no_surface(tmp_path, capsys, figures) -> None:
+    """Four values of each axis, but no point of (10 um, 900 m/s), where a surface was off by three times its band."""
+    made(tmp_path, scattered([(10, 300), (14, 450), (18, 650), (25, 900)]))
+    said = drawn(tmp_path, capsys)
+    assert "4 points; an interpolation over 2 axes needs a grid of 4 x 4, or 16 points spread over them" in said
+    assert "rms" not in said
+    assert "next point worth a run: velocity " in said
+    assert labels(figures["map_Ni_flattening_ratio"]) == {"no verdict"}
+    with pytest.raises(StoreError, match="needs a grid of 4 x 4"):
+        interpolate(table(tmp_path), "flattening_ratio")
+
+
+def test_many_points_near_one_line_give_no_surface(tmp_path, capsys, figures) -> None:
+    share = np.linspace(0.0, 1.0, 20)
+    noise = 1.0 + 0.03 * np.random.default_rng(1).normal(size=20)
+    made(tmp_path, scattered(list(zip(10 * 3**share, 300 * 3**share * noise, strict=True))))
+    assert "the points lie near one line of velocity and diameter" in drawn(tmp_path, capsys)
+    (picture,) = figures.values()
+    assert labels(picture) == {"no verdict"}  # points in a plane: no legend of twenty lines
+
+
+def test_scattered_points_give_a_surface_inside_their_hull(tmp_path, capsys) -> None:
+    made(tmp_path, scattered(spread_over(20)))
+    assert "rms error leaving out one point" in drawn(tmp_path, capsys)
+    rows = table(tmp_path)
+    fit = interpolate(rows, "flattening_ratio")
+    assert not fit.inside(310.0, 39e-6)
+    assert fit.inside([row["velocity_m_s"] for row in rows], [row["diameter_m"] for row in rows]).all()
+    v, D, mean, band = _fields(rows, fit.axes, None, fit)
+    outside = ~fit.inside(v, D)
+    assert 0.05 < outside.mean() < 0.6
+    assert (np.isnan(mean) == outside).all()
+    assert (np.isnan(band) == outside).all()
+    assert np.nanmax(np.abs(mean - flattening(v, D)) - band) < 0.01
+
+
+def test_lengths_are_no_shorter_than_the_distance_of_points(tmp_path) -> None:
+    """Noise on 30 scattered points: neighbouring values of one axis lie much nearer than the points themselves."""
+    rows = table(made(tmp_path, scattered(spread_over(30))))
+    for row, value in zip(rows, np.random.default_rng(0).normal(size=30), strict=True):
+        row["flattening_ratio"] = 0.5 + 0.1 * value
+    fit = interpolate(rows, "flattening_ratio")
+    x = fit._model.X_train_
+    apart = np.linalg.norm(x[:, None] - x[None], axis=2) + 9.0 * np.eye(30)
+    lower = np.exp(fit._model.kernel_.bounds)[1:3, 0]
+    assert lower == pytest.approx(np.quantile(apart.min(axis=1), 0.25), rel=1e-6)
+    assert np.diff(np.unique(x[:, 0])).min() < 0.3 * lower[0]
+
+
+def test_a_grid_with_a_hole_and_a_point_between_keeps_its_surface(tmp_path) -> None:
+    D, v = (10, 15, 22, 33), (300, 430, 620, 900)
+    places = [(a, b) for a in D for b in v][1:]
+    rows = table(made(tmp_path, scattered([*places, (12, 520)])))
+    assert sparse(rows, AXES[:2]) == ""
+    assert sparse(rows[:8], AXES[:2]) != ""
+
+
+def test_a_jump_at_the_critical_velocity_is_no_noise(tmp_path, capsys, figures) -> None:
+    """One axis, restitution that falls to zero between 560 and 640 m/s: both sides through their points, a marker for each verdict,
+    and the next point in the bracket."""
+    velocities = (300, 360, 430, 500, 560, 640, 700, 780)
+    whole = Sweep.from_dict(points(diameter=["25 um"], velocity=[f"{v} m/s" for v in velocities]))
+    made(tmp_path, whole, critical=600.0)
+    quantities = ["restitution", "velocity_ratio", "flattening_ratio"]
+    assert cli.main(["map", str(tmp_path), "--show", *quantities]) == 0
+    said = capsys.readouterr().out
+    assert "verdicts: sticks 3, rebounds 5" in said
+    assert "the verdict changes between 560 m/s and 640 m/s, where a measure can jump" in said
+    bracket = (
+        r"next point worth a run: velocity 598\.7 m/s \(rebounds at velocity 560 m/s, sticks at velocity 640 m/s\)"
+    )
+    assert len(re.findall(bracket, said)) == 2
+    at = figures["map_Ni_restitution"].axes[0]
+    assert {"sticks", "rebounds"} < labels(figures["map_Ni_restitution"])
+    below, above = (line.get_xydata() for line in at.get_lines())
+    assert below[:, 0].max() == pytest.approx(560.0)
+    assert above[:, 0].min() == pytest.approx(640.0)
+    assert np.abs(above[:, 1]).max() < 1e-9
+    assert np.interp(velocities[:5], *below.T) == pytest.approx(20.0 / np.array(velocities[:5]), rel=0.02)
+    ratio = figures["map_Ni_velocity_ratio"].axes[0]
+    assert any(set(line.get_ydata()) == {1.0} for line in ratio.get_lines())
+    assert "rms error" in next(line for line in said.splitlines() if "critical velocity: " in line)
+
+
+def test_few_points_have_the_markers_of_their_verdicts(tmp_path, capsys, figures) -> None:
+    whole = Sweep.from_dict(points(velocity=["300 m/s", "500 m/s", "900 m/s"]))
+    for name in whole.points:
+        whole.write(tmp_path, name)
+        v = Scene.load(tmp_path / f"{name}.toml").particle.velocity
+        verdict = {300.0: "rebounds", 500.0: "undecided", 900.0: "sticks"}[v]
+        pretend(tmp_path, name, verdict, flattening_ratio=v / 1000.0)
+    said = drawn(tmp_path, capsys)
+    assert "verdicts: sticks 2, rebounds 2, undecided 2" in said
+    assert {"sticks", "rebounds", "undecided"} < labels(figures["map_Ni_flattening_ratio"])
+    assert "(undecided at velocity 500 m/s, sticks at velocity 900 m/s)" in said
+
+
+def test_points_without_a_value_stand_on_the_lower_edge(tmp_path, capsys, figures) -> None:
+    """Of five velocities one fails and one is undecided, so that it has no restitution."""
+    velocities = (300, 400, 500, 600, 700)
+    whole = Sweep.from_dict(points(diameter=["25 um"], velocity=[f"{v} m/s" for v in velocities]))
+    for v, name in zip(velocities, whole.points, strict=True):
+        whole.write(tmp_path, name)
+        if v == 300:
+            (tmp_path / f"{name}.json").write_text('{"status": "failed", "reason": "an element", "exit_code": 3}')
+        else:
+            pretend(tmp_path, name, {600: "undecided", 700: "sticks"}.get(v, "rebounds"), flattening_ratio=0.5)
+    assert cli.main(["map", str(tmp_path), "--show", "restitution"]) == 0
+    assert "verdicts: sticks 1, rebounds 2, undecided 1" in capsys.readouterr().out
+    at = figures["map_Ni_restitution"].axes[0]
+    (crosses,) = (drawn for drawn in at.collections if drawn.get_label() == NO_VALUE)
+    assert np.asarray(crosses.get_offsets()) == pytest.approx(np.array([[v, at.get_ylim()[0]] for v in (300, 600)]))
+
+
+def test_a_short_name_that_is_taken_gets_more_digits(tmp_path, monkeypatch) -> None:
+    rows = table(made(tmp_path, Sweep.from_dict(points())))
+    kept = []
+    monkeypatch.setattr("coupler.studies.maps.run_point", lambda folder, name, text: kept.append(name))
+    run_next(tmp_path, rows, {"velocity_m_s": 529.2, "diameter_m": 1.581e-5})
+    (tmp_path / "Ni_15.8um_529ms.toml").write_text("another scene")
+    run_next(tmp_path, rows, {"velocity_m_s": 529.2, "diameter_m": 1.581e-5})
+    assert kept == ["Ni_15.8um_529ms", "Ni_15.81um_529.2ms"]
+
+
+def test_a_formula_needs_no_run(tmp_path, capsys, monkeypatch) -> None:
+    made(tmp_path, Sweep.from_dict(points()), critical=500.0)
+    monkeypatch.setattr("coupler.studies.maps.run_point", lambda *_: pytest.fail("it runs a formula"))
+    assert cli.main(["map", str(tmp_path), "--show", "velocity_ratio", "--refine", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "no point to run: normal velocity / critical velocity is a formula of the scene and needs no run" in said
+    assert "next point worth a run" not in said
+
+
+def test_a_bracket_is_halved_until_it_is_narrow(tmp_path) -> None:
+    """On a grid, neighbours along the axes only; a bracket of 5 % is the end, and the widest band is next."""
+    grid = points(diameter=["10 um", "25 um"], velocity=["400 m/s", "590 m/s", "610 m/s", "700 m/s"])
+    rows = table(made(tmp_path, Sweep.from_dict(grid), critical=600.0))
+    assert brackets(rows, AXES[:2]) == []
+    grid["points"]["velocity"] = ["400 m/s", "550 m/s", "610 m/s", "700 m/s"]
+    rows = table(made(tmp_path / "wide", Sweep.from_dict(grid), critical=600.0))
+    assert {(a, b) for a, b, *_ in brackets(rows, AXES[:2])} == {((550.0, D), (610.0, D)) for D in (1e-5, 2.5e-5)}
+    assert best_point(rows, "flattening_ratio")[0].at["velocity_m_s"] == pytest.approx(579.2)
+
+
+def test_the_runs_of_a_study_are_in_a_folder_of_their_own(tmp_path, capsys) -> None:
+    made(tmp_path / "runs", Sweep.from_dict(points()))
+    (tmp_path / "scene.toml").write_text(next((tmp_path / "runs").glob("*.toml")).read_text())
+    assert cli.main(["map", str(tmp_path)]) == 2
+    assert f"name {tmp_path / 'runs'}" in capsys.readouterr().err
+
+
+def test_an_axis_is_named_once(tmp_path, capsys) -> None:
+    made(tmp_path, Sweep.from_dict(points()))
+    assert cli.main(["map", str(tmp_path), "--axes", "particle.velocity", "particle.velocity"]) == 2
+    said = capsys.readouterr().err
+    assert "--axes particle.velocity: it is named twice" in said
+    assert said.count("\n") == 1
+
+
 def test_one_axis_gives_a_curve_with_its_band(tmp_path, capsys) -> None:
     velocities = [f"{v} m/s" for v in (150, 250, 400, 650, 1100)]
     said = drawn(made(tmp_path, Sweep.from_dict(points(diameter=["25 um"], velocity=velocities))), capsys)
@@ -203,6 +392,7 @@ def test_refine_runs_the_point_that_tells_most(tmp_path, capsys, monkeypatch) ->
     assert "7 points" not in said.splitlines()[0]
     assert "8 points: 8 done" in said
     assert scenes[0].particle.velocity == pytest.approx(670.8)
+    assert (tmp_path / "Ni_25um_671ms.toml").is_file()
     for scene in scenes:
         assert scene.substrate.diameter == pytest.approx(8 * scene.particle.diameter)
         assert scene.substrate.height == pytest.approx(4 * scene.particle.diameter)

@@ -414,8 +414,8 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
         warnings.append(
-            f"{fewest} points to a particle are too few for bonds by exposure, which come out too weak (critical velocities are some 10 %"
-            ' too high with 5000 points, and there may be none with 1000): take preset = "fine"'
+            f"{fewest} points to a particle are too few for bonds by exposure, which come out too weak: critical velocities are some"
+            ' 10 % too high with 5000 points, and with 1000 there may be none; take preset = "fine"'
         )
     named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
     if decided.absorbing_boundaries and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):

@@ -7,30 +7,38 @@ diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, 
 from __future__ import annotations
 
 import itertools
+import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, KDTree
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from .. import units
 from ..errors import StoreError
-from ..files.inputs import read_toml
-from ..measures import measure
+from ..files.inputs import read_text, read_toml
+from ..measures import REBOUNDS, STICKS, UNDECIDED, measure
 from .points import run_point
 from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
-from .sweep import set_key, toml_text
+from .sweep import point_name, set_key, toml_text
 
 LOGARITHMIC = ("velocity_m_s", "diameter_m")
 FEWEST_VALUES = 4  # along each axis, of which a map is interpolated
+POINTS_PER_AXIS = 10  # of scattered points: Loeppky, Sacks & Welch (2009), Technometrics 51, 366
+FULL_GRID = 0.75  # share of the places of a grid that have a result
+SPREAD = 0.25  # least over greatest singular value of the scaled points; of two axes a correlation of 0.88
+NARROW = 0.05  # width over middle of a bracket of the critical velocity that is not halved again
+FORMULAS = ("velocity_ratio",)  # measures that follow from the scene, without a run
 LONGEST = 3.0  # length of the interpolation over the range of an axis
 BAND = 1.96  # standard deviations: 95 % of a normal distribution
+Place = tuple[float, ...]  # values of the axes, SI
 
 
 class Regressor(Protocol):
@@ -45,9 +53,10 @@ class Interpolation:
 
     loo_rms: root mean square of what each point is off the prediction from all others; loo_inside: share of the points
     that lie in the 95 % band of that prediction; gap_rms: axis -> the same as loo_rms with all points of one value of that axis
-    left out together, over the inner values of axes that have four or more; spread: standard deviation of the values. In units
-    of the quantity.
-    warnings: lengths that the points cannot tell, in words.
+    left out together, over the inner values of axes that have four or more, with two points each in the mean; spread: standard
+    deviation of the values. In units of the quantity.
+    warnings: lengths that the points cannot tell, in words. _hull: (k,d+1) half spaces n, b with n x + b <= 0 inside the convex hull
+    of the points; x (d,) is scaled to 0..1 over _range, least and greatest (d,) of the axes.
     """
 
     quantity: str
@@ -61,6 +70,8 @@ class Interpolation:
     _model: Regressor
     _centre: NDArray
     _scale: NDArray
+    _hull: NDArray
+    _range: tuple[NDArray, NDArray]
 
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
         """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
@@ -72,17 +83,23 @@ class Interpolation:
         mean, std = self._model.predict(_scaled(flat, self.axes, self._centre, self._scale), return_std=True)
         return mean.reshape(points[0].shape), std.reshape(points[0].shape)
 
+    def inside(self, *at: ArrayLike) -> NDArray:
+        """Whether values of the axes, each an array of one shape or a number in SI units, lie in the convex hull of the points."""
+        points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
+        flat = _unit(_logs(np.stack([value.ravel() for value in points], axis=1), self.axes), self._range)
+        return np.all(flat @ self._hull[:, :-1].T + self._hull[:, -1] <= 1e-9, axis=1).reshape(points[0].shape)
+
 
 def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
     """Interpolate a column of the table over the axes that vary (or `axes`), from the rows that are done.
 
-    Matern kernel (nu 5/2) with a length for each standardised axis, between the smallest distance of two values and LONGEST times
-    their range, and white noise; constants by the greatest marginal likelihood. Errors of leaving points out by Rasmussen &
-    Williams, eq. 5.12, with these constants kept: on a grid a point's
-    neighbours of the same velocity tell nearly all of it, so that only leaving them out too tests what lies between. Raises
-    StoreError where an axis has fewer than FEWEST_VALUES values or the quantity is unknown.
+    Matern kernel (nu 5/2) with a length for each standardised axis, and white noise; constants by the greatest marginal likelihood.
+    A length lies between the distance of the points, `_distances`, and LONGEST times the range of the axis. Errors of leaving points
+    out by Rasmussen & Williams, eq. 5.12, with these constants kept: on a grid a point's neighbours of the same velocity tell nearly
+    all of it, so that only leaving them out too tests what lies between. Raises StoreError where the points support no interpolation
+    (`sparse`) or the quantity is unknown.
     """
-    used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
+    used = with_value(rows, quantity)
     names = tuple(axes) if axes is not None else varying(rows)
     if quantity not in COLUMNS:
         raise StoreError(f"{quantity} is no column of a map's table; known: {', '.join(MEASURES)}")
@@ -94,11 +111,9 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     centre, scale = logs.mean(axis=0), logs.std(axis=0)
     scale[scale == 0.0] = 1.0
     standard = _scaled(x, names, centre, scale)
-    values = [np.unique(column.round(9)) for column in standard.T]
-    bounds = [(float(np.diff(v).min()), LONGEST * float(np.ptp(v))) for v in values]
-    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(
-        [float(np.ptp(v)) for v in values], bounds, nu=2.5
-    ) + WhiteKernel(1e-3, (1e-7, 1.0))
+    ranges = np.ptp(standard, axis=0)
+    bounds = list(zip(_distances(standard).tolist(), (LONGEST * ranges).tolist(), strict=True))
+    kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(ranges.tolist(), bounds, nu=2.5) + WhiteKernel(1e-3, (1e-7, 1.0))
     model = GaussianProcessRegressor(kernel, normalize_y=True, n_restarts_optimizer=4, random_state=0)
     with warnings.catch_warnings():  # what it says of lengths at their bounds is said in `told` in words
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -117,57 +132,217 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     gaps = {}
     for column, name in enumerate(names):
         inner = np.unique(x[:, column])[1:-1]
-        if len(inner) >= 2:
+        if len(inner) >= 2 and len(x) >= 2 * (len(inner) + 2):
             groups = [np.flatnonzero(x[:, column] == value) for value in inner]
             errors = [np.linalg.solve(inverse[np.ix_(g, g)], (inverse @ model.y_train_)[g]) for g in groups]
             gaps[name] = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) * unit
     return Interpolation(
         quantity, names, tuple(used), float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std)),
         gaps,
-        unit, told, model, centre, scale,
+        unit, told, model, centre, scale, *_convex_hull(logs),
     )  # fmt: skip
 
 
 def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
-    """Which axes have too few values to be interpolated, in words; "" where none has."""
-    counts = {axis: len({row[axis] for row in rows}) for axis in axes}
+    """Why the points of rows support no interpolation over the axes, in words; "" where they support it.
+
+    Each axis has FEWEST_VALUES values or more. Of several axes the places are most of a grid (`_is_grid`), or they are at least as
+    many as the smallest grid has or POINTS_PER_AXIS for each axis, whichever is less, and do not lie near one line or plane (SPREAD).
+    """
+    x = np.array([[row[axis] for axis in axes] for row in rows], float).reshape(-1, len(axes))
+    counts = {axis: len(np.unique(column)) for axis, column in zip(axes, x.T, strict=True)}
     few = [f"{count} values of {measure(axis).short}" for axis, count in counts.items() if count < FEWEST_VALUES]
-    return f"{' and '.join(few)}; an interpolation needs {FEWEST_VALUES} along each axis" if few else ""
+    if few:
+        return f"{' and '.join(few)}; an interpolation needs {FEWEST_VALUES} along each axis"
+    if len(axes) == 1:
+        return ""
+    logs = _logs(x, axes)
+    places = np.unique(_unit(logs, (logs.min(axis=0), logs.max(axis=0))).round(9), axis=0)
+    if _is_grid(places):
+        return ""
+    needed = min(FEWEST_VALUES ** len(axes), POINTS_PER_AXIS * len(axes))
+    if len(places) < needed:
+        grid = " x ".join([str(FEWEST_VALUES)] * len(axes))
+        wanted = f"a grid of {grid}, or {needed} points spread over them"
+        return f"{len(places)} points; an interpolation over {len(axes)} axes needs {wanted}"
+    sizes = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+    if sizes[-1] < SPREAD * sizes[0]:
+        where = "one line" if len(axes) == 2 else "one plane"
+        words = " and ".join(measure(axis).short for axis in axes)
+        return f"the points lie near {where} of {words}; an interpolation needs points spread over all axes"
+    return ""
 
 
-def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> dict[str, float]:
-    """The place, axis -> SI value, at which a run tells most of a quantity: of those between two values of each axis and of these
-    values themselves the one with the widest band; without an interpolation the middle of the two neighbours along an axis that differ
-    most. Empty where every place has its run."""
-    used = [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
-    known = {tuple(row[axis] for axis in axes): float(row[quantity]) for row in used}
-    values = [sorted({at[k] for at in known}) for k in range(len(axes))]
-    best: tuple[float, tuple[float, ...]] = (-1.0, ())
+def _is_grid(places: NDArray) -> bool:
+    """Whether most places (n,d), none twice, form a grid of FEWEST_VALUES values or more along each axis. Values that fewer than
+    FEWEST_VALUES - 1 places have are not those of the grid, but of points between."""
+    in_grid, counts = np.ones(len(places), bool), []
+    for column in places.T:
+        _, index, count = np.unique(column, return_inverse=True, return_counts=True)
+        shared = count >= FEWEST_VALUES - 1
+        counts.append(int(shared.sum()))
+        in_grid &= shared[index]
+    return min(counts) >= FEWEST_VALUES and int(in_grid.sum()) >= FULL_GRID * math.prod(counts)
+
+
+def _distances(standard: NDArray) -> NDArray:
+    """The distance that points (n,d) resolve along each axis, (d,): that below which a quarter of them have their nearest neighbour,
+    but not less than the smallest distance of two values of the axis."""
+    places = np.unique(standard.round(9), axis=0)
+    nearest = float(np.quantile(KDTree(places).query(places, k=2)[0][:, 1], 0.25))
+    return np.array([max(float(np.diff(np.unique(column)).min()), nearest) for column in places.T])
+
+
+def _convex_hull(logs: NDArray) -> tuple[NDArray, tuple[NDArray, NDArray]]:
+    """The half spaces (k,d+1) of the convex hull of points (n,d) that are scaled to 0..1, and their least and greatest, (d,) each."""
+    ends = logs.min(axis=0), logs.max(axis=0)
+    if logs.shape[1] == 1:
+        return np.array([[-1.0, 0.0], [1.0, -1.0]]), ends
+    return np.asarray(ConvexHull(_unit(logs, ends)).equations), ends
+
+
+def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
+    """The rows that are done and have a number of the quantity."""
+    return [row for row in rows if row["status"] == "done" and isinstance(row.get(quantity), int | float)]
+
+
+def sides(rows: Sequence[Row], axis: str) -> list[list[Row]]:
+    """The rows that are done, in the order of an axis, divided where the verdict changes from one value to the next.
+
+    A value whose rows differ in their verdict counts as undecided.
+    """
+    done = sorted((row for row in rows if row["status"] == "done"), key=lambda row: row[axis])
+    divided: list[tuple[str, list[Row]]] = []
+    for _, group in itertools.groupby(done, key=lambda row: row[axis]):
+        here = list(group)
+        verdict = _common_verdict(here)
+        if divided and divided[-1][0] == verdict:
+            divided[-1][1].extend(here)
+        else:
+            divided.append((verdict, here))
+    return [part for _, part in divided]
+
+
+def brackets(rows: Sequence[Row], axes: Sequence[str]) -> list[tuple[Place, Place, str, str]]:
+    """Neighbouring places between which the verdict changes, and both verdicts; the widest first, those narrower than NARROW left out.
+
+    An undecided run counts as one. Axes in SI units.
+    """
+    at: dict[Place, list[Row]] = {}
+    for row in rows:
+        if row.get("verdict") in (STICKS, REBOUNDS, UNDECIDED) and all(row[axis] is not None for axis in axes):
+            at.setdefault(tuple(float(row[axis]) for axis in axes), []).append(row)
+    verdicts = {place: _common_verdict(here) for place, here in at.items()}
+    found = [
+        (distance, a, b)
+        for distance, a, b in _neighbours(list(at), axes)
+        if verdicts[a] != verdicts[b] and any(abs(p - q) > NARROW * 0.5 * abs(p + q) for p, q in zip(a, b, strict=True))
+    ]
+    return [(a, b, verdicts[a], verdicts[b]) for _, a, b in sorted(found, key=lambda each: (-each[0], *each[1:]))]
+
+
+def _common_verdict(rows: Sequence[Row]) -> str:
+    """The verdict of rows of one place; undecided where they differ."""
+    words = {str(row.get("verdict") or "") for row in rows}
+    return words.pop() if len(words) == 1 else UNDECIDED
+
+
+def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[float, Place, Place]]:
+    """Pairs of places with no third one in the sphere over them (a Gabriel graph), and their distance with each axis scaled to 0..1.
+
+    On a grid these are the neighbours along the axes. The lesser place is the first.
+    """
+    places = sorted(places)
+    logs = _logs(np.array(places, float).reshape(-1, len(axes)), axes)
+    if len(logs) < 2:
+        return []
+    x = _unit(logs, (logs.min(axis=0), logs.max(axis=0)))
+    pairs = []
+    for i in range(len(x) - 1):
+        radius = 0.5 * np.linalg.norm(x[i + 1 :] - x[i], axis=1)
+        middle = 0.5 * (x[i + 1 :] + x[i])
+        inside = np.linalg.norm(x[None] - middle[:, None], axis=2) <= radius[:, None] + 1e-9
+        alone = inside.sum(axis=1) == 2  # both ends lie on the sphere
+        pairs += [(2.0 * float(radius[k]), places[i], places[i + 1 + k]) for k in np.flatnonzero(alone)]
+    return pairs
+
+
+@dataclass(frozen=True)
+class NextPoint:
+    """at: the place, axis -> SI value, at which a run tells most of a quantity, empty where there is none; why: the reason in words,
+    empty for the middle of the two neighbours that differ most."""
+
+    at: dict[str, float]
+    why: str = ""
+
+
+def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> NextPoint:
+    """The place at which a run tells most of a quantity: none for one of FORMULAS; the middle of the widest of `brackets`; of the
+    middles of two points the one with the widest band; without an interpolation the middle of the two neighbours that differ most."""
+    label = measure(quantity).label
+    if quantity in FORMULAS:
+        return NextPoint({}, f"{label} is a formula of the scene and needs no run")
+    taken = {tuple(row[axis] for axis in axes) for row in rows if row["status"] != "unfinished"}
+    for a, b, below, above in brackets(rows, axes):
+        if (place := _between(a, b, axes)) not in taken:
+            differing = [k for k in range(len(axes)) if a[k] != b[k]]
+            ends = [", ".join(shown(axes[k], end[k]) for k in differing) for end in (a, b)]
+            return NextPoint(_named(axes, place), f"{below} at {ends[0]}, {above} at {ends[1]}")
+    known = {tuple(float(row[axis]) for axis in axes): float(row[quantity]) for row in with_value(rows, quantity)}
+    best: tuple[float, Place] = (-1.0, ())
     if fit is not None:
-        places = [
-            [*v, *(_middle(a, b, axis) for a, b in itertools.pairwise(v))] for v, axis in zip(values, axes, strict=True)
-        ]
-        for place in itertools.product(*places):
-            if place not in known:
-                best = max(best, (float(fit(*place)[1]), place))
+        ordered = sorted({_between(a, b, axes) for a, b in itertools.combinations(sorted(known), 2)} - taken)
+        for part in (ordered[k : k + 4096] for k in range(0, len(ordered), 4096)):
+            band = fit(*np.array(part).T)[1]
+            best = max(best, (float(band.max()), part[int(band.argmax())]))
+        why = f"band +- {shown(quantity, BAND * best[0], digits=3, named=False)}"
     else:
-        for k, at in itertools.product(range(len(axes)), known):
-            later = [b for b in known if b[k] > at[k] and b[:k] + b[k + 1 :] == at[:k] + at[k + 1 :]]
-            if later:
-                b = min(later, key=lambda other: other[k])
-                best = max(best, (abs(known[b] - known[at]), (*at[:k], _middle(at[k], b[k], axes[k]), *at[k + 1 :])))
-    return dict(zip(axes, best[1], strict=True)) if best[1] else {}
+        for _, a, b in _neighbours(list(known), axes):
+            if (place := _between(a, b, axes)) not in taken:
+                best = max(best, (abs(known[b] - known[a]), place))
+        why = ""
+    return NextPoint(_named(axes, best[1]), why) if best[1] else NextPoint({}, "it needs two neighbours with results")
 
 
 def best_point(
     rows: Sequence[Row], quantity: str, axes: Sequence[str] = ()
-) -> tuple[dict[str, float], Interpolation | None]:
-    """The next point (`next_point`), and the interpolation of the quantity, None where the points are too few for it. axes: those of
-    AXES that vary by default."""
-    done = [row for row in rows if row["status"] == "done"]
-    names = tuple(axes) or varying(done)
-    fit = None if not names or sparse(done, names) else interpolate(done, quantity, names)
-    return (next_point(done, quantity, fit, names) if names else {}), fit
+) -> tuple[NextPoint, Interpolation | None, str]:
+    """The next point (`next_point`); the interpolation of the quantity, None where the points do not support one; and the reason for
+    that in words. axes: those of AXES that vary by default.
+
+    Of one axis none is fitted across a change of the verdict, where a measure can jump: `sides`.
+    """
+    used = with_value(rows, quantity)
+    names = tuple(axes) or varying([row for row in rows if row["status"] == "done"])
+    if not names:
+        return NextPoint({}, "no axis varies"), None, "no axis varies"
+    problem = sparse(used, names)
+    if not problem and len(names) == 1 and quantity not in FORMULAS and len(sides(used, names[0])) > 1:
+        ends = [
+            f"{shown(names[0], a[-1][names[0]], named=False)} and {shown(names[0], b[0][names[0]], named=False)}"
+            for a, b in itertools.pairwise(sides(used, names[0]))
+        ]
+        problem = (
+            f"the verdict changes between {', '.join(ends[:3])}, where a measure can jump: each side is drawn alone,"
+            f" as a curve from {FEWEST_VALUES} values on, else as straight lines"
+        )
+    fit = None if problem else interpolate(rows, quantity, names)
+    return next_point(rows, quantity, fit, names), fit, problem
+
+
+def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
+    """A value (SI) of a measure or an axis for people: "velocity 670.8 m/s"; named: with its short name."""
+    m = measure(key)
+    return f"{m.short + ' ' if named else ''}{value * m.factor:.{digits}g} {m.unit}".rstrip()
+
+
+def _named(axes: Sequence[str], place: Place) -> dict[str, float]:
+    return dict(zip(axes, place, strict=True))
+
+
+def _between(a: Place, b: Place, axes: Sequence[str]) -> Place:
+    """The middle of two places, on each axis."""
+    return tuple(p if p == q else _middle(p, q, axis) for p, q, axis in zip(a, b, axes, strict=True))
 
 
 def _middle(a: float, b: float, axis: str) -> float:
@@ -193,9 +368,29 @@ def run_next(folder: Path, rows: Sequence[Row], at: dict[str, float]) -> str:
     for key, value in changes.items():
         unit = near["units"].get(key, "")
         set_key(data, key, units.show(value, unit) if unit else value)
-    point = "_".join([near["material"], *(f"{key.rpartition('.')[2]}{value:.4g}" for key, value in changes.items())])
-    run_point(folder, point, toml_text(data))
+    text = toml_text(data)
+    ordered = sorted(key for key in changes if KEYS.get(key, key) in at)  # diameter, then velocity, as a sweep
+    values = {key: (changes[key], near["units"].get(key, "")) for key in ordered}
+    point = _free_name(folder, values, near["material"], text)
+    run_point(folder, point, text)
     return point
+
+
+def _free_name(folder: Path, values: Mapping[str, tuple[float, str]], material: str, text: str) -> str:
+    """A short name of a point (`point_name`): three digits of each value, more where the folder holds another scene of that name.
+
+    values: key -> SI value and the unit that the scene writes. text: the scene.
+    """
+    for digits in range(3, 18):
+        words = {
+            key: units.rounded(value, unit, digits) if unit else f"{value:.{digits}g}"
+            for key, (value, unit) in values.items()
+        }
+        name = point_name({"particle.material": material, **words})
+        path = folder / f"{name}.toml"
+        if not (path.exists() or path.with_suffix("").exists()) or (path.is_file() and read_text(path) == text):
+            break
+    return name
 
 
 def varying(rows: Sequence[Row]) -> tuple[str, ...]:
@@ -206,6 +401,12 @@ def varying(rows: Sequence[Row]) -> tuple[str, ...]:
 def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
     logarithmic = np.array([name in LOGARITHMIC for name in names])
     return np.where(logarithmic, np.log(np.where(logarithmic, x, 1.0)), x)
+
+
+def _unit(logs: NDArray, ends: tuple[NDArray, NDArray]) -> NDArray:
+    """Points (n,d) scaled to 0..1 between ends, the least and the greatest, (d,) each."""
+    low, high = ends
+    return (logs - low) / np.where(high > low, high - low, 1.0)
 
 
 def _scaled(x: NDArray, names: Sequence[str], centre: NDArray, scale: NDArray) -> NDArray:

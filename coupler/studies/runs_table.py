@@ -40,6 +40,8 @@ def table(folder: str | Path) -> list[Row]:
         raise StoreError(f"{folder} is not a folder of runs")
     names = {path.name for path in folder.iterdir() if path.is_dir() and (path / "scene.toml").is_file()}
     names |= {path.stem for path in folder.glob("*.toml") if _is_scene(path)}
+    if names <= {"scene"} and any((inner := folder / "runs").glob("*/scene.toml")):  # of a study, with its scene beside
+        raise StoreError(f"{folder} holds no points itself: name {inner}, which holds runs")
     rows = [_readable_row(folder, name) for name in names]
     if not rows:
         raise StoreError(f"{folder} holds no points of a sweep and no folders of runs")
@@ -53,7 +55,7 @@ def _readable_row(folder: Path, name: str) -> Row:
             return _row(folder, name)
     except StoreError as error:
         nothing = {"point": name, "material": "", "substrate": "", "status": "failed", "reason": str(error)}
-        return dict.fromkeys(COLUMNS) | nothing
+        return dict.fromkeys(COLUMNS) | nothing | {"keys": {}, "units": {}}
 
 
 def _row(folder: Path, name: str) -> Row:
@@ -102,8 +104,8 @@ def scene_numbers(value: object, key: str = "") -> Iterator[tuple[str, float, st
 
 
 def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
-    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of, or
-    in which the points do not differ."""
+    """Make keys of the scene axes: their names in the rows. Raises StoreError for a key that no scene has a number of, that
+    is named twice, or in which the points do not differ."""
     names = []
     for key in keys:
         name = KEYS.get(key, key)
@@ -115,6 +117,8 @@ def add_axes(rows: Sequence[Row], keys: Sequence[str]) -> tuple[str, ...]:
                 row[name] = row["keys"].get(key)
         if len(rows) > 1 and len({row[name] for row in rows}) == 1:
             raise StoreError(f"--axes {key}: all {len(rows)} points have the same value there; leave it out")
+        if name in names:
+            raise StoreError(f"--axes {key}: it is named twice; name each axis once")
         names.append(name)
     return tuple(names)
 
