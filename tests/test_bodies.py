@@ -450,7 +450,12 @@ def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
             contact.search(t.x, 0.01, bond)
             contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
             t.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
+        t.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
         depths.append(contact.history()[:, 3])
+    again = b.touch()  # as after another body has joined: what bonded nodes remember of the others stays
+    again.follow(contact, np.arange(len(t.x)))
+    again.search(t.x, 0.01, b.bond)
+    np.testing.assert_array_equal(again.history()[:, 3], depths[1])
     side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]
     inside = side[(np.abs(start[side, 1] - 0.4) < 0.1)]
     assert 2 <= np.count_nonzero(held[inside]) < len(inside)

@@ -88,7 +88,8 @@ class BodyContact:
         if len(self.bulk_modulus) != surfaces.bodies:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
-        self._held, self._body_of = np.zeros(len(x), bool), np.full(len(x), ANY)
+        self._body_of = np.full(len(x), ANY)
+        self._held, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold
         self._body_of[surfaces.facets] = surfaces.body[:, None]
         count = len(surfaces.facets)
         self._all = np.arange(count)
@@ -202,9 +203,9 @@ class BodyContact:
         if bond is not None:
             held[bond.held] = True
             partner[bond.held] = self._body_of[bond.triangles[~bond.loose, 0]]
-        handed_over = held != self._held
-        changed = bool(handed_over.any())
-        before, self._held = self._energy, held
+        handed_over = (held != self._held) & (not self._is_new)
+        changed = bool(handed_over.any()) or given_up > 0.0
+        before, self._held, self._is_new = self._energy, held, False
         broad.facet_boxes(x, self.surfaces.facets, self._all, self._low, self._high)
         speed = np.sqrt(np.einsum("ij,ij->i", v, v)) if v is not None else np.zeros(0)
         fastest, searched = float(speed.max(initial=0.0)), False
@@ -319,7 +320,7 @@ class BodyContact:
         """Go back to a `state` of a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
         if len(state.sides) != len(self._sides) or len(state.held) != len(self._held):
             raise CheckpointError("a state does not fit: the contact has other bodies")
-        self._held, self.lost = state.held.copy(), state.lost
+        self._held, self._is_new, self.lost = state.held.copy(), False, state.lost
         for side, kept in zip(self._sides, state.sides, strict=True):
             side.contact.restore(kept)
             side.reach = -np.inf
