@@ -330,7 +330,8 @@ def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) ->
 def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once(pair: Blocks) -> None:
     """Springs of nodes that bonds hold are lost, those of the other side become heat or are dropped: together what they stored."""
     bond, contact = cohesive(pair), pair.touch(friction=0.4)
-    contact.search(pair.target.x, 0.0)  # a contact takes over what bonds hold at its first search: here they come after it
+    # a contact takes over what bonds hold at its first search: here they come after it
+    contact.search(pair.target.x, 0.0)
     history = contact.history()
     history[:, :3] = [0.3, 0.4, 0.0]  # N
     contact.begin(history, 0.0, 0.0, 0.0, 0)
