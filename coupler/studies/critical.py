@@ -31,8 +31,8 @@ BELOW = 3  # steps below the start that are tried where the particle rebounds at
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
 BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
-#: how much lower critical velocities of copper and nickel lie at half the spacing of `standard` (docs/tables/critical_resolution.csv)
-LOWER_AT_SMALL_SPACING = {"standard": (0.09, 0.11), "fine": (0.02, 0.03)}
+#: how much lower the critical velocity of copper lies at half the spacing of `fine`, at least (docs/tables/critical_resolution.csv)
+LOWER_AT_SMALL_SPACING = {"standard": 0.18, "fine": 0.11}
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 KEY = ("velocity_m_s", "placement")
@@ -207,10 +207,9 @@ def resolution_words(scene: Scene) -> str:
     known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
     if known is None:
         return "not in the band: the error of the resolution, which is not known for this spacing (compare with a smaller one)"
-    least, most = (100 * share for share in known)
     return (
-        "not in the band: the error of the resolution; at half the spacing of `standard` copper and nickel stick at"
-        f" {least:.0f} to {most:.0f} % lower velocities than at `{scene.preset}`"
+        "not in the band: the error of the resolution; at half the spacing of `fine` copper sticks at"
+        f" {100 * known:.0f} % lower velocities than at `{scene.preset}`, or at even lower ones"
     )
 
 
