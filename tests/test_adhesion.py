@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import scene
 
+from coupler import Scene
 from coupler.errors import ColdsprayError, SceneError
 from coupler.physics import materials
 from coupler.physics.adhesion import Adhesion, PairBond, critical_velocity
 from coupler.physics.constitutive import is_metal, law_record
+from coupler.plan.planning import plan
 
 
 def test_schmidts_formula_by_hand() -> None:
@@ -116,3 +119,11 @@ def test_all_problems_at_once() -> None:
     with pytest.raises(SceneError) as caught:
         Adhesion(kind="cohesive", criterion="plastic_strain")
     assert len(caught.value.problems) == 3
+
+
+def test_a_particle_that_nothing_holds_because_its_critical_velocity_is_not_known_is_told() -> None:
+    unknown = scene(("W", 25, 500))
+    told = [text for text in plan(Scene.from_text(unknown)).warnings if "[materials.W]" in text]
+    assert len(told) == 1
+    for known in (scene(("Ni", 25, 500)), unknown + '[adhesion]\nkind = "none"\n'):
+        assert not any("sigma_TS" in text for text in plan(Scene.from_text(known)).warnings)

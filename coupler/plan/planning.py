@@ -411,6 +411,12 @@ def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, dec
         warnings.append(
             f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
         )
+    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
+        name = impacts[0].material.name
+        warnings.append(
+            f"the critical velocity of {name} is not known (no sigma_TS), so that nothing holds the particle: give sigma_TS under"
+            f' [materials.{name}], or adhesion.kind ("none" to have it so)'
+        )
     fewest = min(i.points for i in impacts)
     if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
         warnings.append(
