@@ -119,7 +119,6 @@ def build_domains(
         factor=plan.contact_stiffness,
         facet_ids=facets,
         jump=JUMP,
-        owner=bodies.body[mesh.facet_element[facets]].astype(np.int64),
     )
     on, points = plan.effects, None
     if on.particle_conduction:
