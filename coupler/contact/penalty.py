@@ -64,8 +64,8 @@ class PointContact:
         jump: float = np.inf,
         owner: np.ndarray | None = None,
     ):
-        """facets (k,3) node indices, outward; facet_ids (k,): their numbers in the target; owner (k,): the body of each (default: all
-        are one body's), of which all facets are here that a point meets before it lies deeper than it may; spacing m of the particle;
+        """facets (k,3) node indices, outward; facet_ids (k,): their numbers in the target; owner (k,): the body of each, of which each
+        has all of its facets here (default: all are one body's); spacing m of the particle;
         area m2 of a point; bulk_modulus Pa; share: of the friction heat, for the side of the points; factor: of the stiffness;
         jump: spacings that a point may move inwards in one step. A point found deeper did not enter through this surface: it
         has no contact until it is outside again.
