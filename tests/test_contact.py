@@ -156,7 +156,21 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))  # every facet for every point
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     second = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
-    searched = start, boxes, facets, ids, 0 * ids, np.full(300, -1), x, low, high, shift, np.full(300, np.inf)
+    everything = np.zeros(300, np.int64), np.full(300, -np.inf), np.zeros((300, 3))
+    searched = (
+        start,
+        boxes,
+        facets,
+        ids,
+        0 * ids,
+        np.full(300, -1),
+        x,
+        low,
+        high,
+        shift,
+        np.full(300, np.inf),
+        *everything,
+    )
     closest.closest_facets(xp, ids[:0], *searched, nearest, foot, gap, *second)
     assert np.all(nearest == -1)
     rows = np.arange(300)
@@ -173,6 +187,42 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
         again, where, far = start[:-1] + rng.integers(0, len(ids), 300), np.zeros((300, 3)), np.zeros(300)
         closest.closest_facets(xp, rows, *searched, again, where, far, *second)
         assert far == pytest.approx(gap, rel=1e-9)
+
+
+@pytest.mark.parametrize("way", [0.0, 0.02, 0.3])
+def test_points_that_have_moved_find_what_they_find_among_all_candidates(rng: np.random.Generator, way: float) -> None:
+    """Two sheets, one above the other, are two bodies; both move, and points move by less and by more than is allowed for."""
+    (x, one), (above, two) = sheet(rng, bumps=0.05), sheet(rng, bumps=0.05)
+    facets, owner = np.concatenate([one, two + len(x)]), np.repeat([0, 1], [len(one), len(two)])
+    x = np.concatenate([x, above + np.array([0.0, 0.0, 0.06])])
+    ids, rows = np.arange(len(facets)), np.arange(300)
+    low, high = np.zeros((2, len(ids), 3))
+    broad.facet_boxes(x, facets, ids, low, high)
+    xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
+    start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))
+    limit, partner = np.full(300, 0.05), rng.integers(-1, 2, 300)
+
+    def look(boxes: np.ndarray, shift: float, near: tuple, nearest: np.ndarray) -> list[np.ndarray]:
+        first, second = [(place, np.zeros((300, 3)), np.zeros(300)) for place in (nearest, np.full(300, -1))]
+        where = start, boxes, facets, ids, owner, partner, x, low, high, shift, limit, *near
+        closest.closest_facets(xp, rows, *where, *first, *second)
+        met = [np.where(p >= 0, boxes[p], -1) for p in (first[0], second[0])]
+        return [*met, *first[1:], *second[1:], first[0], second[0]]
+
+    everything = np.zeros(300, np.int64), np.full(300, -np.inf), np.zeros((300, 3))
+    at_first = look(boxes, 0.0, everything, np.full(300, -1))
+    fewer, near, place = boxes.copy(), tuple(array.copy() for array in everything), at_first[-2].copy()
+    closest.narrow(rows, 0.05, xp, start, fewer, low, high, limit, at_first[3], place, at_first[-1], *near)
+    assert np.array_equal(fewer[place], boxes[at_first[-2]])
+    assert np.array_equal(np.sort(fewer.reshape(300, -1)), np.sort(boxes.reshape(300, -1)))
+    assert (near[0] - start[:-1]).mean() < 0.2 * len(ids)
+    xp = xp + way * rng.uniform(-0.5, 0.5, (300, 3))
+    x = x + way * rng.uniform(-0.25, 0.25, x.shape)
+    shift = 0.5 * way
+    for kept, found in zip(
+        look(boxes, shift, everything, np.full(300, -1))[:-2], look(fewer, shift, near, place)[:-2], strict=True
+    ):
+        assert np.array_equal(kept, found)
 
 
 def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: np.random.Generator) -> None:
@@ -193,7 +243,8 @@ def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: n
 
     def gaps(chosen: np.ndarray, of: np.ndarray, partner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         start, near, _ = broad.candidates(xp, low[chosen] - 10, high[chosen] + 10, 0.5, 400 * len(ids))
-        searched = start, near, facets, ids[chosen], of, partner, x, low[chosen], high[chosen], 0.0, limit
+        everything = np.zeros(400, np.int64), np.full(400, -np.inf), np.zeros((400, 3))
+        searched = start, near, facets, ids[chosen], of, partner, x, low[chosen], high[chosen], 0.0, limit, *everything
         first, second = [(np.full(400, -1), np.zeros((400, 3)), np.zeros(400)) for _ in range(2)]
         closest.closest_facets(xp, rows, *searched, *first, *second)
         for place, foot, gap in (first, second):

@@ -102,13 +102,16 @@ def _closest_of(
 
 
 @njit(cache=True, nogil=True)
-def _next_body(after: int, lo: int, hi: int, boxes: Ints, facet_ids: Ints, owner: Ints) -> int:
-    """The least number above `after` of a body that has one of the candidates [lo, hi); ANY for none."""
+def _next_body(
+    after: int, p: Floats, lo: int, hi: int, reach: float, boxes: Ints, facet_ids: Ints, owner: Ints, low: Floats, high: Floats
+) -> int:  # fmt: skip
+    """The least number above `after` of a body that has one of the candidates [lo, hi) with its box within reach, m2; ANY for none."""
     found = ANY
     for r in range(lo, hi):
         if boxes[r] >= 0:
             body = owner[facet_ids[boxes[r]]]
-            if body > after and (found == ANY or body < found):
+            lower = body > after and (found == ANY or body < found)
+            if lower and _box_distance2(p, low[boxes[r]], high[boxes[r]]) <= reach:
                 found = body
     return found
 
@@ -118,17 +121,54 @@ def several_bodies(rows: Ints, start: Ints, boxes: Ints, facet_ids: Ints, owner:
     """Whether each of the points `rows` has candidates of more than one body. Arguments as in `closest_facets`."""
     several = np.zeros(len(rows), np.bool_)
     for q in range(len(rows)):
-        lo, hi = start[rows[q]], start[rows[q] + 1]
-        one = _next_body(ANY, lo, hi, boxes, facet_ids, owner)
-        several[q] = one != ANY and _next_body(one, lo, hi, boxes, facet_ids, owner) != ANY
+        one = ANY
+        for r in range(start[rows[q]], start[rows[q] + 1]):
+            if boxes[r] >= 0:
+                body = owner[facet_ids[boxes[r]]]
+                several[q] |= one != ANY and body != one
+                one = body
     return several
+
+
+@njit(cache=True, nogil=True)
+def narrow(
+    rows: Ints, more: float, xp: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, limit: Floats, gap: Floats, nearest:
+    Ints, second: Ints, inner: Ints, within: Floats, at: Floats,
+) -> None:  # fmt: skip
+    """Put those candidates of each of the points `rows` first whose boxes come within a distance of it that is `more` m beyond what it
+    meets now: up to place inner (n,), within (n,) m of at (n,3), where it is. nearest and second (n,) move to their new places.
+
+    As long as point and facets have moved by less, nothing else has to be looked at. Arrays as in `closest_facets`.
+    """
+    for q in range(len(rows)):
+        i = rows[q]
+        lo, hi = start[i], start[i + 1]
+        within[i] = max(abs(gap[i]), limit[q]) + more
+        at[i, 0], at[i, 1], at[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
+        others = np.empty(hi - lo, np.int64)
+        count, apart, place, place_2 = lo, 0, -1, -1
+        reach = within[i] ** 2 * (1.0 + 4e-9)
+        for r in range(lo, hi):
+            near = boxes[r] >= 0 and _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach
+            if r == nearest[i] or r == second[i] or near:
+                if r == nearest[i]:
+                    place = count
+                if r == second[i]:
+                    place_2 = count
+                boxes[count] = boxes[r]
+                count += 1
+            else:
+                others[apart] = boxes[r]
+                apart += 1
+        boxes[count:hi] = others[:apart]
+        inner[i], nearest[i], second[i] = count, place, place_2
 
 
 @njit(cache=True, nogil=True)
 def closest_facets(
     xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints, partner: Ints, x: Floats, low:
-    Floats, high: Floats, shift: float, limit: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats,
-    second_gap: Floats,
+    Floats, high: Floats, shift: float, limit: Floats, inner: Ints, within: Floats, at: Floats, nearest: Ints, foot: Floats, gap:
+    Floats, second: Ints, second_foot: Floats, second_gap: Floats,
 ) -> None:  # fmt: skip
     """Which of its candidate triangles each point of `rows` meets, where, and how far away it is: the closest one; of a point that
     lies in several bodies, or outside one and inside another, the closest ones of the two in which it lies deepest.
@@ -138,26 +178,35 @@ def closest_facets(
     xp, start, boxes, facets, facet_ids, x as in `contact_forces`; owner (facets,): the body of each; partner (n,): the body that
     each point does not meet because a bond holds it there, ANY for none; low, high (k,3): boxes around the
     triangles `facet_ids` at the last search, from which these have moved by `shift` m at the most. limit (rows,) m: other bodies than
-    that of the closest one are not met deeper than that. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look
-    first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed distance, negative inside, m.
-    second, second_foot, second_gap: the same of the body in which it lies second deepest, -1 and 0 where it lies in one at most.
+    that of the closest one are not met deeper than that. inner, within, at: of `narrow`. nearest (n,): place in `boxes`, -1 for none;
+    what it holds is where to look first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed
+    distance, negative inside, m. second, second_foot, second_gap: the same of the body in which it lies second deepest, -1 and 0 where
+    it lies in one at most.
     """
     for q in range(len(rows)):
         i = rows[q]
         lo, hi = start[i], start[i + 1]
+        u, v, w = xp[i, 0] - at[i, 0], xp[i, 1] - at[i, 1], xp[i, 2] - at[i, 2]
+        moved = sqrt(u * u + v * v + w * w) + shift
+        end = inner[i] if limit[q] + moved <= within[i] else hi
         face, best, side, a, b, c = _closest_of(
-            xp[i], ANY, partner[i], nearest[i], lo, hi, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+            xp[i], ANY, partner[i], nearest[i], lo, end, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
         )
+        if end < hi and sqrt(best) + moved > within[i]:
+            end = hi
+            face, best, side, a, b, c = _closest_of(
+                xp[i], ANY, partner[i], face, lo, end, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+            )
         away = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
         face_2, away_2, a_2, b_2, c_2 = -1, 0.0, 0.0, 0.0, 0.0
         if face >= 0 and best <= limit[q] ** 2:
             closest = owner[facet_ids[boxes[face]]]
-            within = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
-            body = _next_body(ANY, lo, hi, boxes, facet_ids, owner)
+            reach = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
+            body = _next_body(ANY, xp[i], lo, end, reach, boxes, facet_ids, owner, low, high)
             while body != ANY:
                 if body != closest and body != partner[i]:
                     other, best, side, u, v, w = _closest_of(
-                        xp[i], body, ANY, -1, lo, hi, within, boxes, facets, facet_ids, owner, x, low, high, shift
+                        xp[i], body, ANY, -1, lo, end, reach, boxes, facets, facet_ids, owner, x, low, high, shift
                     )
                     if other >= 0 and side < 0.0 and best <= limit[q] ** 2:
                         if -sqrt(best) < away:
@@ -166,7 +215,7 @@ def closest_facets(
                             face, away, a, b, c = other, -sqrt(best), u, v, w
                         elif -sqrt(best) < away_2:
                             face_2, away_2, a_2, b_2, c_2 = other, -sqrt(best), u, v, w
-                body = _next_body(body, lo, hi, boxes, facet_ids, owner)
+                body = _next_body(body, xp[i], lo, end, reach, boxes, facet_ids, owner, low, high)
         nearest[i], gap[i] = face, away
         foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
         second[i], second_gap[i] = face_2, away_2

@@ -9,7 +9,7 @@ from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Arrays, Floats, Ints
 from ..state.loops import ranges
 from .broad import facet_boxes, farthest
-from .closest import closest_facets
+from .closest import closest_facets, narrow
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
 # m, depths that are ignored: of a point that has no contact, and of one that has not been looked at
@@ -105,9 +105,9 @@ def deepest(rows: Ints, margin: float, jump: float, depth: Floats, ignored: Floa
 @njit(cache=True, nogil=True)
 def end_look(
     rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
-    owner: Ints, partner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, seen: Floats, room: Floats, nearest:
-    Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats,
-    second_depth: Floats, second_ignored: Floats, spring: Floats,
+    owner: Ints, partner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, inner: Ints, within: Floats, at:
+    Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
+    Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
     """Find the facets that each of those points `rows` of `begin_look` meets; the others keep theirs, which they cannot touch.
 
@@ -118,8 +118,8 @@ def end_look(
     before = gap[rows]
     limit = deepest(rows, margin, jump, depth, ignored)
     closest_facets(
-        xp, rows, start, boxes, facets, facet_ids, owner, partner, x, low, high, shift, limit, nearest, foot, gap, second, second_foot,
-        second_gap,
+        xp, rows, start, boxes, facets, facet_ids, owner, partner, x, low, high, shift, limit, inner, within, at, nearest, foot, gap,
+        second, second_foot, second_gap,
     )  # fmt: skip
     for q in range(len(rows)):
         i = rows[q]
@@ -321,24 +321,36 @@ def contact_forces(
 
 
 @njit(cache=True, nogil=True)
-def boxes_of_sides(
-    spans: Ints, ids: Ints, nodes: Ints, facets: Ints, x: Floats, low: Floats, high: Floats, places: Floats
-) -> None:
-    """The boxes around the facets `ids` of all sides and the places (m) of their nodes, brought up to now."""
-    for s in range(len(spans)):
-        _, _, _, _, _, _, _, _, i, i1, n, n1, t, t1 = spans[s]
+def refresh_sides(
+    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
+    nodes: Ints, places: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, inner: Ints, within: Floats, at: Floats, nearest:
+    Ints, gap: Floats, second: Ints, depth: Floats, ignored: Floats,
+) -> None:  # fmt: skip
+    """The boxes around the facets `ids` of the sides [lo, hi) and the places (m) of their nodes, brought up to now, and `narrow` by
+    them."""
+    for s in range(lo, hi):
+        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
         facet_boxes(x, facets[t:t1], ids[i:i1], low[i:i1], high[i:i1])
-        for q in range(n, n1):
+        for k in range(n, n1):
             for d in range(3):
-                places[q, d] = x[nodes[q], d]
+                places[k, d] = x[nodes[k], d]
+        for row in rows[r:r1]:
+            for d in range(3):
+                xp[p + row, d] = x[node_of[p + row], d]
+        limit = deepest(rows[r:r1], numbers[s, 0], numbers[s, 1], depth[p:p1], ignored[p:p1])
+        narrow(
+            rows[r:r1], numbers[s, 1], xp[p:p1], start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], limit, gap[p:p1], nearest[p:p1],
+            second[p:p1], inner[p:p1], within[p:p1], at[p:p1],
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def look_of_sides(
     lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
     nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, partner: Ints, x: Floats, xp:
-    Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
-    Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats, lost: Floats,
+    Floats, inner: Ints, within: Floats, at: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second:
+    Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats,
+    spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
     for their rows."""
@@ -353,9 +365,9 @@ def look_of_sides(
         )
         end_look(
             near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], partner[p:p1], x,
-            start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], seen[p:p1], room[p:p1], nearest[p:p1], foot[p:p1], gap[p:p1],
-            second[p:p1], second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1],
-            spring[p:p1],
+            start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], inner[p:p1], within[p:p1], at[p:p1], seen[p:p1], room[p:p1],
+            nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1], second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1],
+            second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
         )  # fmt: skip
 
 

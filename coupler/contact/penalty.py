@@ -15,7 +15,7 @@ from ..state.records import Shape, assign, collect
 from ..state.threads import share, together
 from . import broad
 from . import kernels as k
-from .closest import ANY, reachable, several_bodies
+from .closest import ANY, narrow, reachable, several_bodies
 
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
@@ -94,6 +94,8 @@ class PointContact:
         self._nodes, self._way = np.zeros(0, np.int64), np.zeros(1)
         self._places, self._last = np.zeros((2, 0, 3))
         self._seen, self._room = np.zeros((points, 3)), np.zeros(points)
+        self._inner: Ints = np.zeros(points, np.int64)
+        self._within, self._at = np.zeros(points), np.zeros((points, 3))
         #: Signed distance of the points `rows` from the facets, m.
         self.gap: np.ndarray
         self._nearest, self._foot, self.gap = np.full(points, -1), np.zeros((points, 3)), np.zeros(points)
@@ -172,6 +174,7 @@ class PointContact:
             away[rows[still]] = False
             rows = rows[~still]
         self._nearest[:] = self._second[:] = -1
+        self._within[:] = -np.inf  # all candidates are looked at
         # from here on facets move from zero; of points that were not among `rows` it is not known how near they were
         way = np.full(len(xp), np.inf)
         way[self.rows] = self._way[0] + broad.farthest(x, self._nodes, self._last)
@@ -190,6 +193,11 @@ class PointContact:
                 self._keep_reachable(xp, travel)
         self._ids = self._ids[broad.candidates_of(self.rows, self._start, self._boxes, len(self._ids))]
         self._note_corners(x)
+        limit = k.deepest(self.rows, self._margin, self._jump, self.depth, self.ignored)
+        narrow(
+            self.rows, self._jump, xp, self._start, self._boxes, self._low, self._high, limit, self.gap, self._nearest, self._second,
+            self._inner, self._within, self._at,
+        )  # fmt: skip
         self.depth[away] = self.second_depth[away] = 0.0
         away[rows] = False  # what has no candidate is outside
         self.ignored[away] = self.second_ignored[away] = 0.0
@@ -257,8 +265,9 @@ class PointContact:
         together(
             k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
             (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, self.partner, x, self._start, self._boxes,
-             self._low, self._high, self._seen, self._room, self._nearest, self._foot, self.gap, self._second, self._second_foot,
-             self._second_gap, self.depth, self.ignored, self.second_depth, self.second_ignored, self.spring),
+             self._low, self._high, self._inner, self._within, self._at, self._seen, self._room, self._nearest, self._foot, self.gap,
+             self._second, self._second_foot, self._second_gap, self.depth, self.ignored, self.second_depth, self.second_ignored,
+             self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
         self._drop(lost.sum(axis=0))
@@ -289,8 +298,8 @@ class PointContact:
 
 _NO_NODES = np.zeros(0, np.int64)  # points that are no nodes all move
 _OF_POINT = (
-    "partner", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_seen", "_room", "_nearest", "_foot",
-    "gap", "_second", "_second_foot", "_second_gap",
+    "partner", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_inner", "_within", "_at", "_seen",
+    "_room", "_nearest", "_foot", "gap", "_second", "_second_foot", "_second_gap",
 )  # fmt: skip
 _OF_FACET = ("facets", "owner", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
@@ -344,6 +353,7 @@ class SideBySide:
         self._sums, self._lost = np.zeros((len(chosen), 4)), np.zeros((len(chosen), 3))
         for i, c in enumerate(chosen):  # what a step changes
             c._last, c._way = self._searched["_last"][nodes[i] : nodes[i + 1]], self._searched["_way"][i : i + 1]
+            c._boxes = self._searched["_boxes"][boxes[i] : boxes[i + 1]]
             self._sums[i] = c.sums
             c.sums = self._sums[i]
 
@@ -352,16 +362,15 @@ class SideBySide:
         if not self._active:
             return
         w, near = self._whole, self._searched
-        k.boxes_of_sides(
-            self._spans,
-            near["_ids"],
-            near["_nodes"],
-            w["facets"],
-            x,
-            near["_low"],
-            near["_high"],
-            near["_places"],
-        )
+
+        def bring_up(lo: int, hi: int) -> None:
+            k.refresh_sides(
+                lo, hi, self._spans, self._numbers, near["rows"], near["_start"], near["_boxes"], near["_ids"], near["_low"],
+                near["_high"], near["_nodes"], near["_places"], self.node_of, w["facets"], x, self._x, w["_inner"], w["_within"],
+                w["_at"], w["_nearest"], w["gap"], w["_second"], w["depth"], w["ignored"],
+            )  # fmt: skip
+
+        share(bring_up, len(self._active), LEAST_SIDES)
 
     @property
     def energy(self) -> float:
@@ -386,8 +395,9 @@ class SideBySide:
             k.look_of_sides(
                 lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
                 near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], w["partner"], x, self._x,
-                w["_seen"], w["_room"], w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"], w["_second_gap"],
-                w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"], self._lost,
+                w["_inner"], w["_within"], w["_at"], w["_seen"], w["_room"], w["_nearest"], w["_foot"], w["gap"], w["_second"],
+                w["_second_foot"], w["_second_gap"], w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"],
+                self._lost,
             )  # fmt: skip
 
         self._lost[:] = 0.0
