@@ -11,6 +11,7 @@ from ..state.loops import ranges
 from .broad import facet_boxes, farthest
 from .closest import closest_facets, narrow
 
+FRESH = 0.3  # of what facets and points may move before all candidates are looked at: up to it boxes stay as they are
 LEAST_ROWS = 30  # points in a range of a loop that threads share
 # m, depths that are ignored: of a point that has no contact, and of one that has not been looked at
 ALL, UNKNOWN = 1e300, -1.0
@@ -327,16 +328,22 @@ def refresh_sides(
     Ints, gap: Floats, second: Ints, depth: Floats, ignored: Floats,
 ) -> None:  # fmt: skip
     """The boxes around the facets `ids` of the sides [lo, hi) and the places (m) of their nodes, brought up to now, and `narrow` by
-    them."""
+    them; of a side that has hardly moved they stay."""
     for s in range(lo, hi):
         r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
+        most = 0.0
+        for row in rows[r:r1]:
+            way2 = 0.0
+            for d in range(3):
+                xp[p + row, d] = x[node_of[p + row], d]
+                way2 += (xp[p + row, d] - at[p + row, d]) ** 2
+            most = max(most, way2)
+        if farthest(x, nodes[n:n1], places[n:n1]) + sqrt(most) < FRESH * numbers[s, 1]:
+            continue
         facet_boxes(x, facets[t:t1], ids[i:i1], low[i:i1], high[i:i1])
         for k in range(n, n1):
             for d in range(3):
                 places[k, d] = x[nodes[k], d]
-        for row in rows[r:r1]:
-            for d in range(3):
-                xp[p + row, d] = x[node_of[p + row], d]
         limit = deepest(rows[r:r1], numbers[s, 0], numbers[s, 1], depth[p:p1], ignored[p:p1])
         narrow(
             rows[r:r1], numbers[s, 1], xp[p:p1], start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], limit, gap[p:p1], nearest[p:p1],
