@@ -130,6 +130,29 @@ def test_a_small_pull_sticks(rng: np.random.Generator) -> None:
     assert c.friction_heat == 0.0
 
 
+def test_what_a_point_ignores_of_a_body_stays_with_the_body() -> None:
+    """A point in a floor and in a wall: as the order of the two changes its force goes on smoothly."""
+    x = np.array(
+        [[-5, -5, 0], [5, -5, 0], [5, 5, 0], [-5, 5, 0], [0, -5, -5], [0, 5, -5], [0, 5, 5], [0, -5, 5]], float
+    )
+    facets = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    contact = PointContact(1, facets, 1.0, 1.0, 1.0, 0.0, owner=np.array([0, 0, 1, 1]))
+
+    def force(of_wall: float, of_floor: float) -> np.ndarray:
+        f, at = np.zeros((1, 3)), np.array([[-of_wall, 0.3, -of_floor]])
+        contact.forces(1.0, at, 0 * at, x, 0 * x, f, np.zeros((8, 3)))
+        return f[0] / contact.stiffness
+
+    contact.search(np.array([[-0.05, 0.3, -0.06]]), x, 0.5)
+    force(0.05, 0.06)
+    assert (contact.body[0], contact.second_body[0]) == (0, 1)
+    contact.second_depth[:], contact.second_ignored[:] = 0.01, 0.04
+    for of_wall in (0.05, 0.059, 0.061, 0.07, 0.061, 0.059, 0.05):
+        assert force(of_wall, 0.06) == pytest.approx([of_wall - 0.04, 0.0, 0.06], abs=1e-12)
+        assert contact.body[0] == (0 if of_wall < 0.06 else 1)
+    assert contact.dropped_energy == 0.0
+
+
 def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator) -> None:
     xp = rng.uniform(-1, 1, (400, 3))
     low = rng.uniform(-1.5, 1, (300, 3))

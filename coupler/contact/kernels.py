@@ -9,7 +9,7 @@ from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Arrays, Floats, Ints
 from ..state.loops import ranges
 from .broad import facet_boxes, farthest
-from .closest import closest_facets, narrow
+from .closest import ANY, closest_facets, narrow
 
 FRESH = 0.3  # of what facets and points may move before all candidates are looked at: up to it boxes stay as they are
 LEAST_ROWS = 30  # points in a range of a loop that threads share
@@ -108,13 +108,15 @@ def end_look(
     rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
     owner: Ints, partner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, inner: Ints, within: Floats, at:
     Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
-    Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats,
+    Floats, body: Ints, second_body: Ints, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
     """Find the facets that each of those points `rows` of `begin_look` meets; the others keep theirs, which they cannot touch.
 
     A point that lies deeper than margin, or by more than jump deeper than before, lies outside: nearer facets are only known to be
     among the candidates within the margin. It loses its contact: lost, [points that had one, squares of their depths (m2) and of
-    their springs (N2)], is added to. For ignored see `follow`, for the rest `closest_facets`, `due` and `note`.
+    their springs (N2)], is added to. body, second_body (n,): whose facets those are, ANY where there is none or it is not known: what a
+    point remembers of the second body goes with it when it becomes the first. For ignored see `follow`, for the rest
+    `closest_facets`, `due` and `note`.
     """
     before = gap[rows]
     limit = deepest(rows, margin, jump, depth, ignored)
@@ -133,6 +135,7 @@ def end_look(
             moved += sqrt(u * u + v * v + w * w) + way[0] - (room[i] - before[q])
         if nearest[i] < 0 or gap[i] < -limit[q]:
             nearest[i] = second[i] = -1
+            body[i] = second_body[i] = ANY
             ignored[i] = ALL
             stretch = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2
             if depth[i] > 0.0 or stretch > 0.0:
@@ -141,13 +144,23 @@ def end_look(
                 lost[2] += stretch
             depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = second_depth[i] = second_ignored[i] = 0.0
             continue
+        first, other = owner[facet_ids[boxes[nearest[i]]]], ANY
+        if second[i] >= 0:
+            other = owner[facet_ids[boxes[second[i]]]]
+        if body[i] != ANY and first == second_body[i]:
+            before[q], was = -second_depth[i] - second_ignored[i], max(-before[q], 0.0)
+            ignored[i], second_ignored[i] = second_ignored[i], kept
+            depth[i], second_depth[i] = second_depth[i], depth[i]
+        else:
+            was = second_depth[i] + second_ignored[i]
+        body[i], second_body[i] = first, other
         if ignored[i] == UNKNOWN:
             ignored[i] = 0.0
         else:
             ignored[i] = follow(-gap[i], -before[q], moved, ignored[i])
             if gap[i] > before[q] + moved:  # out of contact by a jump: what its spring held is lost
                 lost[1] += max(depth[i] ** 2 - max(-gap[i] - ignored[i], 0.0) ** 2, 0.0)
-        deep, was = -second_gap[i], second_depth[i] + second_ignored[i]
+        deep = -second_gap[i]
         if deep > 0.0 or was > 0.0:
             second_ignored[i] = follow(deep, was, moved, second_ignored[i])
             if deep < was - moved:
@@ -356,8 +369,8 @@ def look_of_sides(
     lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
     nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, partner: Ints, x: Floats, xp:
     Floats, inner: Ints, within: Floats, at: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second:
-    Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats,
-    spring: Floats, lost: Floats,
+    Ints, second_foot: Floats, second_gap: Floats, body: Ints, second_body: Ints, depth: Floats, ignored: Floats, second_depth: Floats,
+    second_ignored: Floats, spring: Floats, lost: Floats,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
     for their rows."""
@@ -373,8 +386,8 @@ def look_of_sides(
         end_look(
             near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], partner[p:p1], x,
             start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], inner[p:p1], within[p:p1], at[p:p1], seen[p:p1], room[p:p1],
-            nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1], second_foot[p:p1], second_gap[p:p1], depth[p:p1], ignored[p:p1],
-            second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
+            nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1], second_foot[p:p1], second_gap[p:p1], body[p:p1], second_body[p:p1],
+            depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
         )  # fmt: skip
 
 

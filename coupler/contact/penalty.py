@@ -23,7 +23,8 @@ JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound
 @dataclass(frozen=True)
 class ContactState:
     """spring (n,3) N: of friction, depth (n,) m: penetration that gives force, ignored (n,) m: penetration beside it that gives none
-    (`kernels.follow`), second_depth, second_ignored (n,) m: the same in the body in which it lies second deepest, heat_point (n,) J of
+    (`kernels.follow`), second_depth, second_ignored (n,) m: the same in the body in which it lies second deepest, body, second_body
+    (n,): which these are (`kernels.end_look`), heat_point (n,) J of
     each point; heat_facet (k,) J; sums (4,): energy of the penalty and friction springs, heat
     of the last step, J, and the number of points that touch; friction_heat: so far, J; dropped: points that have lost their contact
     as too deep so far, dropped_energy: what the springs of these held, and of those whose depth has jumped, J."""
@@ -36,6 +37,8 @@ class ContactState:
     ignored: Annotated[np.ndarray, Shape(-1)]
     second_depth: Annotated[np.ndarray, Shape(-1)]
     second_ignored: Annotated[np.ndarray, Shape(-1)]
+    body: Annotated[np.ndarray, Shape(-1, dtype=np.int64)]
+    second_body: Annotated[np.ndarray, Shape(-1, dtype=np.int64)]
     heat_point: Annotated[np.ndarray, Shape(-1)]
     heat_facet: Annotated[np.ndarray, Shape(-1)]
     sums: Annotated[np.ndarray, Shape(4)]
@@ -81,6 +84,8 @@ class PointContact:
         self.friction, self.share = friction, share
         self.spring, self.depth, self.ignored = np.zeros((points, 3)), np.zeros(points), np.full(points, k.UNKNOWN)
         self.second_depth, self.second_ignored = np.zeros((2, points))
+        self.body: Ints = np.full(points, ANY)
+        self.second_body: Ints = np.full(points, ANY)
         self.heat_point, self.heat_facet = np.zeros(points), np.zeros(len(facets))
         self.sums = np.zeros(4)
         self.friction_heat = self.dropped_energy = 0.0
@@ -127,6 +132,7 @@ class PointContact:
         """Go on from what points have of another contact, see `history`; its energies follow."""
         self.spring[:] = history[:, :3]
         self.depth[:], self.ignored[:], self.second_depth[:], self.second_ignored[:] = history[:, 3:].T
+        self.body[:] = self.second_body[:] = ANY  # the bodies had other numbers
         self.sums[0] = 0.5 * self.stiffness * float(self.depth @ self.depth + self.second_depth @ self.second_depth)
         self.sums[1] = 0.5 * float(np.einsum("ij,ij->", self.spring, self.spring)) / self.tangential
 
@@ -134,6 +140,7 @@ class PointContact:
         """Let the points of a mask (n,) begin anew: bonds have taken them, or let go of them."""
         self.spring[which], self.depth[which], self.ignored[which] = 0.0, 0.0, k.UNKNOWN
         self.second_depth[which] = self.second_ignored[which] = 0.0
+        self.body[which] = self.second_body[which] = ANY
 
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
@@ -201,6 +208,7 @@ class PointContact:
         self.depth[away] = self.second_depth[away] = 0.0
         away[rows] = False  # what has no candidate is outside
         self.ignored[away] = self.second_ignored[away] = 0.0
+        self.body[away] = self.second_body[away] = ANY
         return holds
 
     def _at_rest(self, rows: np.ndarray, nodes: np.ndarray, active: int) -> tuple[np.ndarray, float]:
@@ -266,8 +274,8 @@ class PointContact:
             k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
             (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, self.partner, x, self._start, self._boxes,
              self._low, self._high, self._inner, self._within, self._at, self._seen, self._room, self._nearest, self._foot, self.gap,
-             self._second, self._second_foot, self._second_gap, self.depth, self.ignored, self.second_depth, self.second_ignored,
-             self.spring),
+             self._second, self._second_foot, self._second_gap, self.body, self.second_body, self.depth, self.ignored,
+             self.second_depth, self.second_ignored, self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
         self._drop(lost.sum(axis=0))
@@ -298,8 +306,8 @@ class PointContact:
 
 _NO_NODES = np.zeros(0, np.int64)  # points that are no nodes all move
 _OF_POINT = (
-    "partner", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_inner", "_within", "_at", "_seen",
-    "_room", "_nearest", "_foot", "gap", "_second", "_second_foot", "_second_gap",
+    "partner", "body", "second_body", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_inner",
+    "_within", "_at", "_seen", "_room", "_nearest", "_foot", "gap", "_second", "_second_foot", "_second_gap",
 )  # fmt: skip
 _OF_FACET = ("facets", "owner", "heat_facet")
 LEAST_SIDES = 3  # in a range of a shared loop
@@ -396,8 +404,8 @@ class SideBySide:
                 lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
                 near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], w["partner"], x, self._x,
                 w["_inner"], w["_within"], w["_at"], w["_seen"], w["_room"], w["_nearest"], w["_foot"], w["gap"], w["_second"],
-                w["_second_foot"], w["_second_gap"], w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"],
-                self._lost,
+                w["_second_foot"], w["_second_gap"], w["body"], w["second_body"], w["depth"], w["ignored"], w["second_depth"],
+                w["second_ignored"], w["spring"], self._lost,
             )  # fmt: skip
 
         self._lost[:] = 0.0
