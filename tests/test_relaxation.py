@@ -7,7 +7,8 @@ from blocks import Blocks, pinched
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import interface
 from coupler.deposition import equilibrium as relaxation
-from coupler.deposition.equilibrium import RELAXED, SEARCH_EVERY, settle
+from coupler.deposition.equilibrium import RELAX_STEPS, RELAXED, SEARCH_EVERY, settle
+from coupler.deposition.summary import unsettled
 from coupler.fe import mesh as meshes
 from coupler.fe.coarse import FREQUENCY, CoarseGrid
 from coupler.fe.explicit import Target
@@ -273,3 +274,13 @@ def test_rest_round_a_place_tends_to_that_of_all(monkeypatch: pytest.MonkeyPatch
     settle(bodies, 1e-3 * KINETIC, 0.0, ramp=True, radius=40e-6)
     assert np.mean(bodies.target.mesh.reach_element < 40e-6) > relaxation.LOCAL
     assert (bodies.target.x != before)[before[:, 2] > -39e-6].any(axis=1).all()
+
+
+@pytest.mark.parametrize("steps", [RELAX_STEPS - 1, RELAX_STEPS])
+def test_an_equilibrium_that_was_given_up_is_a_warning(steps: int) -> None:
+    pause = {"impact": 7, "settle_steps": 40.0, "cooling": {"balance_steps": float(steps), "then_settle_steps": 90.0}}
+    closing = {"then_settle_steps": float(steps)}
+    texts = [*unsettled(pause), *unsettled(closing)]
+    assert len(texts) == (2 if steps == RELAX_STEPS else 0)
+    for text, when in zip(texts, ("after impact 7", "in the closing stage"), strict=False):
+        assert text.startswith(f"{when} the bodies have not come to equilibrium in 2500 steps")

@@ -37,7 +37,7 @@ from .detaching import without_detached
 from .joining import join, rest, splats_at_end
 from .log import logged
 from .pause import cool_to_ambient
-from .summary import simulated, summary
+from .summary import simulated, summary, unsettled
 from .task import TaskResult
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
@@ -297,6 +297,8 @@ class Deposition:
                 return left
             new, joined = join(plan, i, outcome, options.progress)
             self.joins.append(joined)
+            for text in unsettled(joined):
+                options.progress.log(text)
             return new
         except (SolverError, SplatError):
             self.records = kept
@@ -348,6 +350,8 @@ class Deposition:
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [task.place for task, _ in tasks]
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
+        for text in unsettled(self.joins[-1]):
+            options.progress.log(text)
         if self.records[-1].values["verdict"] != UNDECIDED:
             clear(self.folder)
         if len(self.records) < len(self.plan.impacts):

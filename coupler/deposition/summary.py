@@ -11,6 +11,7 @@ from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import BEYOND_FIT, Plan
 from ..ranks.ranks import Ranks
+from .equilibrium import RELAX_STEPS
 
 # What an impact loses to the scheme: key of its record, its limit, the warning.
 LIMITS = (
@@ -74,6 +75,7 @@ def summary(
                     f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds have broken, its mass counts as lost"
                     for n, kg in detached.items()
                 ),
+                *(text for report in [*joins, closing or {}] for text in unsettled(report)),
                 *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),
                 *merged([*expected, *own]),
             ],
@@ -83,6 +85,19 @@ def summary(
         "joins": joins,
         **({"closing": closing} if closing is not None else {}),
     }  # fmt: skip
+
+
+def unsettled(report: Values) -> list[str]:
+    """A warning where equilibrium was given up, of the report of a joining with its pause, or of the closing stage."""
+    pause = report.get("cooling", {})
+    steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]
+    steps += [pause.get(name, 0) for name in ("balance_steps", "then_settle_steps")]
+    if max(steps) < RELAX_STEPS:
+        return []
+    when, then = "in the closing stage", "stresses are not quite residual ones"
+    if "impact" in report:
+        when, then = f"after impact {report['impact']}", "later pauses relax what is left"
+    return [f"{when} the bodies have not come to equilibrium in {RELAX_STEPS} steps: {then}"]
 
 
 def _detached(reports: Sequence[Values]) -> dict[int, float]:
