@@ -180,20 +180,8 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     second = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     everything = np.zeros(300, np.int64), np.full(300, -np.inf), np.zeros((300, 3))
-    searched = (
-        start,
-        boxes,
-        facets,
-        ids,
-        0 * ids,
-        np.full(300, -1),
-        x,
-        low,
-        high,
-        shift,
-        np.full(300, np.inf),
-        *everything,
-    )
+    searched = start, boxes, facets, ids, 0 * ids, np.full(300, -1), x, low, high, shift, np.full(300, np.inf)
+    searched += everything
     closest.closest_facets(xp, ids[:0], *searched, nearest, foot, gap, *second)
     assert np.all(nearest == -1)
     rows = np.arange(300)

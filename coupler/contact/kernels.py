@@ -147,6 +147,7 @@ def end_look(
         first, other = owner[facet_ids[boxes[nearest[i]]]], ANY
         if second[i] >= 0:
             other = owner[facet_ids[boxes[second[i]]]]
+        # the two bodies change their order: else what is ignored changes its body, and the force jumps from step to step
         if body[i] != ANY and first == second_body[i]:
             before[q], was = -second_depth[i] - second_ignored[i], max(-before[q], 0.0)
             ignored[i], second_ignored[i] = second_ignored[i], kept

@@ -123,17 +123,8 @@ def resume(
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
-        folder,
-        progress or Progress(quiet),
-        threads,
-        knobs,
-        placement,
-        probe,
-        checkpoint_every,
-        until,
-        skip_failed,
-        jobs,
-    )
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
+    )  # fmt: skip
     return Deposition(decided, folder, options).run()
 
 
