@@ -54,23 +54,6 @@ def test_rigid_motion_of_both_sides_is_no_slip(rng: np.random.Generator) -> None
     assert np.abs(c.spring).max() < 1e-9 * c.stiffness * c.depth.max()
 
 
-def test_points_slide_at_the_speed_they_have_along_their_facets(rng: np.random.Generator) -> None:
-    """Points on a turning plane that move off along it and out of it: only what is along the plane and relative counts."""
-    x, facets = sheet(rng)
-    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    turn *= np.linalg.det(turn)
-    xp = rng.uniform(-0.8, 0.8, (50, 3)) * [1, 1, 0] - [0, 0, 0.01]
-    own = rng.standard_normal((50, 3))
-    x, xp, along = x @ turn.T, xp @ turn.T, np.hypot(own[:, 0], own[:, 1])
-    spin, rows = rng.standard_normal(3), np.arange(50)
-    foot = xp + 0.01 * turn[:, 2]
-    vp, v = np.cross(spin, foot) + 3.0 + own @ turn.T, np.cross(spin, x) + 3.0
-    c = make(len(xp), facets)
-    c.search(xp, x, 0.0)
-    c.forces(1e-3, xp, vp, x, v, np.zeros_like(xp), np.zeros_like(x))
-    assert c.sliding(rows, vp, x, v) == pytest.approx(along, rel=1e-9)
-
-
 def test_frictionless_bounce_gives_back_all_its_energy(rng: np.random.Generator) -> None:
     """A heavy point on a bumpy rigid sheet: kinetic plus penalty energy constant to the order of the integrator."""
     x, facets = sheet(rng, bumps=0.02)

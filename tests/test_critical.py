@@ -93,7 +93,7 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
     exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
     assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
     plain = Scene.load(Path(__file__).parents[1] / "workflows/critical_cu.toml")
-    assert "11 % lower velocities than at `fine`" in critical.resolution_words(plain)
+    assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain)
 
 
 def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:

@@ -86,11 +86,11 @@ METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
 CASES = (
     Case("ni", (665, 598, 565, 532, 400, 831), "standard"), Case("cu", (610, 580, 549, 488, 400, 762), "standard"),
     *(Case(name, velocities) for name, velocities in (("ni", (665, 831)), ("cu", (610, 488, 762)))),
-    Case("ni", (565,), "fine"), Case("cu", (549,), "fine"),
+    Case("ni", (665, 598, 565, 532, 400, 831), "fine"), Case("cu", (610, 580, 549, 488, 400, 762), "fine"),
     *(Case("ni", (665,), "standard", film=film) for film in (0.36, 1.94)),
     *(Case("cu", (610,), "standard", film=film) for film in (0.4, 2.0)),
-    *(Case("cu", (610, 580, 549), "standard", diameter=size) for size in (5.0, 40.0)),
-    *(Case("ni", (565,), "standard", diameter=size) for size in (5.0, 40.0)),
+    *(Case("cu", (610, 580, 549), "fine", diameter=size) for size in (5.0, 40.0)),
+    *(Case("ni", (598, 565, 532), "fine", diameter=size) for size in (5.0, 40.0)),
     Case("ni", (532,), "standard", temperature=900.0),
     Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
     *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
@@ -263,7 +263,7 @@ def draw(rows: list[Row]) -> None:
         axes.plot(v, e, "o", mfc="none", color="k", ms=5, label="measured")
         critical = MEASURED_CRITICAL[METALS[name]]
         axes.axvline(critical, color="k", ls="--", lw=1, label="measured critical velocity")
-        for preset, colour, mark in (("standard", "#0072b2", "s-"), ("draft", "#d55e00", "^:")):
+        for preset, colour, mark in (("fine", "#0072b2", "s-"), ("standard", "#d55e00", "^:")):
             case = Case(name, (), preset)
             own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == case.key(0.0)[:-1]]
             points = sorted(

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ..errors import CheckpointError, SolverError
-from ..geometry.triangles import area_vectors
 from ..state.arrays import Floats, Ints, SpringTable
 from ..state.loops import PARTS
 from ..state.records import Shape, assign, collect
@@ -258,14 +257,6 @@ class PointContact:
     def between_bodies(self) -> np.ndarray:
         """Those of `rows` that may meet two bodies before the next search."""
         return self.rows[several_bodies(self.rows, self._start, self._boxes, self._ids, self.owner)]
-
-    def sliding(self, rows: np.ndarray, vp: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Speed (k,) m/s of points `rows` (k,) that touch along the facets they are on. vp (k,3) of these points; x, v (N,3)."""
-        nodes = self.facets[self._ids[self._boxes[self._nearest[rows]]]]
-        relative = vp - np.einsum("ki,kij->kj", self._foot[rows], v[nodes])
-        normal = area_vectors(x, nodes)
-        along = np.einsum("kj,kj->k", relative, normal) / np.einsum("kj,kj->k", normal, normal)
-        return np.linalg.norm(relative - along[:, None] * normal, axis=1)
 
     def _look(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep."""

@@ -2,7 +2,7 @@
 
 import contextlib
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Executor, wait
 from pathlib import Path
 
@@ -37,9 +37,8 @@ def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor 
         yield pool
 
 
-def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[str, str]) -> list[tuple[Task, Cut]]:
-    """The batch that begins with an impact, as far as its cuts share no node."""
-    tasks: list[tuple[Task, Cut]] = []
+def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[str, str]) -> Iterator[tuple[Task, Cut]]:
+    """The batch that begins with an impact, as far as its cuts share no node; each cut is made when it is asked for."""
     taken = np.zeros(len(whole.target.x), bool)
     for i in batch(plan.impacts, first):
         place = point_of_impact(whole, plan.impacts[i].offset)
@@ -48,33 +47,49 @@ def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[st
             break
         taken[cut.nodes] = True
         own = about | {"impact": str(i + 1)}
-        tasks.append((Task(plan, i, part.state(), place, folder / TASKS / f"{i + 1:05d}", own), cut))
-    return tasks
+        yield Task(plan, i, part.state(), place, folder / TASKS / f"{i + 1:05d}", own), cut
 
 
-def compute(tasks: Sequence[Task], options: RunOptions, pool: Executor | None) -> list[TaskResult | ColdsprayError]:
-    """Their results, in order; the error in the place of one that fails. Raises Stopped after a signal."""
-    folder = tasks[0].folder.parent
-    folder.mkdir(exist_ok=True)
-    (folder / STOP).unlink(missing_ok=True)
-    if pool is None or len(tasks) == 1:
-        return [attempt(task, options) for task in tasks]
-    numbers = f"{tasks[0].i + 1} to {tasks[-1].i + 1}"
-    plan = tasks[0].plan
-    options.progress.stage(f"impacts {numbers} side by side", of_impact=False, done=plan.shares[tasks[0].i][0])
+def compute(
+    plan: Plan,
+    first: int,
+    whole: Bodies,
+    folder: Path,
+    about: dict[str, str],
+    options: RunOptions,
+    pool: Executor | None,
+) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
+    """The tasks of the batch that begins with an impact, and their results, in order; the error in the place of one that fails.
+
+    With a pool each task begins as soon as its cut is made. Raises Stopped after a signal."""
+    stop = folder / TASKS / STOP
+    stop.parent.mkdir(exist_ok=True)
+    stop.unlink(missing_ok=True)
+    made, numbers = tasks_of(plan, first, whole, folder, about), batch(plan.impacts, first)
+    tasks: list[tuple[Task, Cut]] = []
+    if pool is None or len(numbers) == 1:
+        results: list[TaskResult | ColdsprayError] = []
+        for task, cut in made:
+            tasks.append((task, cut))
+            results.append(attempt(task, options))
+        return tasks, results
+    words = f"impacts {first + 1} to {numbers[-1] + 1} side by side"
+    options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
     with StopSignals() as signals:
-        futures = [
-            pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
-            for task in tasks
-        ]
+        futures = []
+        for task, cut in made:
+            tasks.append((task, cut))
+            futures.append(
+                pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
+            )
         left = set(futures)
         while left:
             left = wait(left, _LOOK).not_done
-            if signals.number and not (folder / STOP).exists():
-                (folder / STOP).touch()
+            if signals.number and not stop.exists():
+                stop.touch()
         if signals.number:
             raise Stopped(signals.number)
-    return [future.result() for future in futures]
+    return tasks, [future.result() for future in futures]
 
 
 class BatchReplay:

@@ -31,7 +31,7 @@ from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import cores, second_thread
-from .batches import BatchReplay, clear, compute, tasks_of, workers
+from .batches import BatchReplay, clear, compute, workers
 from .cut import put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
@@ -301,8 +301,7 @@ class Deposition:
     def _batch(self, whole: Bodies, pool: Executor | None) -> Bodies:
         """Compute the next impacts side by side, each on its own cut of the bodies; returns these with all splats that stay."""
         plan, options, first = self.plan, self.options, len(self.records)
-        tasks = tasks_of(plan, first, whole, self.folder, self._belongs_to)
-        results = compute([task for task, _ in tasks], options, pool)
+        tasks, results = compute(plan, first, whole, self.folder, self._belongs_to, options, pool)
         for i, result in enumerate(results, first):
             error = result if isinstance(result, ColdsprayError) else None
             if (

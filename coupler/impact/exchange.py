@@ -187,7 +187,7 @@ class Impact:
             self.exposure = Exposure(self.domains)
         if self._films is None:
             self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
-        self.exposure.update(self.domains, touching, self._films[:, 0], self.time)
+        self.exposure.update(self.domains, touching, self._films[:, 0])
 
     def bond(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
         """Hold the particle where its surface presses on the target at this instant and the criterion is met; a place bonds once.

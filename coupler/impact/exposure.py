@@ -7,7 +7,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..geometry.triangles import areas, rings, vertex_areas
-from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, overlap, sound_fraction
+from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, sound_fraction
 from ..state.records import Shape, assign, collect
 from .domains import Domains
 from .touching import Touching
@@ -15,39 +15,35 @@ from .touching import Touching
 
 @dataclass(frozen=True)
 class ExposureState:
-    """area_0 (v,), facet_area_0 (f,) m2: at the start; time s: of the last update; the others: see `Exposure`."""
+    """area_0 (v,), facet_area_0 (f,) m2: at the start; the others: see `Exposure`."""
 
     area_0: Annotated[np.ndarray, Shape(-1)]
     facet_area_0: Annotated[np.ndarray, Shape(-1)]
     clean: Annotated[np.ndarray, Shape(-1, 2)]
-    slip: Annotated[np.ndarray, Shape(-1)]
     sound: Annotated[np.ndarray, Shape(-1)]
-    time: float
 
 
 class Exposure:
     """What the interface has gone through so far, at the v vertices of the particle's surface.
 
     clean (v,2): share of clean metal of the two surfaces, the smaller and the larger (`physics.adhesion.clean_share`), when the smaller
-    was largest. slip (v,) m: of the surfaces on each other since both films have cracked. sound (v,): share of the area at which clean
-    metal has come to clean metal, the largest so far (`physics.adhesion.sound_fraction`). extruding (v,): whether the pressure of this
-    instant brings metal through the cracks.
+    was largest. sound (v,): share of the area at which clean metal has come through the cracks to the other surface, the largest so far
+    (`physics.adhesion.sound_fraction`). extruding (v,): whether the pressure of this instant brings metal through the cracks.
     """
 
     def __init__(self, domains: Domains):
         surface, mesh = domains.surface, domains.target.mesh
         skin = surface.positions(domains.particle.x)
         self.area_0, self.facet_area_0 = vertex_areas(skin, surface.triangles), areas(domains.target.x, mesh.facets)
-        self.clean, self.slip, self.sound = np.zeros((len(skin), 2)), np.zeros(len(skin)), np.zeros(len(skin))
-        self.extruding, self.time = np.zeros(len(skin), bool), 0.0
+        self.clean, self.sound = np.zeros((len(skin), 2)), np.zeros(len(skin))
+        self.extruding = np.zeros(len(skin), bool)
         start, ring = rings(surface.triangles, np.arange(len(skin)))
         self._ring = csr_matrix((np.ones(len(ring)), ring, start), shape=(len(skin), len(skin)))
 
-    def update(self, domains: Domains, touching: Touching, threshold: np.ndarray, time: float) -> None:
-        """Take note of what touches at `time` s. threshold (l,): exposure at which the films on each law of the target crack."""
-        surface, particle, target = domains.surface, domains.particle, domains.target
+    def update(self, domains: Domains, touching: Touching, threshold: np.ndarray) -> None:
+        """Take note of what touches now. threshold (l,): exposure at which the films on each law of the target crack."""
+        target = domains.target
         rows, facets = touching.rows, touching.facets
-        elapsed, self.time = time - self.time, time
         self.extruding[:] = False
         if len(rows) == 0:
             return
@@ -57,8 +53,6 @@ class Exposure:
         cracked = threshold[target.law_of[touching.element]]
         clean = np.sort(np.stack([clean_share(own, cracked), clean_share(other, cracked)], axis=1), axis=1)
         self.clean[rows] = np.where((clean > self.clean[rows])[:, :1], clean, self.clean[rows])
-        speed = domains.contact.sliding(rows, surface.positions(particle.v)[rows], target.x, target.v)
-        self.slip[rows] += np.where(self.clean[rows, 0] > 0.0, speed * elapsed, 0.0)
         pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
         self.extruding[rows] = pressure > EXTRUSION * strength
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
@@ -67,11 +61,10 @@ class Exposure:
         self, rows: np.ndarray, film_force: np.ndarray, strength: np.ndarray, stiffness: float
     ) -> dict[str, np.ndarray]:
         """Laws of bonds at vertices `rows` (k,), for `contact.bond.Bond`. film_force (k,) N/m, strength (k,) Pa and stiffness Pa/m as
-        in `physics.adhesion.ligament_bonds`. Slip to come leaves what overlaps in the mean."""
+        in `physics.adhesion.ligament_bonds`."""
         smaller, larger = self.clean[rows].T
         width = ligament_width(smaller, film_force, strength)
-        welded = overlap(larger, width, self.slip[rows])
-        return ligament_bonds(self.sound[rows] * welded, width * welded, strength, stiffness, larger / welded)
+        return ligament_bonds(self.sound[rows], width, larger, strength, stiffness)
 
     def state(self) -> ExposureState:
         """Everything there is to keep."""

@@ -60,8 +60,8 @@ def sound_fraction(clean: np.ndarray, pressure: np.ndarray, strength: np.ndarray
 
         f = c min((p - p_E) / sigma_0, 1),   p_E = 2 sigma_0 / sqrt(3)
 
-    Metal comes through the cracks under a pressure above p_E and meets that of the other side, as long as the cracks of both films
-    coincide (`overlap`). clean c (n,): `clean_share`, of the two surfaces the smaller; pressure p, strength sigma_0 (n,) Pa: flow
+    Metal comes through the cracks under a pressure above p_E and meets what lies opposite, of which a share is clean metal too
+    (`ligament_bonds`). clean c (n,): `clean_share`, of the two surfaces the smaller; pressure p, strength sigma_0 (n,) Pa: flow
     stress of the softer metal. Bay (1979), J. Eng. Ind. 101, 121, and (1983), Weld. J. 62, 137-s: a strength that grows with surface
     exposure and normal pressure; the linear form is quoted at second hand. p_E is the least value that plasticity allows, plane
     strain yield below a crack free of traction; Bay's is from slip lines.
@@ -81,16 +81,6 @@ def ligament_width(clean: np.ndarray, film_force: np.ndarray, strength: np.ndarr
     return 1.5 * film_force * math.sqrt(3.0) / strength * clean / (1.0 - clean)
 
 
-def overlap(clean: np.ndarray, width: np.ndarray, slip: np.ndarray) -> np.ndarray:
-    """Share q (n,) of the clean strips of one surface that lies on clean strips of the other: q = max(1 - s / w, c).
-
-    Where nothing slides both films crack together, and their cracks coincide. A slip s takes the strips off each other; of all
-    positions the mean is the share c of the other surface that is clean. clean c (n,): of the two surfaces the larger; width w, slip
-    s (n,) m, since the films have cracked.
-    """
-    return np.maximum(1.0 - slip / np.maximum(width, 1e-300), clean)
-
-
 def oxide_film(first: Material, second: Material) -> tuple[float, float]:
     """The film between two metals: exposure at which both surfaces have cracked, and strength times thickness (N/m) of the film that
     breaks into the smaller fragments. Raises ColdsprayError where a metal has no data of its film."""
@@ -105,26 +95,29 @@ def oxide_film(first: Material, second: Material) -> tuple[float, float]:
 
 
 def ligament_bonds(
-    sound: np.ndarray, width: np.ndarray, strength: np.ndarray, stiffness: float, rewelds: np.ndarray
+    sound: np.ndarray, width: np.ndarray, opposite: np.ndarray, strength: np.ndarray, stiffness: float
 ) -> dict[str, np.ndarray]:
     """Bond laws at n places where metal has bonded through a cracked film: ligaments between its fragments, torn plastically.
 
-        N = (2 + pi) k f,   S = k f,   G = N w / 2,   k = sigma_0 / sqrt(3)
+        N = (2 + pi) k f c',   S = k f c',   G = N w c' / 2,   k = sigma_0 / sqrt(3)
 
-    N: limit load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has
+    The films of both surfaces crack in patterns that know nothing of each other: in the mean of all positions the share c' of a strip
+    of clean metal meets clean metal, and what is welded is narrower by c'. Slip under the pressure of the contact leaves the mean as it
+    is. N: limit load of metal between deep cracks (Hill (1950), The Mathematical Theory of Plasticity). A ligament is gone when it has
     opened or slid by its width w (McClintock (1971), in Fracture III), so that strength falls linearly. With the half width a = w / 2
-    this is G = 2.97 f sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
+    this is G = 2.97 f c' sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
 
-    sound f (n,): share of the area that is welded; width w (n,) m: of what is welded; strength sigma_0 (n,) Pa; stiffness Pa/m: of the
-    springs, which hold no more than at an opening w; rewelds (n,): as in `contact.bond.BondRows`. Returns the arguments of
+    sound f (n,): `sound_fraction`; width w (n,) m: `ligament_width`; opposite c' (n,): share of the other surface that is clean;
+    strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, which hold no more than at an opening of w c'. Returns the arguments of
     `contact.bond.Bond`.
     """
-    shear = strength / math.sqrt(3.0)
+    welded, width = sound * opposite, width * opposite
     most = 0.999 * stiffness * width
-    normal, shear = np.minimum(CONSTRAINT * strength * sound, most), np.minimum(shear * sound, most)
+    normal = np.minimum(CONSTRAINT * strength * welded, most)
+    shear = np.minimum(strength / math.sqrt(3.0) * welded, most)
     return {
         "strength": normal, "energy": 0.5 * normal * width, "shear_strength": shear, "shear_energy": 0.5 * shear * width,
-        "rewelds": rewelds,
+        "rewelds": np.ones_like(width),
     }  # fmt: skip
 
 

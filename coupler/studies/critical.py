@@ -32,7 +32,7 @@ TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
 BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
 #: how much lower the critical velocity of copper lies at half the spacing of `fine`, at least (docs/tables/critical_resolution.csv)
-LOWER_AT_SMALL_SPACING = {"standard": 0.18, "fine": 0.11}
+LOWER_AT_SMALL_SPACING = {"standard": 0.10, "fine": 0.05}
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 KEY = ("velocity_m_s", "placement")
