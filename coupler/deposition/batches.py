@@ -59,22 +59,22 @@ def compute(
     options: RunOptions,
     pool: Executor | None,
 ) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
-    """The tasks of the batch that begins with an impact, and their results, in order; the error in the place of one that fails.
+    """The tasks of the batch that begins with an impact, with their cuts, and their results, in order; the error in the place of one
+    that fails.
 
-    With a pool each task begins as soon as its cut is made. Raises Stopped after a signal."""
+    whole: the bodies before the batch. folder, about: of the run, as in `Task`. With a pool each task begins as soon as its cut is
+    made: workers do not wait for the cuts of others. Raises Stopped after a signal."""
     stop = folder / TASKS / STOP
     stop.parent.mkdir(exist_ok=True)
     stop.unlink(missing_ok=True)
-    made, numbers = tasks_of(plan, first, whole, folder, about), batch(plan.impacts, first)
+    made = tasks_of(plan, first, whole, folder, about)
     tasks: list[tuple[Task, Cut]] = []
-    if pool is None or len(numbers) == 1:
+    if pool is None or len(batch(plan.impacts, first)) == 1:
         results: list[TaskResult | ColdsprayError] = []
         for task, cut in made:
             tasks.append((task, cut))
             results.append(attempt(task, options))
         return tasks, results
-    words = f"impacts {first + 1} to {numbers[-1] + 1} side by side"
-    options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
     with StopSignals() as signals:
         futures = []
         for task, cut in made:
@@ -82,6 +82,8 @@ def compute(
             futures.append(
                 pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
             )
+        words = f"impacts {first + 1} to {first + len(tasks)} side by side"
+        options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
         left = set(futures)
         while left:
             left = wait(left, _LOOK).not_done
