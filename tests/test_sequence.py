@@ -299,6 +299,7 @@ def test_a_hollow_particle_keeps_its_cavity_when_it_is_meshed() -> None:
         x=body.points, v=np.zeros_like(body.points), stress=lambda: np.zeros((len(body.points), 6)), spacing=body.spacing,
         law=law_record(material("Ni"), rate_filter=1e-9), whole=lambda _: np.full(len(body.points), body.volume),
         **{name: np.full(len(body.points), value) for name, value in state.items()},
+        spatial_gradient=lambda: np.zeros(body.points.shape),
     )  # fmt: skip
     surface = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
     cloud = cloud_of(cast(Any, SimpleNamespace(particle=particle, body=body, surface=surface)))

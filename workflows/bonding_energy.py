@@ -37,10 +37,10 @@ from coupler.studies.critical import bracket, point_name, rows_at, shares_of
 from coupler.studies.table import Row
 
 COLUMNS = (
-    "metal", "diameter_um", "temperature_K", "film", "strength", "preset", "velocity_m_s", "verdict", "restitution",
+    "metal", "diameter_um", "temperature_K", "film", "strength", "taylor_alpha", "preset", "velocity_m_s", "verdict", "restitution",
     "restitution_measured", "bonded_over_section", "bond_J_m2", "torn_J_m2", "rebound_J_m2",
 )  # fmt: skip
-KEY = COLUMNS[:7]
+KEY = COLUMNS[:8]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,7 @@ class Case:
     temperature: float = 300.0
     film: float = 1.0
     strength: str = ""
+    alpha: float = 0.0
 
     @property
     def metal(self) -> str:
@@ -72,15 +73,18 @@ class Case:
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
-        size, temperature, film, v = (f"{x:g}" for x in (self.size, self.temperature, self.film, velocity))
-        return self.metal, size, temperature, film, self.set, self.preset, v
+        size, temperature, film, alpha, v = (
+            f"{x:g}" for x in (self.size, self.temperature, self.film, self.alpha, velocity)
+        )
+        return self.metal, size, temperature, film, self.set, alpha, self.preset, v
 
     @property
     def scene(self) -> Scene:
         """The scene; its velocity is that of the workflow."""
-        return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength)
+        return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength, self.alpha)
 
 
+ALPHA = 0.3  # Taylor's coefficient of the workflows (docs/theory/material.md)
 # name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact
 METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
 CASES = (
@@ -94,6 +98,12 @@ CASES = (
     Case("ni", (532,), "standard", temperature=900.0),
     Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
     *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
+    Case("cu", (640, 610, 580, 549, 488), "fine", alpha=ALPHA), Case("ni", (831, 764, 698, 665, 598, 532), "fine", alpha=ALPHA),
+    *(Case("cu", (671, 640, 610, 580), "fine", diameter=size, alpha=ALPHA) for size in (5.0, 40.0)),
+    *(Case("ni", (831, 764, 698), "fine", diameter=size, alpha=ALPHA) for size in (5.0, 40.0)),
+    Case("cu", (580, 610), "fine", alpha=0.2), Case("ni", (598, 632, 665), "fine", alpha=0.2),
+    Case("cu", (640, 610, 580), "standard", alpha=ALPHA), Case("ni", (831, 764, 698), "standard", alpha=ALPHA),
+    Case("cu", (701, 762), "fine", alpha=0.5), Case("ni", (665,), "standard", temperature=900.0, alpha=ALPHA),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
@@ -118,10 +128,16 @@ def data_of(name: str) -> dict[str, Any]:
 
 
 def scene_of(
-    name: str, size: float, temperature: float = 300.0, film: float = 1.0, preset: str = "draft", strength: str = ""
+    name: str,
+    size: float,
+    temperature: float = 300.0,
+    film: float = 1.0,
+    preset: str = "draft",
+    strength: str = "",
+    alpha: float = 0.0,
 ) -> Scene:
     """workflows/critical_NAME.toml with another diameter (um), its target in the same ratio, temperature (K) of the particle, strength
-    of the oxide film (factor), preset and strength set (that of the workflow by default)."""
+    of the oxide film (factor), preset, strength set (that of the workflow by default) and taylor_alpha."""
     data = data_of(name)
     data["preset"] = preset
     own = float(data["particle"]["diameter"].split()[0])
@@ -131,11 +147,12 @@ def scene_of(
     data["particle"]["temperature"] = f"{temperature:g} K"
     metal = data["particle"]["material"]
     changes = data.setdefault("materials", {}).setdefault(metal, {})
+    changes["taylor_alpha"] = alpha
     if strength:
         changes["strength"] = strength
     if film != 1.0:
         changes["oxide_strength"] = f"{film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
-    title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}"
+    title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}" + (f"_{alpha:g}" if alpha else "")
     return Scene.from_dict(data, f"{title}_{strength}" if strength else title)
 
 
@@ -234,22 +251,22 @@ def critical_page(lines: list[dict[str, object]]) -> list[str]:
         return f"at most {r['sticks_from_m_s']:g}" if r["sticks_from_m_s"] else "undecided"
 
     rows = [
-        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["strength"], r["preset"], words(r),
-         r["measured_m_s"] or "-", r["relative_error"] or "-"] for r in lines
+        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["strength"], r["taylor_alpha"], r["preset"],
+         words(r), r["measured_m_s"] or "-", r["relative_error"] or "-"] for r in lines
     ]  # fmt: skip
-    return markdown("particle | film | strength | preset | computed, m/s | measured, m/s | error", rows)
+    return markdown("particle | film | strength | alpha | preset | computed, m/s | measured, m/s | error", rows)
 
 
 def page(rows: list[Row]) -> list[str]:
     """The rows as a table."""
     lines = [
-        [name_of(row), row["film"], row["strength"], row["preset"], f"{row['velocity_m_s']} m/s",
+        [name_of(row), row["film"], row["strength"], row["taylor_alpha"], row["preset"], f"{row['velocity_m_s']} m/s",
          row["verdict"], row["restitution"] or "-", row["restitution_measured"] or "-", row["bonded_over_section"],
          *(f"{row[key]} J/m2" if row[key] else "-" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
     ]  # fmt: skip
     head = (
-        "particle | film | strength | preset | velocity | verdict | restitution | measured | bonded / section | to tear it | torn"
-        " | rebound"
+        "particle | film | strength | alpha | preset | velocity | verdict | restitution | measured | bonded / section | to tear it"
+        " | torn | rebound"
     )
     return [*markdown(head, lines), "", versions(rows)]
 
@@ -263,17 +280,17 @@ def draw(rows: list[Row]) -> None:
         axes.plot(v, e, "o", mfc="none", color="k", ms=5, label="measured")
         critical = MEASURED_CRITICAL[METALS[name]]
         axes.axvline(critical, color="k", ls="--", lw=1, label="measured critical velocity")
-        for preset, colour, mark in (("fine", "#0072b2", "s-"), ("standard", "#d55e00", "^:")):
-            case = Case(name, (), preset)
+        for alpha, colour, mark in ((ALPHA, "#0072b2", "s-"), (0.0, "#d55e00", "^:")):
+            case, words = Case(name, (), "fine", alpha=alpha), "gradients harden" if alpha else "no gradients"
             own = [row for row in rows if tuple(row[k] for k in KEY[:-1]) == case.key(0.0)[:-1]]
             points = sorted(
                 (number(row, "velocity_m_s"), float(row["restitution"])) for row in own if row["restitution"]
             )
-            axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {preset}")
+            axes.plot(*np.array(points).T, mark, color=colour, ms=5, lw=1, label=f"computed, {words}")
             found = bracket({number(row, "velocity_m_s"): row["verdict"] for row in own})
             if found.low is not None and found.high is not None:
                 axes.axvspan(
-                    found.low, found.high, color=colour, alpha=0.2, lw=0, label=f"computed critical velocity, {preset}"
+                    found.low, found.high, color=colour, alpha=0.2, lw=0, label=f"computed critical velocity, {words}"
                 )
         axes.set(title=title, xlabel="velocity of impact (m/s)", ylim=(-0.003, None))
         axes.set_ylabel("coefficient of restitution" if name == "ni" else "")
@@ -300,7 +317,7 @@ def main() -> None:
     draw(table.rows)
     about = (
         "remake: python workflows/bonding_energy.py\nfilm: factor on the strength of the oxide film (docs/theory/bonds.md)\n"
-        "strength: strength set of the metal"
+        "strength: strength set of the metal; taylor_alpha: of its hardening by gradients of plastic strain, 0 for none"
     )
     write_table(TABLES / "critical_velocity.csv", lines, about)
     write_parts(

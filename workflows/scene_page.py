@@ -38,6 +38,8 @@ MATERIAL = {
     "sigma_TS": "tensile strength at 293 K, for critical velocities",
     "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
     "oxide_threshold": "share of clean metal at which the film cracks",
+    "burgers": "Burgers vector",
+    "taylor_alpha": "coefficient of Taylor's relation: gradients of plastic strain harden the metal; 0: they do not",
     "cp": "specific heat: one value, or two pairs [T, cp], linear between",
     "k": "conductivity: one value, or two pairs [T, k], linear between",
     "source": "where the numbers come from", "note": "what to know of them",

@@ -25,7 +25,7 @@ from .equilibrium import RELAXED, settle
 from .mass_scaling import prepare
 from .pause import pause
 
-_CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy")
+_CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy", "eps_gradient")
 REST = 2.25  # windows round an impact in which equilibrium is found after it
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
@@ -183,7 +183,7 @@ def cloud_of(domains: Domains) -> Cloud:
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
         velocity=np.array(particle.v),
         stress=particle.stress(), eps_p=np.array(particle.eps_p), T=np.array(particle.T), J=np.array(particle.J),
-        energy=np.array(particle.energy),
+        energy=np.array(particle.energy), eps_gradient=particle.spatial_gradient(),
         surface=(vertices, triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip

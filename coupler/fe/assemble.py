@@ -23,8 +23,8 @@ SPLAT = "splat"  # name of the facets of body b: SPLATb
 
 @dataclass(frozen=True)
 class BodyState:
-    """A body that is to join: points (n,3) m and tets (m,4); stress (m,6) Pa Voigt xx yy zz yz xz xy, eps_p, T, J (m,);
-    velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
+    """A body that is to join: points (n,3) m and tets (m,4); stress (m,6) Pa Voigt xx yy zz yz xz xy, eps_p, T, J (m,), eps_gradient
+    (m,3) 1/m; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
 
     points: np.ndarray
     tets: np.ndarray
@@ -36,6 +36,7 @@ class BodyState:
     energy: np.ndarray
     mass: float
     law: np.ndarray
+    eps_gradient: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,10 @@ def domain_of(body: BodyState, name: str) -> Domain:
     nodes = new_rows(
         NodeState, n, x=mesh.points.copy(), v=body.velocity[node], J=J, energy=energy, p=pressures(law, J, energy)
     )
-    eps_p, T = body.eps_p[element], body.T[element]
+    eps_p, T, gradient = body.eps_p[element], body.T[element], body.eps_gradient[element]
+    sigma_y = yield_stresses(law, np.zeros(m, np.int32), eps_p, T, gradient)
     elements = new_rows(
-        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=yield_stresses(law, np.zeros(m, np.int32), eps_p, T)
+        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=sigma_y, eps_gradient=gradient
     )  # fmt: skip
     return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 

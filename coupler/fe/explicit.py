@@ -67,6 +67,7 @@ class Target:
     sigma_y: np.ndarray
     fe: np.ndarray
     thermal_stress: np.ndarray
+    eps_gradient: np.ndarray
     node_number: np.ndarray
     element_number: np.ndarray
 
@@ -98,9 +99,9 @@ class Target:
         self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
         self.f_ext, self.volume = np.zeros((n, 3)), mesh.V0.copy()
         self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
-        self.sigma_y = yield_stresses(self.laws, self.law_of, np.zeros(m), self.T)
         fill_rows(self, NodeState, n)
         fill_rows(self, ElementState, m)
+        self.sigma_y = yield_stresses(self.laws, self.law_of, self.eps_p, self.T, self.eps_gradient)
         self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(n, m) if conduction else None
@@ -249,7 +250,8 @@ class Target:
             (self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, self.J, self.p,
              self.energy),
             (dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
-             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe),
+             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe,
+             self.eps_gradient),
             (self.start, self.table, self.fe, self.f),
             smallest, sums,
         )  # fmt: skip
@@ -336,6 +338,19 @@ class Target:
         self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         return kinetic
+
+    @contextmanager
+    def gradients(self) -> Iterator[None]:
+        """What flows while this lasts, a window of steps, adds to the gradient of plastic strain, where that hardens a metal."""
+        if not self.laws["gradient_hardening"].any():
+            yield
+            return
+        before = self.eps_p.copy()
+        yield
+        m, at_node, share = self.active_elements, *np.empty((2, len(self.x)))
+        mesh, hardens = self.mesh, self.laws["gradient_hardening"][self.law_of] > 0.0
+        grown = np.where(hardens, self.eps_p - before, 0.0)
+        k.grow_gradients(m, grown, self.x, mesh.conn, mesh.B, mesh.V0, at_node, share, self.eps_gradient)
 
     def activate_all(self) -> None:
         """Make all nodes and elements active."""

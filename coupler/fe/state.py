@@ -31,7 +31,8 @@ class NodeState:
 class ElementState:
     """Of m elements: s Pa, Cauchy deviator in Voigt order xx yy zz yz xz xy; eps_p; rate 1/s, of eps_p; heat J, to go to the nodes in
     the next step; volume m3; T K; sigma_y Pa; fe N, forces on the corners; thermal_stress Pa, Voigt: the part of the stress that
-    changes of temperature at rest have made; element_number: as node_number.
+    changes of temperature at rest have made; element_number: as node_number; eps_gradient 1/m: gradient of eps_p in the unrotated
+    frame, zero in metals that it does not harden.
     """
 
     s: Annotated[np.ndarray, Rows(6)]
@@ -44,6 +45,7 @@ class ElementState:
     fe: Annotated[np.ndarray, Rows(4, 3)]
     element_number: Annotated[np.ndarray, Rows(dtype=np.int64, fill=-1)]
     thermal_stress: Annotated[np.ndarray, Rows(6)]
+    eps_gradient: Annotated[np.ndarray, Rows(3)]
 
 
 @dataclass(frozen=True)

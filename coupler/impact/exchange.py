@@ -151,7 +151,8 @@ class Impact:
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
         needed = self.surface.support(self.contact.rows)
-        self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
+        with self.target.gradients():
+            self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))

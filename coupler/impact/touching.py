@@ -54,6 +54,11 @@ def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> n
     surface, particle, target = domains.surface, domains.particle, domains.target
     element = target.mesh.facet_element[facets]
     first = np.zeros(len(rows), np.int32)
-    own = yield_stresses(particle.law, first, surface.values(particle.eps_p)[rows], surface.values(particle.T)[rows])
-    other = yield_stresses(target.laws, target.law_of[element], target.eps_p[element], target.T[element])
+    eps_p, T, gradient = (
+        surface.values(values)[rows] for values in (particle.eps_p, particle.T, particle.eps_gradient)
+    )
+    own = yield_stresses(particle.law, first, eps_p, T, gradient)
+    other = yield_stresses(
+        target.laws, target.law_of[element], target.eps_p[element], target.T[element], target.eps_gradient[element]
+    )
     return np.minimum(own, other)

@@ -19,6 +19,8 @@ Pairs = tuple[tuple[float, float], ...]
 _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
+TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
+NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
 # field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
@@ -34,6 +36,8 @@ _LIMITS: dict[str, tuple[str, float, float]] = {
     "oxide_thickness": ("nm", 1e-10, 1e-6),
     "oxide_strength": ("GPa", 1e6, 1e11),
     "oxide_threshold": ("", 0.0, 0.9),
+    "burgers": ("nm", 1e-10, 1e-9),
+    "taylor_alpha": ("", 0.0, 1.0),
 }
 _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
@@ -47,6 +51,8 @@ _DEFAULTS: dict[str, float | str | Pairs | None] = {
     "oxide_thickness": None,
     "oxide_strength": None,
     "oxide_threshold": None,
+    "burgers": None,
+    "taylor_alpha": 0.0,
     "source": "",
     "note": "",
 }
@@ -59,7 +65,8 @@ class Material:
     rho kg/m^3; G Pa; c0 m/s; s, Gamma0, taylor_quinney without unit; T_m K; cp ((T, J/(kg K)), ...), k ((T, W/(m K)), ...),
     thermal_expansion (linear) ((T, 1/K), ...): one pair, a constant, or two, linear between them and constant outside; sigma_TS Pa:
     tensile strength at 293 K, for critical velocities; oxide_thickness m, oxide_strength Pa: of the native film; oxide_threshold:
-    surface exposure at which it cracks (`physics.adhesion`). None where one is not known.
+    surface exposure at which it cracks (`physics.adhesion`); burgers m: Burgers vector; taylor_alpha: the coefficient of Taylor's
+    relation, 0: gradients of plastic strain do not harden it (`gradient_hardening`). None where one is not known.
     """
 
     name: str
@@ -77,6 +84,8 @@ class Material:
     oxide_thickness: float | None
     oxide_strength: float | None
     oxide_threshold: float | None
+    burgers: float | None
+    taylor_alpha: float
     source: str
     note: str
     strength: Strength
@@ -95,6 +104,14 @@ class Material:
     def nu(self) -> float:
         """Poisson's ratio."""
         return (3 * self.K - 2 * self.G) / (2 * (3 * self.K + self.G))
+
+    @property
+    def gradient_hardening(self) -> float:
+        """Square of the flow stress that a gradient of plastic strain adds, over that gradient, Pa2 m: (M alpha G)^2 r b.
+
+        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239: Taylor's relation, with 2 eta / b dislocations per area.
+        """
+        return (TAYLOR_FACTOR * self.taylor_alpha * self.G) ** 2 * NYE_FACTOR * (self.burgers or 0.0)
 
     @property
     def wave_speed(self) -> float:
@@ -242,6 +259,8 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     metal = library.read_record(Material, name, rest, _read, values | {"strength": strength}, hint, problems, lacks)
     if metal.T_m <= metal.T_ref:
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
+    if metal.taylor_alpha > 0.0 and metal.burgers is None:
+        problems.append("taylor_alpha needs the Burgers vector: give burgers, too")
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")
     if not problems and not metal.flow_stress(0.0, 0.0, metal.T_ref) > 0.0:

@@ -148,6 +148,13 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     flattest = min(scene.particles, key=lambda p: p.form.thinnest)
     thinnest, spacing = flattest.form.thinnest, text_of(d.spacing, "um")
     needs = (*_fields(scene, "diameter"), "preset", "resolution.spacing")
+    metals = {d.material(name) for name in (*(p.material for p in scene.particles), scene.substrate.material)}
+    if scene.resolution.engine == "machdyn" and (hard := [m.name for m in metals if m.taylor_alpha > 0.0]):
+        yield (
+            ("resolution.engine", *(f"materials.{name}" for name in hard)),
+            "resolution.engine = machdyn: it knows no gradients of plastic strain, which harden"
+            f" {', '.join(sorted(hard))} (taylor_alpha): take enriched or compiled",
+        )
     if d.points_of(smallest) < estimates.LEAST_POINTS:
         largest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
         yield (

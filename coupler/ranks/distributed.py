@@ -96,7 +96,7 @@ class DistributedParticle:
         return PointTotals.over(self.ask("totals"))
 
     def __getattr__(self, name: str) -> np.ndarray:
-        if name not in ("eps_p", "rate", "T", "J", "energy"):
+        if name not in ("eps_p", "rate", "T", "J", "energy", "eps_gradient"):
             raise AttributeError(name)
         return getattr(self.local, name) if self._alone else self._field(name)
 
@@ -109,6 +109,10 @@ class DistributedParticle:
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
         return self._field("stress")
+
+    def spatial_gradient(self) -> np.ndarray:
+        """Gradient (n,3) of the plastic strain as the points lie now, 1/m."""
+        return self._field("spatial_gradient")
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into the temperature of the points."""

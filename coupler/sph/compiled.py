@@ -5,7 +5,9 @@ are made once. On several ranks LAMMPS brings x and vest of the neighbours' poin
 F, Q and the plastic strain of those points over fixed lists. No sum depends on how the points are divided.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -130,7 +132,8 @@ class CompiledParticle(Particle):
                 k.stress_of_all, self.n, failed,
                 (self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
                  self._K_inverse, self._X, self._all_x, self._rates, self.R, self._all_F, self._all_Q, self._stress, self._effective,
-                 self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work, *self._of_points),
+                 self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
+                 self.eps_gradient, *self._of_points),
             )  # fmt: skip
         finally:
             self._skip_step()
@@ -146,6 +149,29 @@ class CompiledParticle(Particle):
         plastic = self.volume_of_point * float(self.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
+
+    def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
+        if not self.law[0]["gradient_hardening"]:
+            super().run(steps, dt, on_step)
+            return
+        before = self.eps_p.copy()
+        try:
+            super().run(steps, dt, on_step)
+        finally:  # other ranks count on this one
+            grown = np.zeros(len(self._all_F))
+            grown[: self.n] = self.eps_p - before
+            self._swap(self._sends, self._receives, grown[:, None])
+            k.grow_gradients(
+                self.n, grown, self._first, self._neighbour, self._gradient, self._all_F, self.R, self.eps_gradient
+            )
+
+    @cached_property
+    def _gradient(self) -> np.ndarray:
+        """Weights (sides,3) 1/m of the neighbours of each point: the gradient of a field u is sum (u_j - u_i) weight."""
+        return self._gradients()
+
+    def _gradients(self) -> np.ndarray:
+        return self._w_of[:, None] * np.einsum("kij,kj->ki", self._K_inverse[self._point], self._side_d)
 
     def _end_window(self) -> None:
         """Book the losses of the window, and turn them into heat of the points where the law says so."""
@@ -185,6 +211,10 @@ class CompiledParticle(Particle):
         strain = np.empty((self.n, 6))
         k.green_lagrange(self.F, strain)
         return strain
+
+    @property
+    def spatial_gradient(self) -> np.ndarray:
+        return np.einsum("nij,nj->ni", self.R.reshape(-1, 3, 3), self.eps_gradient)
 
     def stress(self) -> np.ndarray:
         s = self._stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

@@ -12,12 +12,12 @@ from math import sqrt
 
 from numba import njit
 
+from ..geometry.matrix_kernels import ROUNDING, inverse, polar, product, transposed
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
 from ..state.loops import ranges
 
 LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
-ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 TURNED = 1e-14  # rad: the rotation is exact to rounding
 NEAR = 1e-8  # rad: it is after this correction, for the next would be of the square
 FAR = 0.3  # rad: a rotation farther from the last one is sought by Newton's iteration of the polar decomposition
@@ -26,52 +26,6 @@ PLASTIC = 1e-3  # effective plastic strain of LAMMPS beyond which MACHDYN's hour
 LEAST_ERROR = 0.05  # hourglass error that the viscous control assumes at the least
 ACROSS = 10.0 / 9.0  # shear stiffness of a residual over G: 1 across a pair, 4/3 along it, in the mean over directions
 SLOW = 0.01  # of the wave speed: what viscosity sees of a closing velocity at the most
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def inverse(a: Matrix) -> tuple[Matrix, float]:
-    """Inverse of a 3x3 matrix, row by row, and its determinant."""
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
-    c00, c01, c02 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
-    det = a00 * c00 + a01 * c01 + a02 * c02
-    d = 1.0 / det
-    return (
-        d * c00, d * (a02 * a21 - a01 * a22), d * (a01 * a12 - a02 * a11),
-        d * c01, d * (a00 * a22 - a02 * a20), d * (a02 * a10 - a00 * a12),
-        d * c02, d * (a01 * a20 - a00 * a21), d * (a00 * a11 - a01 * a10),
-    ), det  # fmt: skip
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def product(a: Matrix, b: Matrix) -> Matrix:
-    """Product of two 3x3 matrices, row by row."""
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
-    b00, b01, b02, b10, b11, b12, b20, b21, b22 = b
-    return (
-        a00 * b00 + a01 * b10 + a02 * b20, a00 * b01 + a01 * b11 + a02 * b21, a00 * b02 + a01 * b12 + a02 * b22,
-        a10 * b00 + a11 * b10 + a12 * b20, a10 * b01 + a11 * b11 + a12 * b21, a10 * b02 + a11 * b12 + a12 * b22,
-        a20 * b00 + a21 * b10 + a22 * b20, a20 * b01 + a21 * b11 + a22 * b21, a20 * b02 + a21 * b12 + a22 * b22,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def transposed(a: Matrix) -> Matrix:
-    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
-    return a00, a10, a20, a01, a11, a21, a02, a12, a22
-
-
-@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
-def _polar(F: Matrix) -> Matrix:
-    """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
-    R = F
-    for _ in range(12):
-        (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = inverse(R)
-        r00, r01, r02, r10, r11, r12, r20, r21, r22 = R
-        R = (
-            0.5 * (r00 + i00), 0.5 * (r01 + i10), 0.5 * (r02 + i20), 0.5 * (r10 + i01), 0.5 * (r11 + i11),
-            0.5 * (r12 + i21), 0.5 * (r20 + i02), 0.5 * (r21 + i12), 0.5 * (r22 + i22),
-        )  # fmt: skip
-    return R
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
@@ -95,7 +49,7 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
         if square < TURNED * TURNED:
             break
         if sweep == 0 and not square < FAR * FAR:
-            R = _polar(F)
+            R = polar(F)
             A = product(transposed(R), F)
             continue
         c = 1.0 / (4.0 + square)  # Cayley: 1 + (4 w + 2 w w) / (4 + |omega|^2), w the skew matrix of omega
@@ -187,7 +141,7 @@ def _residual_forces(
 def stress_points(
     lo: int, hi: int, dt: float, laws: Laws, V: float, H: float, start: Ints, neighbour: Ints, w: Floats, K_inverse: Floats,
     X: Floats, x: Floats, v: Floats, R: Floats, F: Floats, Q: Floats, stress: Floats, effective: Floats, sigma_y: Floats,
-    eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, work: Floats,
+    eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, work: Floats, eps_gradient: Floats,
     gradient: Floats = None, plastic: Floats = None, residual: Floats = None, unseen: Floats = None,  # type: ignore[assignment]
 ) -> int:  # fmt: skip
     """Pass 1: deformation, stress and plastic state of points from n to n+1. Returns the first point that fails, or -1.
@@ -196,7 +150,7 @@ def stress_points(
     positions and velocities at n+1. R, F (N,9); Q (N,9) receives -V J R sigma B K^-1 with B = U^-1; stress (n,6):
     unrotated Cauchy stress, xx xy xz yy yz zz, as LAMMPS keeps it; effective (N,): sigma_y / H and the plastic strain of the
     step, by which MACHDYN chooses its hourglass control. The plastic state is that of `physics.constitutive`; work (n,) J/m3 grows by
-    the plastic work. A point fails where J leaves [J_MIN, J_MAX].
+    the plastic work; eps_gradient (n,3) 1/m: `grow_gradients`. A point fails where J leaves [J_MIN, J_MAX].
 
     As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
 
@@ -281,7 +235,10 @@ def stress_points(
         mean = -hugoniot_pressure(law, Ji)
         if on(law.Gamma0) and law.Gamma0 > 0.0:
             mean += (hugoniot_pressure(law, J[i]) - p[i]) * J[i] / Ji
-        eps_p[i], rate[i], T[i], sigma_y[i], done = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i])
+        eta = 0.0
+        if on(law.gradient_hardening):
+            eta = sqrt(eps_gradient[i, 0] ** 2 + eps_gradient[i, 1] ** 2 + eps_gradient[i, 2] ** 2)
+        eps_p[i], rate[i], T[i], sigma_y[i], done = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i], eta)
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
             heat = law.expansion * law.taylor_quinney * done
@@ -388,6 +345,33 @@ def pair_forces(
         loss[k, 1] += 0.5 * dt * (strength[k, 1] * before + control * now)
         strength[k, 0], strength[k, 1] = viscous, control
         force[k, 0], force[k, 1], force[k, 2] = f0 + a * x0, f1 + a * x1, f2 + a * x2
+
+
+@njit(cache=True, nogil=True)
+def grow_gradients(
+    n: int, grown: Floats, start: Ints, neighbour: Ints, gradient: Floats, F: Floats, R: Floats, eps_gradient: Floats
+) -> None:  # fmt: skip
+    """Add the gradient of the plastic strain of a window of steps to that of n points, eps_gradient (n,3) 1/m.
+
+    grown (N,): that strain; gradient (m,3) 1/m: of `stress_points`; F, R (n,9). In the present place, R^T F^-T = U^-1, and in the
+    unrotated frame, in which it stays: as Huang et al. (2004) integrate it.
+    """
+    for i in range(n):
+        a = b = c = 0.0
+        for k in range(start[i], start[i + 1]):
+            d = grown[neighbour[k]] - grown[i]
+            a += d * gradient[k, 0]
+            b += d * gradient[k, 1]
+            c += d * gradient[k, 2]
+        f, r = F[i], R[i]
+        rotated = product(
+            (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]),
+            (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]),
+        )
+        B, _ = inverse(rotated)
+        eps_gradient[i, 0] += B[0] * a + B[1] * b + B[2] * c
+        eps_gradient[i, 1] += B[3] * a + B[4] * b + B[5] * c
+        eps_gradient[i, 2] += B[6] * a + B[7] * b + B[8] * c
 
 
 @njit(cache=True, nogil=True)

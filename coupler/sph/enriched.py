@@ -73,7 +73,7 @@ class EnrichedParticle(CompiledParticle):
         pair_rows, foreign = self._list_sides(pair_rows, sides)
         self._residual = np.zeros((sides + foreign, 3))
         gradient = np.zeros((sides + foreign, 3))
-        gradient[:sides] = self._gradients()
+        gradient[:sides] = self._gradient
         self._swap(self._side_sends, self._side_receives, gradient)
         self._of_points = gradient[:sides], self._plastic, self._residual, self.unseen
         self._of_pairs = gradient[pair_rows].reshape(-1, 6), self._residual, pair_rows.astype(np.uint32)
@@ -119,9 +119,7 @@ class EnrichedParticle(CompiledParticle):
         return (r0 < self._h) | ((r0 < SECOND_LAYER * self.spacing) & self._rim[pairs].any(axis=1))
 
     def _gradients(self) -> np.ndarray:
-        """Weights (sides,3) 1/m: F = sum (x_j - x_i) (x) gradient."""
-        d = self._side_d
-        gradient = self._w_of[:, None] * np.einsum("kij,kj->ki", self._K_inverse[self._point], d)
+        d, gradient = self._side_d, super()._gradients()
         D = d / self.spacing
         weight = np.maximum(FIT_REACH - np.sqrt((D * D).sum(axis=1)), 0.0) ** 2
         x, y, z = D.T

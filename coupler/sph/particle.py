@@ -50,7 +50,8 @@ class PointState:
     f N, esph J/kg ...
 
     Put into a fresh particle they make it go on to the last bit. The others are the state of the law: eps_p, rate 1/s, T K, sigma_y Pa,
-    J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step. An engine adds its own.
+    J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step; eps_gradient 1/m: gradient of
+    eps_p in the unrotated frame, zero in metals that it does not harden. An engine adds its own.
     """
 
     x: Annotated[np.ndarray, Rows(3, lammps=True)]
@@ -75,6 +76,7 @@ class PointState:
     energy: Annotated[np.ndarray, Rows()]
     work: Annotated[np.ndarray, Rows()]
     f_old: Annotated[np.ndarray, Rows(3)]
+    eps_gradient: Annotated[np.ndarray, Rows(3)]
 
 
 @dataclass(frozen=True)
@@ -140,6 +142,7 @@ class Particle(ABC):
     energy: np.ndarray
     work: np.ndarray
     f_old: np.ndarray
+    eps_gradient: np.ndarray
 
     def __init__(
         self,
@@ -372,6 +375,11 @@ class Particle(ABC):
         """An attribute of these points by name, an array as a copy; or "stress"."""
         value = self.stress() if name == "stress" else getattr(self, name)
         return np.array(value) if isinstance(value, np.ndarray) else value
+
+    @property
+    def spatial_gradient(self) -> np.ndarray:
+        """Gradient (n,3) of the plastic strain as the points lie now, 1/m."""
+        return self.eps_gradient
 
     def _own_fields(self) -> set[str]:
         """The arrays of the points' record that LAMMPS does not keep."""

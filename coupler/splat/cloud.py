@@ -10,7 +10,15 @@ from ..errors import SplatError
 from ..geometry.triangles import open_or_double
 
 MIN_POINTS = 50  # of a body
-FIELD_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0}  # 0: one value a point
+FIELD_COLUMNS = {
+    "velocity": 3,
+    "stress": 6,
+    "eps_p": 0,
+    "T": 0,
+    "J": 0,
+    "energy": 0,
+    "eps_gradient": 3,
+}  # 0: one value a point
 
 
 class Report(TypedDict, total=False):
@@ -56,8 +64,9 @@ class Cloud:
 
     x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume;
     rho: reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; eps_p, T (n,); J (n,): volume
-    ratio; energy (n,): J per reference m3. surface: vertices (k,3) and outward triangles (m,3) of the body's deformed
-    carried surface, cavities included. wave_speed: m/s, for the explicit time step in the report.
+    ratio; energy (n,): J per reference m3; eps_gradient (n,3): gradient of eps_p, 1/m. surface: vertices (k,3) and
+    outward triangles (m,3) of the body's deformed carried surface, cavities included. wave_speed: m/s, for the explicit time step
+    in the report.
     """
 
     x: np.ndarray
@@ -70,6 +79,7 @@ class Cloud:
     T: np.ndarray | None = None
     J: np.ndarray | None = None
     energy: np.ndarray | None = None
+    eps_gradient: np.ndarray | None = None
     surface: tuple[np.ndarray, np.ndarray] | None = None
     wave_speed: float | None = None
 
@@ -154,8 +164,9 @@ class Body:
     """One body of tetrahedra with its state; a field is None where the cloud has none. SI units.
 
     points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, eps_p, T, J
-    (m,). At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor on the sum over elements of rho V / J
-    that gives the mass of the points of this body. cloud_index (k,): those points. report: measures of this body.
+    (m,), eps_gradient (m,3) 1/m. At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor
+    on the sum over elements of rho V / J that gives the mass of the points of this body. cloud_index (k,): those points. report:
+    measures of this body.
     """
 
     points: np.ndarray
@@ -168,6 +179,7 @@ class Body:
     eps_p: np.ndarray | None = None
     T: np.ndarray | None = None
     J: np.ndarray | None = None
+    eps_gradient: np.ndarray | None = None
     report: Report = field(default_factory=Report)
 
 

@@ -96,7 +96,9 @@ def transfer(
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
     at_nodes = Fit(cloud.x, points, cloud.spacing)
     weights = cloud.mass / cloud.mass.sum()
-    fields: dict[str, np.ndarray | None] = dict.fromkeys(("velocity", "stress", "eps_p", "T", "J", "energy"))
+    fields: dict[str, np.ndarray | None] = dict.fromkeys(
+        ("velocity", "stress", "eps_p", "T", "J", "energy", "eps_gradient")
+    )
     J = None if cloud.J is None else at_elements(cloud.J)
     reference = volume if J is None else volume / J
     scale = float(cloud.volume.sum() / reference.sum())
@@ -119,6 +121,8 @@ def transfer(
         add_field("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
     if cloud.energy is not None:
         add_field("energy", at_nodes(cloud.energy), node_share)
+    if cloud.eps_gradient is not None:
+        fields["eps_gradient"] = at_elements(cloud.eps_gradient)
     if cloud.stress is not None:
         fields["stress"] = stress = at_elements(cloud.stress)
         before = float(cloud.current_volume @ _square(cloud.stress))

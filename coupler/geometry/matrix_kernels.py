@@ -1,0 +1,53 @@
+"""3x3 matrices as tuples, row by row (numba): inverse, product, transposed, rotation of a deformation gradient."""
+
+from numba import njit
+
+from ..state.arrays import Matrix
+
+ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def inverse(a: Matrix) -> tuple[Matrix, float]:
+    """Inverse of a 3x3 matrix, row by row, and its determinant."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    c00, c01, c02 = a11 * a22 - a12 * a21, a12 * a20 - a10 * a22, a10 * a21 - a11 * a20
+    det = a00 * c00 + a01 * c01 + a02 * c02
+    d = 1.0 / det
+    return (
+        d * c00, d * (a02 * a21 - a01 * a22), d * (a01 * a12 - a02 * a11),
+        d * c01, d * (a00 * a22 - a02 * a20), d * (a02 * a10 - a00 * a12),
+        d * c02, d * (a01 * a20 - a00 * a21), d * (a00 * a11 - a01 * a10),
+    ), det  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """Product of two 3x3 matrices, row by row."""
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    b00, b01, b02, b10, b11, b12, b20, b21, b22 = b
+    return (
+        a00 * b00 + a01 * b10 + a02 * b20, a00 * b01 + a01 * b11 + a02 * b21, a00 * b02 + a01 * b12 + a02 * b22,
+        a10 * b00 + a11 * b10 + a12 * b20, a10 * b01 + a11 * b11 + a12 * b21, a10 * b02 + a11 * b12 + a12 * b22,
+        a20 * b00 + a21 * b10 + a22 * b20, a20 * b01 + a21 * b11 + a22 * b21, a20 * b02 + a21 * b12 + a22 * b22,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def transposed(a: Matrix) -> Matrix:
+    a00, a01, a02, a10, a11, a12, a20, a21, a22 = a
+    return a00, a10, a20, a01, a11, a21, a02, a12, a22
+
+
+@njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
+def polar(F: Matrix) -> Matrix:
+    """Rotation of F to a few digits, from nowhere: Newton's iteration R <- (R + R^-T) / 2 (Higham 1986)."""
+    R = F
+    for _ in range(12):
+        (i00, i01, i02, i10, i11, i12, i20, i21, i22), _ = inverse(R)
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = R
+        R = (
+            0.5 * (r00 + i00), 0.5 * (r01 + i10), 0.5 * (r02 + i20), 0.5 * (r10 + i01), 0.5 * (r11 + i11),
+            0.5 * (r12 + i21), 0.5 * (r20 + i02), 0.5 * (r21 + i12), 0.5 * (r22 + i22),
+        )  # fmt: skip
+    return R

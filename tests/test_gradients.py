@@ -1,0 +1,174 @@
+"""Hardening by gradients of plastic strain: the flow stress, the gradient in both domains, whole impacts with it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from runs import assert_same_files, assert_same_numbers, break_off
+from scenes import TINY, WHOLE, scene
+
+from coupler import Result, Scene, run
+from coupler.deposition.joining import cloud_of
+from coupler.deposition.run import resume
+from coupler.errors import SceneError
+from coupler.fe import mesh
+from coupler.fe.explicit import Target
+from coupler.geometry import mesher
+from coupler.impact.exchange import Impact
+from coupler.physics import constitutive
+from coupler.physics.materials import Material, from_table, material
+from coupler.plan.planning import plan
+from coupler.progress import Progress
+from coupler.sph import packing
+from coupler.sph.compiled_kernels import grow_gradients
+from coupler.sph.engine import ENGINES
+
+D = 25e-6
+SLOPE = np.array([3e4, -2e4, 5e4])  # 1/m
+QUIET = Progress(quiet=True)
+HARDENED = "[materials.Ni]\ntaylor_alpha = 0.3\n"
+
+
+def nickel(alpha: float = 0.3) -> Material:
+    return from_table("Ni", {"taylor_alpha": alpha}, material("Ni"))
+
+
+def test_dislocations_of_gradients_add_to_the_others() -> None:
+    """sqrt(sigma^2 + (M alpha G)^2 r b eta), counted here in dislocations: r eta / b of them per area, by Taylor's relation."""
+    metal, eta = nickel(), 4e5
+    law = constitutive.law_record(metal)[0]
+    sigma = metal.flow_stress(0.5, 0.0, 300.0)
+    density = 1.9 * eta / 0.2492e-9
+    taylor = 3.06 * 0.3 * 76e9 * 0.2492e-9 * np.sqrt(density)
+    assert constitutive.with_gradient(law, sigma, eta, 300.0) == pytest.approx(np.hypot(sigma, taylor), rel=1e-12)
+    assert 500e6 < taylor < 2e9
+    hot = constitutive.with_gradient(law, sigma, eta, 300.0 + 0.5 * metal.T_m)
+    assert hot == pytest.approx(np.hypot(sigma, 0.75 * taylor), rel=1e-12)  # G falls by a quarter
+    assert constitutive.with_gradient(law, 0.0, eta, 2000.0) == 0.0  # a liquid
+
+
+def test_a_plastic_step_takes_it() -> None:
+    deps, dt = 1e-3, 1e-11
+    law, plain = constitutive.law_record(nickel())[0], constitutive.law_record(material("Ni"))[0]
+    state = (1.0, 2e8, 2e8, 0.3, 1e7, 400.0)
+    eps_p, rate, T, sigma_y, _ = constitutive.harden(law, deps, dt, *state, 3e5)
+    assert sigma_y == constitutive.with_gradient(law, constitutive.yield_stress(law, eps_p, rate, T), 3e5, T)
+    assert constitutive.harden(law, deps, dt, *state, 0.0) == constitutive.harden(plain, deps, dt, *state, 3e5)
+
+
+@pytest.fixture(scope="module")
+def target() -> Target:
+    points, tets = mesher.box((8e-6, 8e-6, 8e-6), 1e-6)
+    return Target(mesh.prepare(points, tets), constitutive.law_record(nickel()), 300.0, fixed=(), track_wave=False)
+
+
+def turned(angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def grown(t: Target, F: np.ndarray) -> np.ndarray:
+    """Gradient (m,3) of a strain that grows linearly over the reference, in a target that is deformed by F."""
+    X = t.mesh.points
+    t.x[:], t.eps_gradient[:], t.eps_p[:] = X @ F.T, 0.0, 0.2
+    with t.gradients():
+        t.eps_p += 1.0 + X[t.mesh.conn].mean(axis=1) @ SLOPE
+    return t.eps_gradient.copy()
+
+
+def test_elements_see_a_linear_strain(target: Target) -> None:
+    """Within the block; at its faces the averages of one side are those of a place inside."""
+    centre = target.mesh.points[target.mesh.conn].mean(axis=1)
+    inner = (np.abs(centre - centre.mean(axis=0)) < 2.2e-6).all(axis=1)
+    got = grown(target, np.eye(3))[inner]
+    assert np.count_nonzero(inner) > 50
+    assert got.mean(axis=0) == pytest.approx(SLOPE, rel=0.05)
+    with target.gradients():
+        target.eps_p += 0.3  # alike everywhere
+    assert target.eps_gradient[inner] == pytest.approx(got, abs=1e-3)
+
+
+def test_elements_take_the_gradient_where_they_are(target: Target) -> None:
+    """Turned it is the same, to rounding; in a body that is stretched by two a half."""
+    plain, R = grown(target, np.eye(3)), turned(0.7)
+    assert grown(target, R) == pytest.approx(plain, rel=1e-9, abs=1e-6)
+    stretched = np.diag([2.0, 0.5, 1.0])
+    assert grown(target, R @ stretched) == pytest.approx(plain / np.diag(stretched), rel=1e-9, abs=1e-6)
+
+
+def test_a_metal_without_it_keeps_none() -> None:
+    points, tets = mesher.box((4e-6, 4e-6, 4e-6), 1e-6)
+    t = Target(mesh.prepare(points, tets), constitutive.law_record(material("Ni")), 300.0, fixed=(), track_wave=False)
+    assert not grown(t, np.eye(3)).any()
+
+
+@pytest.mark.parametrize("engine", ["compiled", "enriched"])
+def test_points_see_a_linear_strain(engine: str) -> None:
+    """Exactly, at the rim too; turned and stretched as elements do."""
+    cloud, volume = packing.sphere(D, 300)
+    p = ENGINES[engine](cloud, volume, constitutive.law_record(nickel()), (0.0, 0.0, 0.0), 300.0)
+    R, stretched = turned(0.7), np.diag([2.0, 0.5, 1.0])
+    for rotation, F in ((np.eye(3), np.eye(3)), (R, R), (R, R @ stretched)):
+        out = np.zeros((p.n, 3))
+        rows = [np.tile(A.ravel(), (p.n, 1)) for A in (F, rotation)]
+        grow_gradients(p.n, 1.0 + p.X @ SLOPE, p._first, p._neighbour, p._gradient, *rows, out)
+        U = rotation.T @ F
+        assert out == pytest.approx(np.tile(np.linalg.solve(U, SLOPE), (p.n, 1)), rel=1e-6)
+    p.eps_gradient[:] = SLOPE
+    p.R[:] = R.ravel()
+    assert p.spatial_gradient == pytest.approx(np.tile(R @ SLOPE, (p.n, 1)))
+    p.close()
+
+
+@pytest.fixture(scope="module")
+def hardened(tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return run(Scene.from_text(WHOLE + HARDENED, "shared"), tmp_path_factory.mktemp("whole") / "out", progress=QUIET)
+
+
+def test_gradients_harden_an_impact(hardened: Result, tmp_path: Path) -> None:
+    """The particle flattens less and rebounds faster; the ledger closes."""
+    plain = run(Scene.from_text(WHOLE, "shared"), tmp_path / "plain", progress=QUIET)
+    (soft,), (hard,) = plain.impacts, hardened.impacts
+    assert hard["end"]["flattening_ratio"] < 0.97 * soft["end"]["flattening_ratio"]
+    assert hard["end"]["eps_p_mean"] < 0.95 * soft["end"]["eps_p_mean"]
+    assert hard["restitution"] > 1.05 * soft["restitution"]
+    assert abs(hard["energy_drift"]) < 5e-3
+
+
+def test_it_goes_on_as_if_nothing_had_happened(hardened: Result, tmp_path: Path) -> None:
+    text = WHOLE + HARDENED
+    break_off(Scene.from_text(text, "shared"), tmp_path / "out", at=15e-9)
+    other = resume(tmp_path / "out", progress=QUIET)
+    assert_same_numbers(hardened.summary, other.summary, rel=1e-9)
+    assert_same_files(hardened, other)
+
+
+def test_a_splat_keeps_its_gradients(tmp_path: Path) -> None:
+    """As a body it has those that its points had, in the mean, and none where the metal has none."""
+    text = scene(("Ni", 25, 500), ("Ni", 25, 450), **TINY, end=15, every=20, more=HARDENED)
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def probe(impact: Impact) -> None:
+        if impact.bodies.count == 1:
+            seen[:] = [(cloud_of(impact.domains).eps_gradient, impact.particle.mass)]
+        elif len(seen) == 1:
+            own = impact.bodies.body == 1
+            seen.append((impact.target.eps_gradient[own], impact.target.mesh.V0[own]))
+            assert not impact.target.eps_gradient[~own].any()  # steel, as the library has it
+
+    run(Scene.from_text(text, "double"), tmp_path / "out", progress=QUIET, probe=probe)
+    (points, mass), (elements, volume) = seen
+    before, after = np.average(points, axis=0, weights=mass), np.average(elements, axis=0, weights=volume)
+    assert np.linalg.norm(after - before) < 0.15 * np.linalg.norm(before)
+
+
+def test_what_it_needs_is_said() -> None:
+    def problems(more: str) -> str:
+        with pytest.raises(SceneError) as caught:
+            plan(Scene.from_text(WHOLE + more))
+        return str(caught.value)
+
+    assert "burgers" in problems("[materials.SS304]\ntaylor_alpha = 0.3\n")
+    machdyn = WHOLE.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n') + HARDENED
+    with pytest.raises(SceneError, match="take enriched or compiled"):
+        plan(Scene.from_text(machdyn))
