@@ -262,7 +262,13 @@ def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
         law.law_record(material("Ni"), heats | {name: False}) for name in ("rate_hardening", "thermal_softening")
     )
     record = law.specialised(np.concatenate([soft, hard])).dtype
-    second_regime_and_other_laws = {"C_high", "zerilli_armstrong", "steinberg_guinan", "preston_tonks_wallace"}
+    second_regime_and_other_laws = {
+        "C_high",
+        "gradient_hardening",
+        "zerilli_armstrong",
+        "steinberg_guinan",
+        "preston_tonks_wallace",
+    }
     assert {name for name in record.names or () if record[name] != np.float64} == second_regime_and_other_laws
     assert law.specialised(soft).dtype["C"] == np.int64
     assert law.specialised(soft, law.PRESSURE).dtype == law.LAW
@@ -271,6 +277,7 @@ def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
     assert {name for name in seen.names or () if seen[name] != np.float64} == {
         "C_high",
         "cp_slope",
+        "gradient_hardening",
         "zerilli_armstrong",
         "steinberg_guinan",
     }

@@ -290,7 +290,7 @@ def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh
     for _ in range(5):
         t.advance(1e-6)
         t.finish()
-    m, names = len(block.conn), ("s", "sigma_y", "eps_p", "rate", "T", "heat", "fe")
+    m, names = len(block.conn), ("s", "sigma_y", "eps_p", "rate", "T", "heat", "fe", "eps_gradient")
     assert m % kernels.BLOCK
     ends = []
     for cuts in ([0, m], [0, 1, 5, 38, 102, m - 1, m], [*range(0, m, 7), m]):

@@ -52,6 +52,7 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
     plate = BodyState(
         points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, WARM), np.full(m, 1.0 + metal.Gamma0 * heat / metal.K),
         np.zeros((n, 3)), np.full(n, heat), metal.rho * float(volumes(points, tets).sum()), law,
+        np.zeros((m, 3)),
     )  # fmt: skip
     return bodies.joined([plate], Adhesion(kind=cast(Any, kind)), 3e-6, ORIGIN, None, 1)
 

@@ -48,7 +48,7 @@ def block(corner: tuple[float, float, float], stress: float, J: float, law: np.n
     mass = float(law["rho"][0]) * 8e-15 / J
     return BodyState(
         points + np.array(corner), tets, deviator, np.full(m, 0.3), np.full(m, 400.0), np.full(m, J), np.zeros((n, 3)),
-        np.zeros(n), mass, law,
+        np.zeros(n), mass, law, np.zeros((m, 3)),
     )  # fmt: skip
 
 

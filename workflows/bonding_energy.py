@@ -98,12 +98,10 @@ CASES = (
     Case("ni", (532,), "standard", temperature=900.0),
     Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
     *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
-    Case("cu", (640, 610, 580, 549, 488), "fine", alpha=ALPHA), Case("ni", (831, 764, 698, 665, 598, 532), "fine", alpha=ALPHA),
-    *(Case("cu", (671, 640, 610, 580), "fine", diameter=size, alpha=ALPHA) for size in (5.0, 40.0)),
-    *(Case("ni", (831, 764, 698), "fine", diameter=size, alpha=ALPHA) for size in (5.0, 40.0)),
-    Case("cu", (580, 610), "fine", alpha=0.2), Case("ni", (598, 632, 665), "fine", alpha=0.2),
-    Case("cu", (640, 610, 580), "standard", alpha=ALPHA), Case("ni", (831, 764, 698), "standard", alpha=ALPHA),
-    Case("cu", (701, 762), "fine", alpha=0.5), Case("ni", (665,), "standard", temperature=900.0, alpha=ALPHA),
+    Case("cu", (640, 610, 580, 549, 488), "fine", alpha=ALPHA), Case("ni", (764, 831, 698, 598, 532), "fine", alpha=ALPHA),
+    *(Case("cu", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (640, 671)), (40.0, (610, 580)))),
+    *(Case("ni", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (764, 831)), (40.0, (764, 698)))),
+    Case("cu", (580,), "fine", alpha=0.2), Case("ni", (632, 665), "fine", alpha=0.2), Case("cu", (640, 610), "standard", alpha=ALPHA),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (

@@ -102,7 +102,7 @@ class ElementImpact:
         mass = p.material.rho * np.pi / 6.0 * p.diameter**3
         body = BodyState(
             points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, p.temperature), np.ones(m), np.tile(p.velocity, (n, 1)),
-            np.zeros(n), mass, law,
+            np.zeros(n), mass, law, np.zeros((m, 3)),
         )  # fmt: skip
         substrate = build_target(plan)
         parts = [domain_now(substrate.target, substrate.body), domain_of(body, "splat1")]

@@ -272,7 +272,7 @@ def flying(folder: Path) -> Judged:
     # free of stress: what is left to see is what the motion itself does
     state = BodyState(
         body.points, body.tets, np.zeros((m, 6)), np.asarray(body.eps_p), np.full(m, 300.0), np.ones(m), np.zeros((n, 3)), np.zeros(n),
-        float(domains.particle.mass.sum()), domains.particle.law,
+        float(domains.particle.mass.sum()), domains.particle.law, np.zeros((m, 3)),
     )  # fmt: skip
     domain = domain_of(state, "splat1")
     splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), track_wave=False)

@@ -55,6 +55,13 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)
     yield from _resolution(d)
+    hard = sorted({metal.name for metal in known if metal.taylor_alpha > 0.0})
+    if scene.resolution.engine == "machdyn" and hard:
+        yield (
+            ("resolution.engine", *(f"materials.{name}" for name in hard)),
+            "resolution.engine = machdyn: it knows no gradients of plastic strain, which harden"
+            f" {', '.join(hard)} (taylor_alpha): take enriched or compiled",
+        )
     yield from _adhesion(d, catalogue)
     if scene.output.at == "ends" and scene.output.every is not None:
         yield ("output.at", "output.every"), 'output.every: of no use with output.at = "ends"; leave one of them out'
@@ -148,13 +155,6 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     flattest = min(scene.particles, key=lambda p: p.form.thinnest)
     thinnest, spacing = flattest.form.thinnest, text_of(d.spacing, "um")
     needs = (*_fields(scene, "diameter"), "preset", "resolution.spacing")
-    metals = {d.material(name) for name in (*(p.material for p in scene.particles), scene.substrate.material)}
-    if scene.resolution.engine == "machdyn" and (hard := [m.name for m in metals if m.taylor_alpha > 0.0]):
-        yield (
-            ("resolution.engine", *(f"materials.{name}" for name in hard)),
-            "resolution.engine = machdyn: it knows no gradients of plastic strain, which harden"
-            f" {', '.join(sorted(hard))} (taylor_alpha): take enriched or compiled",
-        )
     if d.points_of(smallest) < estimates.LEAST_POINTS:
         largest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
         yield (
