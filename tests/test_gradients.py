@@ -13,6 +13,7 @@ from coupler.deposition.run import resume
 from coupler.errors import SceneError
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
+from coupler.fe.gradients import growing
 from coupler.geometry import mesher
 from coupler.impact.exchange import Impact
 from coupler.physics import constitutive
@@ -47,6 +48,11 @@ def test_dislocations_of_gradients_add_to_the_others() -> None:
     assert constitutive.with_gradient(law, 0.0, eta, 2000.0) == 0.0  # a liquid
 
 
+def test_without_thermal_softening_the_modulus_stays() -> None:
+    law = constitutive.law_record(nickel(), {"thermal_softening": False})[0]
+    assert constitutive.with_gradient(law, 1e8, 4e5, 1200.0) == constitutive.with_gradient(law, 1e8, 4e5, 300.0)
+
+
 def test_a_plastic_step_takes_it() -> None:
     deps, dt = 1e-3, 1e-11
     law, plain = constitutive.law_record(nickel())[0], constitutive.law_record(material("Ni"))[0]
@@ -71,7 +77,7 @@ def grown(t: Target, F: np.ndarray) -> np.ndarray:
     """Gradient (m,3) of a strain that grows linearly over the reference, in a target that is deformed by F."""
     X = t.mesh.points
     t.x[:], t.eps_gradient[:], t.eps_p[:] = X @ F.T, 0.0, 0.2
-    with t.gradients():
+    with growing(t):
         t.eps_p += 1.0 + X[t.mesh.conn].mean(axis=1) @ SLOPE
     return t.eps_gradient.copy()
 
@@ -83,7 +89,7 @@ def test_elements_see_a_linear_strain(target: Target) -> None:
     got = grown(target, np.eye(3))[inner]
     assert np.count_nonzero(inner) > 50
     assert got.mean(axis=0) == pytest.approx(SLOPE, rel=0.05)
-    with target.gradients():
+    with growing(target):
         target.eps_p += 0.3  # alike everywhere
     assert target.eps_gradient[inner] == pytest.approx(got, abs=1e-3)
 

@@ -62,7 +62,7 @@ run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
 run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", numerics={inertia!r}, **options)
 """
 INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
-ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"')
+ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"') + "[materials.Ni]\ntaylor_alpha = 0.3\n"
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,8 @@ def test_a_particle_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
 
 
 def test_residuals_of_points_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
-    """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point, inertia of cells from all."""
+    """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point, inertia of cells from all,
+    plastic strain, whose gradients harden the metal, from the ranks of the neighbours."""
     assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(on_two / "enriched").values)
 
 

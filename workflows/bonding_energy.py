@@ -151,7 +151,8 @@ def scene_of(
     if film != 1.0:
         changes["oxide_strength"] = f"{film * (material(metal).oxide_strength or 0.0) / 1e9:g} GPa"
     title = f"{name}_{size:g}um_{temperature:g}K_{film:g}_{preset}" + (f"_{alpha:g}" if alpha else "")
-    return Scene.from_dict(data, f"{title}_{strength}" if strength else title)
+    title = f"{title}_{strength}" if strength else title
+    return Scene.from_dict(data, title.replace(".", "p"))  # a name ends at its first point
 
 
 def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:

@@ -250,8 +250,7 @@ class Target:
             (self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, self.J, self.p,
              self.energy),
             (dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
-             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe,
-             self.eps_gradient),
+             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, self.eps_gradient),
             (self.start, self.table, self.fe, self.f),
             smallest, sums,
         )  # fmt: skip
@@ -338,19 +337,6 @@ class Target:
         self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         return kinetic
-
-    @contextmanager
-    def gradients(self) -> Iterator[None]:
-        """What flows while this lasts, a window of steps, adds to the gradient of plastic strain, where that hardens a metal."""
-        if not self.laws["gradient_hardening"].any():
-            yield
-            return
-        before = self.eps_p.copy()
-        yield
-        m, at_node, share = self.active_elements, *np.empty((2, len(self.x)))
-        mesh, hardens = self.mesh, self.laws["gradient_hardening"][self.law_of] > 0.0
-        grown = np.where(hardens, self.eps_p - before, 0.0)
-        k.grow_gradients(m, grown, self.x, mesh.conn, mesh.B, mesh.V0, at_node, share, self.eps_gradient)
 
     def activate_all(self) -> None:
         """Make all nodes and elements active."""

@@ -11,7 +11,7 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..geometry.matrix_kernels import inverse, polar, product, transposed
+from ..geometry.vector_kernels import norm
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Vector
@@ -81,7 +81,7 @@ def element_forces(
     x (n,3) positions at n+1, v (n,3) velocities at n+1/2; B (m,3,3) reference gradients of nodes 1 to 3; s (m,6)
     Cauchy deviator, updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y (m,).
     fe (m,4,3) receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T. heat (m,) receives
-    the heat of the step in J that makes pressure; eps_gradient (m,3) 1/m: `grow_gradients`.
+    the heat of the step in J that makes pressure; eps_gradient (m,3) 1/m: `fe.gradients`.
     Returns the plastic work, the work of the bulk viscosity and that heat, J.
 
     laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
@@ -113,9 +113,7 @@ def element_forces(
                     S[k, i] *= sy / q_trial
             warm = 0.0
             if deps > 0.0 or rate[e] > 0.0:
-                eta = 0.0
-                if on(law.gradient_hardening):
-                    eta = sqrt(eps_gradient[e, 0] ** 2 + eps_gradient[e, 1] ** 2 + eps_gradient[e, 2] ** 2)
+                eta = norm(eps_gradient, e) if on(law.gradient_hardening) else 0.0
                 eps_p[e], rate[e], T[e], sy, work = harden(
                     law, deps, dt, b.J[i], flow, sy, eps_p[e], rate[e], T[e], eta
                 )
@@ -144,42 +142,6 @@ def element_forces(
             b.pressure[i] -= SHAPE_STIFFNESS * law.K * shape_strain(b.J[i]) / b.J[i]
         nodal_forces(first, hi, B, w, fe)
     return plastic, viscous, warmth
-
-
-@njit(cache=True, nogil=True)
-def grow_gradients(
-    m: int, grown: Floats, x: Floats, conn: Ints, B: Floats, V0: Floats, at_node: Floats, share: Floats, eps_gradient: Floats
-) -> None:  # fmt: skip
-    """Add the gradient of the plastic strain of a window of steps to that of the first m elements, eps_gradient (m,3) 1/m.
-
-    grown (m,): that strain, averaged at the nodes over the volumes around them, at_node and share (n,), which are overwritten. In the
-    present place, R^T F^-T = U^-1, and in the unrotated frame, in which it stays: as Huang et al. (2004) integrate it.
-    """
-    for e in range(m):
-        for a in conn[e]:
-            at_node[a] = share[a] = 0.0
-    for e in range(m):
-        for a in conn[e]:
-            at_node[a] += V0[e] * grown[e]
-            share[a] += V0[e]
-    for e in range(m):
-        if not grown[e] > 0.0:
-            continue
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        first, b = at_node[n0] / share[n0], B[e]
-        d1, d2, d3 = at_node[n1] / share[n1] - first, at_node[n2] / share[n2] - first, at_node[n3] / share[n3] - first
-        edges = (
-            x[n1, 0] - x[n0, 0], x[n2, 0] - x[n0, 0], x[n3, 0] - x[n0, 0], x[n1, 1] - x[n0, 1], x[n2, 1] - x[n0, 1],
-            x[n3, 1] - x[n0, 1], x[n1, 2] - x[n0, 2], x[n2, 2] - x[n0, 2], x[n3, 2] - x[n0, 2],
-        )  # fmt: skip
-        F = product(edges, (b[0, 0], b[0, 1], b[0, 2], b[1, 0], b[1, 1], b[1, 2], b[2, 0], b[2, 1], b[2, 2]))
-        g0 = d1 * b[0, 0] + d2 * b[1, 0] + d3 * b[2, 0]
-        g1 = d1 * b[0, 1] + d2 * b[1, 1] + d3 * b[2, 1]
-        g2 = d1 * b[0, 2] + d2 * b[1, 2] + d3 * b[2, 2]
-        U, _ = inverse(product(transposed(polar(F)), F))
-        eps_gradient[e, 0] += U[0] * g0 + U[1] * g1 + U[2] * g2
-        eps_gradient[e, 1] += U[3] * g0 + U[4] * g1 + U[5] * g2
-        eps_gradient[e, 2] += U[6] * g0 + U[7] * g1 + U[8] * g2
 
 
 @njit(cache=True, nogil=True)

@@ -1,8 +1,8 @@
-"""3x3 matrices as tuples, row by row (numba): inverse, product, transposed, rotation of a deformation gradient."""
+"""3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
 
 from numba import njit
 
-from ..state.arrays import Matrix
+from ..state.arrays import Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 
@@ -51,3 +51,9 @@ def polar(F: Matrix) -> Matrix:
             0.5 * (r12 + i21), 0.5 * (r20 + i02), 0.5 * (r21 + i12), 0.5 * (r22 + i22),
         )  # fmt: skip
     return R
+
+
+@njit(cache=True, nogil=True, inline="always")
+def applied(a: Matrix, x: float, y: float, z: float) -> Vector:
+    """Product of a 3x3 matrix and a vector."""
+    return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z

@@ -15,6 +15,7 @@ from scipy.sparse import csr_matrix, hstack
 from ..contact.hold import SECURE, Hold, HoldState
 from ..contact.penalty import ContactState
 from ..errors import SolverError
+from ..fe.gradients import growing
 from ..geometry.points import depths
 from ..geometry.triangles import rings
 from ..physics.adhesion import HELD_STIFFNESS, oxide_film
@@ -151,7 +152,7 @@ class Impact:
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
         needed = self.surface.support(self.contact.rows)
-        with self.target.gradients():
+        with growing(self.target):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
         self.force = self._forces.sum(axis=0)

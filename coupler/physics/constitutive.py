@@ -20,6 +20,7 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from ..geometry.vector_kernels import norm
 from ..state.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material
@@ -45,9 +46,8 @@ FLOW = (
 )  # fmt: skip
 
 ROOM = 300.0  # K, at which the shear modulus is that of the record
-MODULUS_SLOPE = (
-    0.5  # -(T_m / G) dG/dT: .54 (Cu), .64 (Ni), .50 (Al), Frost & Ashby (1982), Deformation-Mechanism Maps, second-hand
-)
+# -(T_m / G) dG/dT: .54 (Cu), .64 (Ni), .50 (Al), Frost & Ashby (1982), Deformation-Mechanism Maps, second-hand
+MODULUS_SLOPE = 0.5
 
 #: Effects that change a LAW record.
 SWITCHES = (
@@ -181,7 +181,7 @@ def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
     """
     if not law.gradient_hardening > 0.0 or not sigma > 0.0:
         return sigma
-    modulus = max(1.0 - MODULUS_SLOPE * (T - ROOM) / law.T_m, 0.0)
+    modulus = max(1.0 - law.softening * MODULUS_SLOPE * (T - ROOM) / law.T_m, 0.0)
     return sqrt(sigma * sigma + law.gradient_hardening * modulus * modulus * eta)
 
 
@@ -287,10 +287,8 @@ def yield_stresses(laws: Laws, law_of: Ints, eps_p: Floats, T: Floats, gradient:
     """Yield stress (m,) Pa of states at rest: LAW records laws, law_of (m,), eps_p (m,), T (m,) K, gradient (m,3) of eps_p 1/m."""
     sigma = np.empty(len(T))
     for e in range(len(T)):
-        law, g = laws[law_of[e]], gradient[e]
-        sigma[e] = with_gradient(
-            law, yield_stress(law, eps_p[e], 0.0, T[e]), sqrt(g[0] ** 2 + g[1] ** 2 + g[2] ** 2), T[e]
-        )
+        law = laws[law_of[e]]
+        sigma[e] = with_gradient(law, yield_stress(law, eps_p[e], 0.0, T[e]), norm(gradient, e), T[e])
     return sigma
 
 

@@ -109,7 +109,7 @@ class Material:
     def gradient_hardening(self) -> float:
         """Square of the flow stress that a gradient of plastic strain adds, over that gradient, Pa2 m: (M alpha G)^2 r b.
 
-        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239: Taylor's relation, with 2 eta / b dislocations per area.
+        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239: Taylor's relation, with r eta / b dislocations per area.
         """
         return (TAYLOR_FACTOR * self.taylor_alpha * self.G) ** 2 * NYE_FACTOR * (self.burgers or 0.0)
 

@@ -151,6 +151,7 @@ class CompiledParticle(Particle):
         self.sums[0] = plastic
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
+        """As of any particle; the plastic strain of the window adds to its gradient, where that hardens the metal."""
         if not self.law[0]["gradient_hardening"]:
             super().run(steps, dt, on_step)
             return
@@ -171,6 +172,7 @@ class CompiledParticle(Particle):
         return self._gradients()
 
     def _gradients(self) -> np.ndarray:
+        """Those weights, computed."""
         return self._w_of[:, None] * np.einsum("kij,kj->ki", self._K_inverse[self._point], self._side_d)
 
     def _end_window(self) -> None:

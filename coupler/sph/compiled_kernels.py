@@ -12,7 +12,8 @@ from math import sqrt
 
 from numba import njit
 
-from ..geometry.matrix_kernels import ROUNDING, inverse, polar, product, transposed
+from ..geometry.matrix_kernels import ROUNDING, applied, inverse, polar, product, transposed
+from ..geometry.vector_kernels import add, norm
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
 from ..state.loops import ranges
@@ -235,9 +236,7 @@ def stress_points(
         mean = -hugoniot_pressure(law, Ji)
         if on(law.Gamma0) and law.Gamma0 > 0.0:
             mean += (hugoniot_pressure(law, J[i]) - p[i]) * J[i] / Ji
-        eta = 0.0
-        if on(law.gradient_hardening):
-            eta = sqrt(eps_gradient[i, 0] ** 2 + eps_gradient[i, 1] ** 2 + eps_gradient[i, 2] ** 2)
+        eta = norm(eps_gradient, i) if on(law.gradient_hardening) else 0.0
         eps_p[i], rate[i], T[i], sigma_y[i], done = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i], eta)
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
@@ -369,9 +368,8 @@ def grow_gradients(
             (f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8]),
         )
         B, _ = inverse(rotated)
-        eps_gradient[i, 0] += B[0] * a + B[1] * b + B[2] * c
-        eps_gradient[i, 1] += B[3] * a + B[4] * b + B[5] * c
-        eps_gradient[i, 2] += B[6] * a + B[7] * b + B[8] * c
+        a, b, c = applied(B, a, b, c)
+        add(eps_gradient, i, a, b, c)
 
 
 @njit(cache=True, nogil=True)

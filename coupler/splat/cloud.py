@@ -10,15 +10,8 @@ from ..errors import SplatError
 from ..geometry.triangles import open_or_double
 
 MIN_POINTS = 50  # of a body
-FIELD_COLUMNS = {
-    "velocity": 3,
-    "stress": 6,
-    "eps_p": 0,
-    "T": 0,
-    "J": 0,
-    "energy": 0,
-    "eps_gradient": 3,
-}  # 0: one value a point
+# 0: one value a point
+FIELD_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0, "eps_gradient": 3}
 
 
 class Report(TypedDict, total=False):

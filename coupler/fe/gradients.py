@@ -1,0 +1,61 @@
+"""Gradient of the plastic strain of elements, where it hardens a metal (`constitutive.with_gradient`)."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from numba import njit
+
+from ..geometry.matrix_kernels import applied, inverse, polar, product, transposed
+from ..geometry.vector_kernels import add
+from ..state.arrays import Floats, Ints
+from .explicit import Target
+
+
+@contextmanager
+def growing(target: Target) -> Iterator[None]:
+    """What flows while this lasts, a window of steps, adds to the gradient of plastic strain, where that hardens a metal."""
+    if not target.laws["gradient_hardening"].any():
+        yield
+        return
+    before = target.eps_p.copy()
+    yield
+    mesh, hardens = target.mesh, target.laws["gradient_hardening"][target.law_of] > 0.0
+    grown = np.where(hardens, target.eps_p - before, 0.0)
+    at_node, share = np.empty((2, len(target.x)))
+    _grow(target.active_elements, grown, target.x, mesh.conn, mesh.B, mesh.V0, at_node, share, target.eps_gradient)
+
+
+@njit(cache=True, nogil=True)
+def _grow(
+    m: int, grown: Floats, x: Floats, conn: Ints, B: Floats, V0: Floats, at_node: Floats, share: Floats, eps_gradient: Floats
+) -> None:  # fmt: skip
+    """Add the gradient of the plastic strain of a window of steps to that of the first m elements, eps_gradient (m,3) 1/m.
+
+    grown (m,): that strain, averaged at the nodes over the volumes around them, at_node and share (n,), which are overwritten. In the
+    present place, R^T F^-T = U^-1, and in the unrotated frame, in which it stays: as Huang et al. (2004) integrate it.
+    """
+    for e in range(m):
+        for a in conn[e]:
+            at_node[a] = share[a] = 0.0
+    for e in range(m):
+        for a in conn[e]:
+            at_node[a] += V0[e] * grown[e]
+            share[a] += V0[e]
+    for e in range(m):
+        if not grown[e] > 0.0:
+            continue
+        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        first, b = at_node[n0] / share[n0], B[e]
+        d1, d2, d3 = at_node[n1] / share[n1] - first, at_node[n2] / share[n2] - first, at_node[n3] / share[n3] - first
+        edges = (
+            x[n1, 0] - x[n0, 0], x[n2, 0] - x[n0, 0], x[n3, 0] - x[n0, 0], x[n1, 1] - x[n0, 1], x[n2, 1] - x[n0, 1],
+            x[n3, 1] - x[n0, 1], x[n1, 2] - x[n0, 2], x[n2, 2] - x[n0, 2], x[n3, 2] - x[n0, 2],
+        )  # fmt: skip
+        F = product(edges, (b[0, 0], b[0, 1], b[0, 2], b[1, 0], b[1, 1], b[1, 2], b[2, 0], b[2, 1], b[2, 2]))
+        g0 = d1 * b[0, 0] + d2 * b[1, 0] + d3 * b[2, 0]
+        g1 = d1 * b[0, 1] + d2 * b[1, 1] + d3 * b[2, 1]
+        g2 = d1 * b[0, 2] + d2 * b[1, 2] + d3 * b[2, 2]
+        back, _ = inverse(product(transposed(polar(F)), F))
+        g0, g1, g2 = applied(back, g0, g1, g2)
+        add(eps_gradient, e, g0, g1, g2)
