@@ -11,9 +11,8 @@ from math import acos, cos, log, sqrt
 import numpy as np
 from numba import njit
 
-from ..geometry.vector_kernels import norm
 from ..physics import motion
-from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, on
+from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Vector
 from ..state.loops import ranges
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of

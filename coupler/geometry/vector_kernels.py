@@ -1,7 +1,5 @@
 """Vectors of three numbers in kernels (numba): what is written once there, inlined where it is used."""
 
-from math import sqrt
-
 from numba import njit
 
 from ..state.arrays import Floats, Vector
@@ -31,9 +29,3 @@ def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
     f[i, 0] += f0
     f[i, 1] += f1
     f[i, 2] += f2
-
-
-@njit(cache=True, nogil=True, inline="always")
-def norm(f: Floats, i: int) -> float:
-    """Length of f[i], f (n,3)."""
-    return sqrt(f[i, 0] ** 2 + f[i, 1] ** 2 + f[i, 2] ** 2)

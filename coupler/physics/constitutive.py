@@ -20,7 +20,6 @@ from numba import njit, types
 from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..geometry.vector_kernels import norm
 from ..state.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material
@@ -168,6 +167,12 @@ def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
     if on(law.steinberg_guinan) and law.steinberg_guinan > 0.0:
         return _steinberg_guinan(law, eps_p, rate, T)
     return _johnson_cook(law, eps_p, rate, T)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def norm(gradient: Floats, i: int) -> float:
+    """Length of a gradient, gradient[i] of (n,3)."""
+    return sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
 
 
 @njit(cache=True, nogil=True)

@@ -13,8 +13,8 @@ from math import sqrt
 from numba import njit
 
 from ..geometry.matrix_kernels import ROUNDING, applied, inverse, polar, product, transposed
-from ..geometry.vector_kernels import add, norm
-from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, on
+from ..geometry.vector_kernels import add
+from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, norm, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
 from ..state.loops import ranges
 
