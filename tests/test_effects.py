@@ -264,7 +264,7 @@ def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
     record = law.specialised(np.concatenate([soft, hard])).dtype
     second_regime_and_other_laws = {
         "C_high",
-        "gradient_hardening",
+        "gradient_length",
         "zerilli_armstrong",
         "steinberg_guinan",
         "preston_tonks_wallace",
@@ -277,7 +277,7 @@ def test_a_kernel_leaves_out_only_what_is_off_in_all_materials() -> None:
     assert {name for name in seen.names or () if seen[name] != np.float64} == {
         "C_high",
         "cp_slope",
-        "gradient_hardening",
+        "gradient_length",
         "zerilli_armstrong",
         "steinberg_guinan",
     }

@@ -62,7 +62,7 @@ run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
 run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", numerics={inertia!r}, **options)
 """
 INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
-ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"') + "[materials.Ni]\ntaylor_alpha = 0.3\n"
+ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"') + "[materials.Ni]\ntaylor_alpha = 0.35\n"
 
 
 @pytest.fixture(scope="module")

@@ -144,7 +144,7 @@ def test_step_length_is_the_solvers_bound() -> None:
     steel = SimpleNamespace(
         rho=rho, G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, T_m=2000.0,
         strength=Strength("johnson_cook", dict(A=1e20, B=0.0, n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=300.0)),
-        taylor_quinney=0.0, gradient_hardening=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
+        taylor_quinney=0.0, forest=(0.0, 0.0), gradient_length=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
     )  # fmt: skip
     points, tets = mesher.box((1.0, 1.0, 1.0), 0.4)
     dt = np.zeros(len(tets))

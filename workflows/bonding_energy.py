@@ -84,7 +84,7 @@ class Case:
         return scene_of(self.name, self.size, self.temperature, self.film, self.preset, self.strength, self.alpha)
 
 
-ALPHA = 0.3  # Taylor's coefficient of the workflows (docs/theory/material.md)
+ALPHA = 0.35  # Taylor's coefficient of the workflows (docs/theory/material.md)
 # name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact
 METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
 CASES = (
@@ -98,10 +98,8 @@ CASES = (
     Case("ni", (532,), "standard", temperature=900.0),
     Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
     *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
-    Case("cu", (640, 610, 580, 549, 488), "fine", alpha=ALPHA), Case("ni", (764, 831, 698, 598, 532), "fine", alpha=ALPHA),
-    *(Case("cu", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (640, 671)), (40.0, (610, 580)))),
-    *(Case("ni", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (764, 831)), (40.0, (764, 698)))),
-    Case("cu", (580,), "fine", alpha=0.2), Case("ni", (632, 665), "fine", alpha=0.2), Case("cu", (640, 610), "standard", alpha=ALPHA),
+    Case("ni", (698, 665, 632, 598, 532), "fine", alpha=ALPHA), Case("cu", (610, 580, 549, 488), "fine", alpha=ALPHA),
+    Case("cu", (610, 580), "standard", alpha=ALPHA),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (

@@ -104,7 +104,7 @@ def _linear_hardening(law: dict[str, float]) -> Any:
     return SimpleNamespace(
         rho=law["rho"], G=E / (2 * (1 + nu)), K=E / (3 * (1 - 2 * nu)), s=0.0, Gamma0=0.0, T_m=2000.0,
         strength=Strength("johnson_cook", dict(A=law["A"], B=law["B"], n=1.0, C=0.0, m=1.0, eps_dot_0=1.0, T_ref=1000.0)),
-        taylor_quinney=0.0, gradient_hardening=0.0, cp=((300.0, 385.0),), k=((300.0, 400.0),),
+        taylor_quinney=0.0, forest=(0.0, 0.0), gradient_length=0.0, cp=((300.0, 385.0),), k=((300.0, 400.0),),
     )  # fmt: skip
 
 

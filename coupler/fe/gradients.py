@@ -15,12 +15,12 @@ from .explicit import Target
 @contextmanager
 def growing(target: Target) -> Iterator[None]:
     """What flows while this lasts, a window of steps, adds to the gradient of plastic strain, where that hardens a metal."""
-    if not target.laws["gradient_hardening"].any():
+    if not target.laws["gradient_length"].any():
         yield
         return
     before = target.eps_p.copy()
     yield
-    mesh, hardens = target.mesh, target.laws["gradient_hardening"][target.law_of] > 0.0
+    mesh, hardens = target.mesh, target.laws["gradient_length"][target.law_of] > 0.0
     grown = np.where(hardens, target.eps_p - before, 0.0)
     at_node, share = np.empty((2, len(target.x)))
     _grow(target.active_elements, grown, target.x, mesh.conn, mesh.B, mesh.V0, at_node, share, target.eps_gradient)

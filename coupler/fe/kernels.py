@@ -112,7 +112,7 @@ def element_forces(
                     S[k, i] *= sy / q_trial
             warm = 0.0
             if deps > 0.0 or rate[e] > 0.0:
-                eta = norm(eps_gradient, e) if on(law.gradient_hardening) else 0.0
+                eta = norm(eps_gradient, e) if on(law.gradient_length) else 0.0
                 eps_p[e], rate[e], T[e], sy, work = harden(
                     law, deps, dt, b.J[i], flow, sy, eps_p[e], rate[e], T[e], eta
                 )

@@ -12,7 +12,7 @@ kernel it makes.
 """
 
 from collections.abc import Callable, Mapping
-from math import sqrt
+from math import log, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -36,17 +36,19 @@ class Law(Protocol):
 #: `dissipation` (what the scheme dissipates becomes heat) are 1.0 or 0.0.
 LAW = np.dtype([(name, np.float64) for name in (
     "rho", "G", "K", "s", "Gamma0", "T_m", "softening", "taylor_quinney", "cp_T0", "cp_T1", "cp_0", "cp_slope", "k_T0", "k_T1", "k_0",
-    "k_slope", "rate_filter", "expansion", "dissipation", "gradient_hardening", *strength.FIELDS, *strength.LAWS,
+    "k_slope", "rate_filter", "expansion", "dissipation", "forest", "forest_slope", "gradient_length", *strength.FIELDS, *strength.LAWS,
 )])  # fmt: skip
 #: Numbers that are zero where an effect is off, by what they act on: the pressure; plastic flow and its heat.
 PRESSURE = ("s", "Gamma0", "expansion")
 FLOW = (
-    "C", "C_high", *strength.LAWS, "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation", "gradient_hardening",
+    "C", "C_high", *strength.LAWS, "softening", "taylor_quinney", "cp_slope", "expansion", "dissipation", "gradient_length",
 )  # fmt: skip
 
 ROOM = 300.0  # K, at which the shear modulus is that of the record
 # -(T_m / G) dG/dT: .54 (Cu), .64 (Ni), .50 (Al), Frost & Ashby (1982), Deformation-Mechanism Maps, second-hand
 MODULUS_SLOPE = 0.5
+TYPICAL_DENSITY = 0.02  # b sqrt(density) of a metal at some 500 MPa: where the search for that of a flow stress begins
+NEWTON_STEPS = 3  # from there 1e-9 of the stress or less between 50 MPa and 5 GPa
 
 #: Effects that change a LAW record.
 SWITCHES = (
@@ -84,7 +86,8 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
         varies = T1 > T0 and active(f"temperature_dependent_{name}")
         r[f"{name}_T0"], r[f"{name}_T1"], r[f"{name}_0"] = T0, max(T1, T0), v0
         r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
-    r["gradient_hardening"] = material.gradient_hardening
+    r["forest"], r["forest_slope"] = material.forest
+    r["gradient_length"] = material.gradient_length
     r["rate_filter"] = rate_filter
     r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
     r["dissipation"] = 1.0 if effects.get("dissipation_heat") else 0.0
@@ -177,17 +180,21 @@ def norm(gradient: Floats, i: int) -> float:
 
 @njit(cache=True, nogil=True)
 def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
-    """Flow stress, Pa, of a metal whose strength law gives sigma (Pa), where the plastic strain has the gradient eta, 1/m:
-    sqrt(sigma^2 + (M alpha G(T))^2 r b eta).
+    """Flow stress, Pa, of a metal whose strength law gives sigma (Pa), where the plastic strain has the gradient eta, 1/m.
 
-    The dislocations that a gradient needs (Ashby 1970, Phil. Mag. 21, 399) add to those stored at random, and the flow stress goes with
-    the root of their density (Taylor): Nix & Gao (1998), J. Mech. Phys. Solids 46, 411; Huang et al. (2004), Int. J. Plasticity
-    20, 753.
+    The dislocations that a gradient needs (Ashby 1970, Phil. Mag. 21, 399) add to those stored at random, and the flow stress follows
+    the sum by Taylor's relation (`materials.Material.forest`): Nix & Gao (1998), J. Mech. Phys. Solids 46, 411; Huang et al. (2004),
+    Int. J. Plasticity 20, 753. y = b sqrt(density).
     """
-    if not law.gradient_hardening > 0.0 or not sigma > 0.0:
+    modulus = 1.0 - law.softening * MODULUS_SLOPE * (T - ROOM) / law.T_m
+    if not law.gradient_length > 0.0 or not sigma > 0.0 or not eta > 0.0 or not modulus > 0.0:
         return sigma
-    modulus = max(1.0 - law.softening * MODULUS_SLOPE * (T - ROOM) / law.T_m, 0.0)
-    return sqrt(sigma * sigma + law.gradient_hardening * modulus * modulus * eta)
+    A, B = modulus * law.forest, modulus * law.forest_slope
+    y = sigma / (A + B * log(TYPICAL_DENSITY))
+    for _ in range(NEWTON_STEPS):  # y (A + B ln y) = sigma: those stored at random
+        y = (sigma + B * y) / (A + B + B * log(y))
+    both = sqrt(y * y + law.gradient_length * eta)
+    return both * (A + B * log(both))
 
 
 @njit(cache=True, nogil=True)
@@ -232,7 +239,7 @@ def harden(
             T += law.taylor_quinney * work / (law.rho * heat_capacity(law, T))
     if deps > 0.0 or rate > law.eps_dot_0:
         sigma_y = yield_stress(law, eps_p, rate, T)
-        if on(law.gradient_hardening):
+        if on(law.gradient_length):
             sigma_y = with_gradient(law, sigma_y, eta, T)
     else:
         rate = 0.0

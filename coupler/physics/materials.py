@@ -20,6 +20,8 @@ _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
 TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
+TAYLOR_DENSITY = 1e12  # 1/m2, at which Taylor's coefficient is alpha
+LINE_TENSION = 0.8  # share of it that follows the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741, second-hand
 NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
@@ -66,7 +68,7 @@ class Material:
     thermal_expansion (linear) ((T, 1/K), ...): one pair, a constant, or two, linear between them and constant outside; sigma_TS Pa:
     tensile strength at 293 K, for critical velocities; oxide_thickness m, oxide_strength Pa: of the native film; oxide_threshold:
     surface exposure at which it cracks (`physics.adhesion`); burgers m: Burgers vector; taylor_alpha: the coefficient of Taylor's
-    relation, 0: gradients of plastic strain do not harden it (`gradient_hardening`). None where one is not known.
+    relation at 1e12 dislocations per m2, 0: gradients of plastic strain do not harden it (`forest`). None where one is not known.
     """
 
     name: str
@@ -106,12 +108,31 @@ class Material:
         return (3 * self.K - 2 * self.G) / (2 * (3 * self.K + self.G))
 
     @property
-    def gradient_hardening(self) -> float:
-        """Square of the flow stress that a gradient of plastic strain adds, over that gradient, Pa2 m: (M alpha G)^2 r b.
+    def forest(self) -> tuple[float, float]:
+        """A and B, Pa, of Taylor's relation, sigma = y (A + B ln y) with y = b sqrt(rho), rho dislocations per area.
 
-        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239: Taylor's relation, with r eta / b dislocations per area.
+        sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
+        (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040). Zero without `taylor_alpha`.
         """
-        return (TAYLOR_FACTOR * self.taylor_alpha * self.G) ** 2 * NYE_FACTOR * (self.burgers or 0.0)
+        if not self.hardened_by_gradients:
+            return 0.0, 0.0
+        alpha, b = self.taylor_alpha, self.burgers or 0.0
+        stress, reference = TAYLOR_FACTOR * alpha * self.G, math.log(alpha * b * math.sqrt(TAYLOR_DENSITY))
+        slope = LINE_TENSION / reference
+        return stress * (1.0 - LINE_TENSION + slope * math.log(alpha)), stress * slope
+
+    @property
+    def gradient_length(self) -> float:
+        """r b, m: a gradient eta of plastic strain needs r eta / b dislocations per area, y^2 = r b eta. Zero without `taylor_alpha`.
+
+        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239.
+        """
+        return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
+
+    @property
+    def hardened_by_gradients(self) -> bool:
+        """Whether gradients of plastic strain harden it."""
+        return self.taylor_alpha > 0.0
 
     @property
     def wave_speed(self) -> float:
@@ -259,7 +280,7 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     metal = library.read_record(Material, name, rest, _read, values | {"strength": strength}, hint, problems, lacks)
     if metal.T_m <= metal.T_ref:
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
-    if metal.taylor_alpha > 0.0 and metal.burgers is None:
+    if metal.hardened_by_gradients and metal.burgers is None:
         problems.append("taylor_alpha needs the Burgers vector: give burgers, too")
     if metal.nu < 0:
         problems.append(f"G, c0 and rho give Poisson's ratio {metal.nu:.2f}; it must be 0 or more")

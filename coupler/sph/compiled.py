@@ -152,7 +152,7 @@ class CompiledParticle(Particle):
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """As of any particle; the plastic strain of the window adds to its gradient, where that hardens the metal."""
-        if not self.law[0]["gradient_hardening"]:
+        if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
         before = self.eps_p.copy()

@@ -236,7 +236,7 @@ def stress_points(
         mean = -hugoniot_pressure(law, Ji)
         if on(law.Gamma0) and law.Gamma0 > 0.0:
             mean += (hugoniot_pressure(law, J[i]) - p[i]) * J[i] / Ji
-        eta = norm(eps_gradient, i) if on(law.gradient_hardening) else 0.0
+        eta = norm(eps_gradient, i) if on(law.gradient_length) else 0.0
         eps_p[i], rate[i], T[i], sigma_y[i], done = harden(law, deps, dt, Ji, sy, sy, eps_p[i], rate[i], T[i], eta)
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
