@@ -21,7 +21,7 @@ _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
 TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
 TAYLOR_DENSITY = 1e12  # 1/m2, at which Taylor's coefficient is alpha
-LINE_TENSION = 0.8  # share of it that follows the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741, second-hand
+LINE_TENSION = 0.8  # its share that follows the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741
 NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
