@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from runs import SharedMeshes, SharedRuns
 
+from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
 
@@ -67,14 +68,21 @@ def _shared_meshes(of_all_workers: Path) -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def general_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Laws stay plain records, whichever effects are off: kernels are compiled once, not for each combination of effects.
-
-    That both agree is held by `test_effects`; whole runs have the kernels of their effects.
+@pytest.fixture(scope="session", autouse=True)
+def _few_kernels() -> Iterator[None]:
+    """Laws of unusual effects stay plain records: each combination of effects has kernels of its own, which take a quarter of a
+    minute to compile. Programs that tests start have them; that they agree with those of plain records is held by `test_effects`.
     """
-    for module in ("coupler.sph.particle", "coupler.fe.explicit"):
-        monkeypatch.setattr(f"{module}.specialised", lambda laws, numbers=(): laws)
+    usual = constitutive.specialised(constitutive.law_record(material("Ni"), {"dissipation_heat": True})).dtype
+
+    def few(laws: np.ndarray, *numbers: tuple[str, ...]) -> np.ndarray:
+        special = constitutive.specialised(laws, *numbers)
+        return special if special.dtype == usual else laws
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("coupler.sph.particle", "coupler.fe.explicit"):
+            patch.setattr(f"{module}.specialised", few)
+        yield
 
 
 def elastic(rho: float = 7800.0, E: float = 200e9, nu: float = 0.3) -> Any:

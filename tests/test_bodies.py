@@ -18,8 +18,6 @@ from coupler.fe.explicit import Target
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 SLAB = ((2.0, 1.0, 0.4), 0.25, (0.0, 0.0, 0.0))
 SLIDER = ((0.5, 0.5, 0.3), 0.2, (0.3, 0.25, 0.4))
 

@@ -11,8 +11,6 @@ from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit, stability
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
 SIDE = 1e-3
 

@@ -21,8 +21,6 @@ from coupler.sph.compiled import KERNEL, CompiledParticle
 from coupler.sph.machdyn import MachdynParticle
 from coupler.sph.particle import Numerics, Particle
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 D = 25e-6
 DT = 2e-11
 Build = Callable[..., Particle]

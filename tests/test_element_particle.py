@@ -9,8 +9,6 @@ import pytest
 
 from coupler.plan.planning import plan
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 SIZE = 3.4  # um: the coarsest of the ladder, 1000 points beside 230 nodes
 # What the two differ by at this size, about one and a half times; on the ladder the differences shrink.
 TOLERANCE = {

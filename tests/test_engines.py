@@ -23,8 +23,6 @@ from coupler.state.arrays import Ints
 from coupler.state.loops import ranges
 from coupler.state.threads import SecondThread, second_thread, together
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 D = 25e-6
 DT = 1e-11
 TURNED = replace(FCC, turn=(0.3, -0.5, 0.8))

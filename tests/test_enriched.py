@@ -15,8 +15,6 @@ from coupler.sph.enriched import EnrichedParticle
 from coupler.sph.packing import FCC, Lattice
 from coupler.sph.particle import Numerics
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 D = 25e-6
 E, NU = 200e9, 0.3
 Build = Callable[..., EnrichedParticle]

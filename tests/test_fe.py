@@ -14,8 +14,6 @@ from coupler.geometry.triangles import areas_and_normals
 from coupler.physics.constitutive import law_record, sound_speed
 from coupler.physics.materials import material
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 
 @pytest.fixture(scope="module")
 def block() -> mesh.TetMesh:

@@ -1,5 +1,6 @@
 """Hardening by gradients of plastic strain: the flow stress, the gradient in both domains, whole impacts with it."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from coupler.fe.gradients import growing
 from coupler.geometry import mesher
 from coupler.impact.exchange import Impact
 from coupler.physics import constitutive
-from coupler.physics.materials import Material, from_table, material
+from coupler.physics.materials import NYE_FACTOR, Material, from_table, material
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.sph import packing
@@ -58,6 +59,23 @@ def test_dislocations_of_gradients_add_to_the_others() -> None:
         assert sigma < constitutive.with_gradient(law, sigma, eta, 300.0) < sigma + taylor(of_gradient)
     assert constitutive.with_gradient(law, 0.0, eta, 2000.0) == 0.0  # a liquid
     assert constitutive.with_gradient(law, 1e6, eta, 300.0 + 3.0 * metal.T_m) == 1e6  # no modulus is left
+
+
+@pytest.mark.parametrize(
+    ("case", "error"), [("single crystal (111), annealed", 0.06), ("polycrystal, cold worked", 0.13)]
+)
+def test_indents_are_as_hard_as_measured(case: str, error: float) -> None:
+    """The law where it is measured, far from impacts: H = 3 sigma, with loops of 3/2 tan^2 / (b h) length per volume under the indenter.
+
+    The loops are counted once (Nix & Gao): r = 1 in place of that of polycrystals in impacts.
+    """
+    measured = tomllib.loads((Path(__file__).parent / "data/references.toml").read_text())["indents_copper"]
+    values, metal = measured["results"][case], from_table("Cu", {"taylor_alpha": 0.35}, material("OFHC_Cu"))
+    law = constitutive.law_record(metal)[0]
+    for h in measured["depths"]:
+        eta = 1.5 * measured["tangent"] ** 2 / h / NYE_FACTOR
+        computed = 3.0 * constitutive.with_gradient(law, values["H0"] / 3.0, eta, 293.0)
+        assert computed == pytest.approx(values["H0"] * np.sqrt(1.0 + values["depth"] / h), rel=error)
 
 
 def test_without_thermal_softening_the_modulus_stays() -> None:

@@ -15,8 +15,6 @@ from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material, names
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)
 

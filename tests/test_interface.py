@@ -8,8 +8,6 @@ from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import Surfaces, interface
 from coupler.physics.adhesion import Adhesion
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 SIDE = 1e-3
 
 

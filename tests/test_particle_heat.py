@@ -12,8 +12,6 @@ from coupler.sph.engine import ENGINES
 from coupler.sph.heat import PointConduction
 from coupler.sph.packing import sphere
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)
 

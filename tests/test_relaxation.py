@@ -18,8 +18,6 @@ from coupler.impact.bodies import Bodies
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 KINETIC = 1e-7  # J
 STRICT = 1e-6 * KINETIC
 

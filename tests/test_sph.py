@@ -10,8 +10,6 @@ from coupler.sph import packing
 from coupler.sph.engine import ENGINES
 from coupler.sph.particle import Numerics, Particle
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 D = 25e-6
 
 

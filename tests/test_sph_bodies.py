@@ -18,8 +18,6 @@ from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.engine import ENGINES
 from coupler.sph.particle import Numerics, Particle
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 HERE = Path(__file__).parent
 PUBLISHED = tomllib.loads((HERE / "data" / "sph_references.toml").read_text())
 D = 25e-6

@@ -16,8 +16,6 @@ from coupler.physics.materials import Material, material
 from coupler.sph import shapes
 from coupler.sph.engine import ENGINES
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 SETS = [(name, other.strength.set) for name in materials.names() for other in materials.entry(name).materials]
 ONE_OF_EACH = [
     ("Ni", "Johnson_1983"),

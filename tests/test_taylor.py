@@ -6,8 +6,6 @@ from types import ModuleType
 
 import pytest
 
-pytestmark = pytest.mark.usefixtures("general_kernels")
-
 COARSE, FINE = 0.8, 0.57  # mm, edge of the elements near the struck face: eight and eleven across the bar
 # Relative tolerances: twice what the next finer step of the ladder still changes, at most. The length is that of the other codes
 # at once; diameter, temperature and strain at the rim of the struck face approach theirs from below as elements shrink.
