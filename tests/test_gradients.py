@@ -65,9 +65,9 @@ def test_dislocations_of_gradients_add_to_the_others() -> None:
     ("case", "error"), [("single crystal (111), annealed", 0.06), ("polycrystal, cold worked", 0.13)]
 )
 def test_indents_are_as_hard_as_measured(case: str, error: float) -> None:
-    """The law where it is measured, far from impacts: H = 3 sigma, with loops of 3/2 tan^2 / (b h) length per volume under the indenter.
+    """The law where it is measured, far from impacts: H = 3 sigma, with 3/2 tan^2 / (b h) dislocations per area under the indenter.
 
-    The loops are counted once (Nix & Gao): r = 1 in place of that of polycrystals in impacts.
+    Each loop counts once (Nix & Gao): r = 1 in place of that of polycrystals in impacts.
     """
     measured = tomllib.loads((Path(__file__).parent / "data/references.toml").read_text())["indents_copper"]
     values, metal = measured["results"][case], from_table("Cu", {"taylor_alpha": 0.35}, material("OFHC_Cu"))
