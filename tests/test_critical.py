@@ -107,7 +107,7 @@ def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:
 
 
 def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Rebound at the lower limit, sticking at the upper one: the bracket is as wide as asked for after both."""
+    """All rebound: the search ends at its upper limit; what it has computed it does not compute again."""
     file, out = tmp_path / "ni.toml", tmp_path / "out"
     file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
     call = [
@@ -116,7 +116,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
         "--out",
         str(out),
         "--low",
-        "300 m/s",
+        "450 m/s",
         "--high",
         "560 m/s",
         "--within",
@@ -143,7 +143,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(tmp_path: Path, capsys: p
     head = (out / "critical.csv").read_text().splitlines()[0]
     remake = shlex.split(head.partition("remake: ")[2].partition(" (runs")[0])
     assert remake[:3] == ["coldspray", "critical", str(file)]
-    assert {f"--out={out}", "--low=300 m/s", "--high=560 m/s", "--within=90%", "--repeat=1"} == set(remake[3:])
+    assert {f"--out={out}", "--low=450 m/s", "--high=560 m/s", "--within=90%", "--repeat=1"} == set(remake[3:])
     assert main([*remake[1:], "--quiet"]) == 0
     assert read_rows(out / "critical.csv") == rows
     whole = (out / "critical.csv").read_text()

@@ -255,7 +255,7 @@ def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Pat
     assert np.isin(list(rest), cut.nodes).all()
 
 
-@pytest.mark.parametrize(("after", "jobs"), [(0, 2), (2, 1)])
+@pytest.mark.parametrize(("after", "jobs"), [(0, 2), pytest.param(2, 1, marks=pytest.mark.slow)])
 def test_one_process_and_two_make_the_same_coating_over_a_stop(
     shared_run: SharedRuns, tmp_path: Path, after: int, jobs: int
 ) -> None:

@@ -262,10 +262,11 @@ def test_a_shock_before_the_target_slows_the_small_ones_only():
 def test_velocities_are_those_of_alkhimovs_fit():
     """v = u / (1 + 0.85 sqrt(D / x) sqrt(rho u^2 / p0)), Alkhimov, Kosarev & Klinkov (2001), J. Therm. Spray Technol. 10, 375."""
     ratios = []
-    for kind, name, p0, T0 in itertools.product(("N2", "He"), ("Al", "Ni", "OFHC_Cu"), (20e5, 40e5), (600.0, 900.0)):
+    stagnations = ((20e5, 900.0), (40e5, 600.0))
+    for kind, name, (p0, T0) in itertools.product(("N2", "He"), ("Al", "Ni", "OFHC_Cu"), stagnations):
         f, metal = flow(gas=GASES[kind], p0=p0, T0=T0), material(name)
         u = f.inside(D42.end).u
-        for D in (5e-6, 10e-6, 25e-6, 50e-6):
+        for D in (5e-6, 50e-6):
             flown = fly(f, metal, D)
             fit = u / (1 + 0.85 * math.sqrt(D / D42.diverging) * math.sqrt(metal.rho * u**2 / p0))
             ratios.append(flown.v[int((flown.x < D42.end).sum())] / fit)

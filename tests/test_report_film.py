@@ -47,6 +47,7 @@ def test_one_frame_and_one_range_of_colours_through_time(folder):
     assert hot[0] < hot[1] < hot[3]
 
 
+@pytest.mark.slow
 def test_mp4(folder, tmp_path):
     import imageio_ffmpeg
 
@@ -173,6 +174,7 @@ def test_figure_of_two_runs(folder, other, tmp_path):
     np.testing.assert_allclose(below[:, 18:540], below[:, 18 + step : 540 + step], atol=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
 def test_page_of_two_runs(folder, other, tmp_path):
     page = compare([Result(folder), Result(other)], tmp_path / "both.html")

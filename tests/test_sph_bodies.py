@@ -23,6 +23,7 @@ PUBLISHED = tomllib.loads((HERE / "data" / "sph_references.toml").read_text())
 D = 25e-6
 
 
+@pytest.mark.slow
 def test_two_rubber_rings_as_in_the_example_of_machdyn(tmp_path: Path) -> None:
     """The LAMMPS example rubber_rings_3d, remade: energies follow its log, and the total strays no further."""
     rows = rubber_rings(tmp_path / "log", 1500)
