@@ -93,7 +93,7 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
     exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
     assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
     text = (Path(__file__).parents[1] / "workflows/critical_cu.toml").read_text()
-    assert "rebounds alike at half the spacing" in critical.resolution_words(Scene.from_text(text))
+    assert "rebounds at half the spacing" in critical.resolution_words(Scene.from_text(text))
     plain = Scene.from_text(text.replace("taylor_alpha = 0.35", "taylor_alpha = 0.0"))
     assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain)
 

@@ -98,8 +98,11 @@ CASES = (
     Case("ni", (532,), "standard", temperature=900.0),
     Case("ni", (532, 480), "standard", strength="Johnson_1983"), Case("cu", (549, 488, 400), "standard", strength="Johnson_1983"),
     *(Case("cu", (580, 488, 400), "standard", strength=name) for name in ("Konokman_2011", "Zerilli_1987", "Steinberg_1996")),
-    Case("ni", (698, 665, 632, 598, 532), "fine", alpha=ALPHA), Case("cu", (610, 580, 549, 488), "fine", alpha=ALPHA),
+    Case("ni", (731, 698, 665, 632, 598, 532), "fine", alpha=ALPHA), Case("cu", (610, 580, 549, 488), "fine", alpha=ALPHA),
     Case("cu", (610, 580), "standard", alpha=ALPHA),
+    *(Case("cu", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (640, 610)), (40.0, (580, 549)))),
+    Case("ni", (731, 698, 665), "fine", diameter=5.0, alpha=ALPHA),
+    Case("ni", (798, 764, 731, 698, 665), "fine", diameter=40.0, alpha=ALPHA),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (

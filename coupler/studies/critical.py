@@ -206,8 +206,8 @@ def resolution_words(scene: Scene) -> str:
     own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
     if scene.derived.material(scene.particle.material).taylor_alpha > 0.0 and scene.preset == "fine" and not own:
         return (
-            "not in the band: the error of the resolution; with gradients of plastic strain copper rebounds alike at half the spacing"
-            " of `fine` 7 % below its critical velocity"
+            "not in the band: the error of the resolution; with gradients of plastic strain copper rebounds at half the spacing of"
+            " `fine`, too, 5 % below the velocity at which its margin is zero"
         )
     known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
     if known is None:
