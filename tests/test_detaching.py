@@ -151,6 +151,5 @@ def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
     np.testing.assert_array_equal(built.stayed, [0.0, 0.0])
 
 
-@pytest.mark.slow
 def test_it_is_off_after_a_resumption_too(knocked_off: Result, tmp_path: Path) -> None:
     assert_goes_on(KNOCKED_OFF, knocked_off, tmp_path / "out", None)

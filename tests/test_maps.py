@@ -447,7 +447,6 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
     assert "25 um at 650 m/s: rebound 20 m/s" in said
 
 
-@pytest.mark.slow
 def test_snakemake_finds_what_is_left_to_do(finished, tmp_path) -> None:
     """A dry run over a sweep of which all but one are done."""
     pytest.importorskip("snakemake")

@@ -157,7 +157,6 @@ def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(mon
     assert np.abs(CoarseGrid(t, free, dt).acceleration(f)[up]).max() > 1e3 * np.abs(expected).max()  # without them
 
 
-@pytest.mark.slow
 def test_half_the_elements_do_not_double_the_steps() -> None:
     """Without the grid they do; the equilibrium is the same, but for where metal yields at the edge of the floor."""
     steps, stresses = [], []

@@ -47,7 +47,7 @@ FLOW = (
 ROOM = 300.0  # K, at which the shear modulus is that of the record
 # -(T_m / G) dG/dT: .54 (Cu), .64 (Ni), .50 (Al), Frost & Ashby (1982), Deformation-Mechanism Maps, second-hand
 MODULUS_SLOPE = 0.5
-TYPICAL_DENSITY = 0.02  # b sqrt(density) of a metal at some 500 MPa: where the search for that of a flow stress begins
+FIRST_Y = 0.02  # b sqrt(density) of a metal at some 500 MPa: where the search for that of a flow stress begins
 NEWTON_STEPS = 3  # from there 1e-9 of the stress or less between 50 MPa and 5 GPa
 
 #: Effects that change a LAW record.
@@ -190,7 +190,7 @@ def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
     if not law.gradient_length > 0.0 or not sigma > 0.0 or not eta > 0.0 or not modulus > 0.0:
         return sigma
     A, B = modulus * law.forest, modulus * law.forest_slope
-    y = sigma / (A + B * log(TYPICAL_DENSITY))
+    y = sigma / (A + B * log(FIRST_Y))
     for _ in range(NEWTON_STEPS):  # y (A + B ln y) = sigma: those stored at random
         y = (sigma + B * y) / (A + B + B * log(y))
     both = sqrt(y * y + law.gradient_length * eta)

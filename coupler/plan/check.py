@@ -55,7 +55,7 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)
     yield from _resolution(d)
-    hard = sorted({metal.name for metal in known if metal.taylor_alpha > 0.0})
+    hard = sorted({metal.name for metal in known if metal.hardened_by_gradients})
     if scene.resolution.engine == "machdyn" and hard:
         yield (
             ("resolution.engine", *(f"materials.{name}" for name in hard)),
