@@ -154,6 +154,19 @@ def test_points_that_the_contact_has_lost_are_no_result(tmp_path: Path) -> None:
         lose(0.03)
 
 
+def test_a_time_limit_under_pressure_allows_twice_the_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Points that lie 1.5 spacings deep end a run that has come to its end, but not one that a limit ends while its contact presses."""
+    monkeypatch.setattr(Impact, "_depths", lambda impact: np.full(impact.particle.n, 1.5))
+    s = run(Scene.from_text(SHORT, "limit"), tmp_path / "limit")
+    assert s.verdict == "undecided"
+    assert s.retries == []
+    with pytest.raises(SolverError, match="1.5 spacings inside"):
+        run(Scene.from_text(SHORT.replace("time =", 'at = "greatest" #'), "greatest"), tmp_path / "greatest")
+    monkeypatch.setattr(Impact, "_depths", lambda impact: np.full(impact.particle.n, 2.5))
+    with pytest.raises(SolverError, match="2.5 spacings inside"):
+        run(Scene.from_text(SHORT, "lost"), tmp_path / "lost")
+
+
 def test_depths_in_a_cube() -> None:
     """Of a place in a cube of 6 x 6 x 6 cells: the distance from the nearest node of its faces; outside it is 0."""
     axis = np.arange(7.0)

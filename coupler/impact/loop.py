@@ -42,7 +42,7 @@ def advance_to_end(
         if probe is not None:
             probe(impact)
     impact.ledger.check_closure()
-    impact.check_contact()
+    impact.check_contact(ending.at_limit(impact.time) and not ending.settled(impact.time))
 
 
 def advance_window(impact: Impact, end_time: float | None = None) -> float:
