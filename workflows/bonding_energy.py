@@ -69,7 +69,7 @@ class Case:
     @property
     def set(self) -> str:
         """Name of the strength set, that of the workflow by default."""
-        return self.strength or str(data_of(self.name)["materials"][self.metal]["strength"])
+        return self.strength or str(data_of(self.name)["materials"][self.metal].get("strength", f"critical_{self.name}"))
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
@@ -85,8 +85,9 @@ class Case:
 
 
 ALPHA = 0.35  # Taylor's coefficient of the workflows (docs/theory/material.md)
-# name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact
-METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0)}
+# name of the workflow: metal and diameter, um; the sets of the workflows are those whose fitted rates reach those of an impact, that
+# of ni_rate an estimate
+METALS = {"ni": ("Ni", 10.0), "cu": ("OFHC_Cu", 14.0), "ni_rate": ("Ni", 10.0)}
 CASES = (
     Case("ni", (665, 598, 565, 532, 400, 831), "standard"), Case("cu", (610, 580, 549, 488, 400, 762), "standard"),
     *(Case(name, velocities) for name, velocities in (("ni", (665, 831)), ("cu", (610, 488, 762)))),
@@ -103,6 +104,8 @@ CASES = (
     *(Case("cu", velocities, "fine", diameter=size, alpha=ALPHA) for size, velocities in ((5.0, (640, 610)), (40.0, (580, 549)))),
     Case("ni", (731, 698, 665), "fine", diameter=5.0, alpha=ALPHA),
     Case("ni", (798, 764, 731, 698, 665), "fine", diameter=40.0, alpha=ALPHA),
+    Case("ni_rate", (764, 731), "fine", alpha=ALPHA), Case("ni_rate", (798, 764), "fine", diameter=5.0, alpha=ALPHA),
+    Case("ni_rate", (731, 698), "fine", diameter=40.0, alpha=ALPHA),
 )  # fmt: skip
 # metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
 PLACEMENTS = (
@@ -117,6 +120,7 @@ MEASURED = {
            (649, 0.020)),
     "cu": ((129, 0.134), (220, 0.090), (315, 0.112), (385, 0.091), (459, 0.065), (489, 0.052), (530, 0.037)),
 }  # fmt: skip
+MEASURED["ni_rate"] = MEASURED["ni"]
 # m/s, of particles of a diameter (um) at 300 K, the same source
 MEASURED_CRITICAL = {("Ni", 10.0): 660.0, ("OFHC_Cu", 14.0): 568.0}
 
