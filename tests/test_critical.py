@@ -252,7 +252,7 @@ def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
         text = scene(("Ni", 25, velocity), **TINY, more=HELD.format(25))
         return run(Scene.from_text(text, "margin"), tmp_path / f"{velocity:g}", quiet=True).verdict
 
-    low, high = 540.0, 600.0
+    low, high = 570.0, 590.0
     verdicts = {low: verdict(low), high: verdict(high)}
     while high - low > 0.01 * low:
         middle = 0.5 * (low + high)

@@ -124,10 +124,14 @@ def test_an_elastic_edge_lets_waves_out_and_closes_the_ledger() -> None:
     assert left + (t.absorbed + float(t.sums[1])) / start == pytest.approx(1.0, abs=5e-3)
 
 
-@pytest.mark.parametrize(("origin", "within"), [(MIDDLE, (0.92, 1.04)), (None, (0.6, 0.85))], ids=["elastic", "held"])
-def test_a_dead_load_sinks_as_far_as_on_a_half_space(origin: np.ndarray | None, within: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("origin", "end", "within"), [(MIDDLE, 28.0, (0.92, 1.04)), (None, 12.0, (0.6, 0.85))], ids=["elastic", "held"]
+)
+def test_a_dead_load_sinks_as_far_as_on_a_half_space(
+    origin: np.ndarray | None, end: float, within: tuple[float, float]
+) -> None:
     """Pressure p cos^2(pi r / 2) within r = 1: Boussinesq's point loads add up to w = (1 - nu^2) p / E in the middle. A held edge at
-    r = 2.5 takes a fifth of that away."""
+    r = 2.5 takes a fifth of that away, and has done so at 10 / c; an elastic one creeps to 0.97 of it, 0.956 at 28 / c."""
     m = mesh.prepare(*mesher.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
     mat, p = elastic(), 1e5
     t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
@@ -137,7 +141,7 @@ def test_a_dead_load_sinks_as_far_as_on_a_half_space(origin: np.ndarray | None, 
     load = np.zeros_like(t.x)
     load[:, 2] = -p * vertex_areas(t.x, top) * np.where(r < 1.0, np.cos(0.5 * np.pi * r) ** 2, 0.0)
     c = sound_speed(mat.rho, mat.K, mat.G)
-    while t.time < 40.0 / c:
+    while t.time < end / c:
         t.v *= 0.97
         t.advance(t.stable_dt()[0])
         t.f_ext += load
