@@ -66,7 +66,7 @@ def test_formulas_can_be_drawn() -> None:
         drawn(r"\nosuchthing", 12)
 
 
-@pytest.mark.filterwarnings("ignore:.*is deprecated:DeprecationWarning")  # between sphinx and myst_parser
+@pytest.mark.filterwarnings("ignore:.*is deprecated:PendingDeprecationWarning")  # between sphinx and myst_parser
 def test_every_page_is_in_the_site_and_every_link_leads_somewhere(tmp_path, capsys) -> None:
     """The whole site but for the writing of HTML; with warnings as errors, as `make docs`."""
     code = build_main(["-q", "-E", "-W", "--keep-going", "-b", "dummy", str(DOCS), str(tmp_path / "site")])
