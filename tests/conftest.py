@@ -14,6 +14,7 @@ from runs import SharedMeshes, SharedRuns
 from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
+from coupler.report import animation, page, picture
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -65,6 +66,16 @@ def _shared_meshes(of_all_workers: Path) -> Iterator[None]:
     """Many scenes have the same substrate: gmsh, in a process of its own, costs as much as a short impact."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("coupler.impact.domains.apart", SharedMeshes(of_all_workers / "shared_meshes"))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _coarse_pictures() -> Iterator[None]:
+    """The particle of a picture has 120 pixels: of 500 each cut costs .4 s. Programs that tests start have all of them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture.cut, "__defaults__", (120,))
+        patch.setattr(animation, "PIXELS", 120)
+        patch.setattr(page, "PICTURE_PIXELS", 120)
         yield
 
 

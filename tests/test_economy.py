@@ -1,5 +1,6 @@
 """What keeps the cost of many impacts down: masses of small elements, and a window round the impact."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -77,15 +78,16 @@ def test_the_longer_step_is_stable_and_keeps_the_energy() -> None:
 MIDDLE = np.zeros(3)  # of the top: from there an elastic edge is reckoned
 
 
-def struck(window: float | None, layer: bool = True, origin: np.ndarray | None = None) -> tuple[Target, float]:
-    """A cylinder struck at the middle of its top, after waves have gone out to the window's edge and back twice; its energy then."""
+@cache
+def struck(layer: bool = True, elastic_edge: bool = False) -> tuple[Target, float]:
+    """A cylinder struck at the middle of its top, after waves have gone out to the edge of its window and back twice; its energy then.
+    It is made once for the tests that look at it."""
     m = mesh.prepare(*mesher.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
     mat = elastic()
-    t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=window is not None)
-    if window is not None:
-        t.window(window, origin)
-        if not layer:
-            t.dashpot[:] = 0.0
+    t = Target(m, law_record(mat), 300.0, fixed=())
+    t.window(2.5, MIDDLE if elastic_edge else None)
+    if not layer:
+        t.dashpot[:] = 0.0
     r = np.linalg.norm(t.x, axis=1)
     t.v[:, 2] = blow(r)
     start = t.kinetic()
@@ -102,7 +104,7 @@ def blow(r: np.ndarray) -> np.ndarray:
 
 
 def test_waves_die_before_the_edge_and_the_ledger_closes() -> None:
-    (t, start), (hard, _) = struck(2.5), struck(2.5, layer=False)
+    (t, start), (hard, _) = struck(), struck(layer=False)
     assert t.active_elements < 0.7 * len(t.mesh.conn)
     beyond = t.mesh.reach_node > 3.5
     assert not np.abs(t.x - t.mesh.points)[beyond].any()
@@ -114,7 +116,7 @@ def test_waves_die_before_the_edge_and_the_ledger_closes() -> None:
 
 def test_an_elastic_edge_lets_waves_out_and_closes_the_ledger() -> None:
     """Less is left than a layer before a held edge leaves."""
-    (t, start), (held, _) = struck(2.5, origin=MIDDLE), struck(2.5)
+    (t, start), (held, _) = struck(elastic_edge=True), struck()
     beyond = t.mesh.reach_node > 3.5
     assert not np.abs(t.x - t.mesh.points)[beyond].any()
     left, kept = ((q.kinetic() + q.elastic()) / start for q in (t, held))
@@ -122,10 +124,14 @@ def test_an_elastic_edge_lets_waves_out_and_closes_the_ledger() -> None:
     assert left + (t.absorbed + float(t.sums[1])) / start == pytest.approx(1.0, abs=5e-3)
 
 
-@pytest.mark.parametrize(("origin", "within"), [(MIDDLE, (0.92, 1.04)), (None, (0.6, 0.85))], ids=["elastic", "held"])
-def test_a_dead_load_sinks_as_far_as_on_a_half_space(origin: np.ndarray | None, within: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("origin", "end", "within"), [(MIDDLE, 28.0, (0.92, 1.04)), (None, 12.0, (0.6, 0.85))], ids=["elastic", "held"]
+)
+def test_a_dead_load_sinks_as_far_as_on_a_half_space(
+    origin: np.ndarray | None, end: float, within: tuple[float, float]
+) -> None:
     """Pressure p cos^2(pi r / 2) within r = 1: Boussinesq's point loads add up to w = (1 - nu^2) p / E in the middle. A held edge at
-    r = 2.5 takes a fifth of that away."""
+    r = 2.5 takes a fifth of that away, and has done so at 10 / c; an elastic one creeps to 0.97 of it, 0.956 at 28 / c."""
     m = mesh.prepare(*mesher.cylinder(12.0, 6.0, 0.25, 2.5, 0.4))
     mat, p = elastic(), 1e5
     t = Target(m, law_record(mat), 300.0, fixed=(), track_wave=False)
@@ -135,7 +141,7 @@ def test_a_dead_load_sinks_as_far_as_on_a_half_space(origin: np.ndarray | None, 
     load = np.zeros_like(t.x)
     load[:, 2] = -p * vertex_areas(t.x, top) * np.where(r < 1.0, np.cos(0.5 * np.pi * r) ** 2, 0.0)
     c = sound_speed(mat.rho, mat.K, mat.G)
-    while t.time < 40.0 / c:
+    while t.time < end / c:
         t.v *= 0.97
         t.advance(t.stable_dt()[0])
         t.f_ext += load
@@ -145,9 +151,9 @@ def test_a_dead_load_sinks_as_far_as_on_a_half_space(origin: np.ndarray | None, 
     assert within[0] < -middle * E / ((1.0 - nu**2) * p) < within[1]
 
 
-@pytest.mark.parametrize("origin", [None, MIDDLE], ids=["held", "elastic"])
-def test_momentum_is_that_of_the_edge_and_the_layer(origin: np.ndarray | None) -> None:
-    t, _ = struck(2.5, origin=origin)
+@pytest.mark.parametrize("elastic_edge", [False, True], ids=["held", "elastic"])
+def test_momentum_is_that_of_the_edge_and_the_layer(elastic_edge: bool) -> None:
+    t, _ = struck(elastic_edge=elastic_edge)
     fresh = Target(t.mesh, t.laws, 300.0, fixed=())
     r = np.linalg.norm(t.mesh.points, axis=1)
     given = fresh.mass @ np.stack([0 * r, 0 * r, blow(r)], axis=1)

@@ -197,11 +197,12 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
     assert not list((tmp_path / "out").glob("checkpoint-*"))
 
 
-def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(limited):
-    folder, _ = limited
+def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(tmp_path):
+    folder = tmp_path
+    (folder / "limited.toml").write_text(LIMITED.replace("20 ns", "5 ns"))
     ended = points.compute(folder / "limited.toml", folder / "limited.json")
     assert (ended["status"], ended["exit_code"]) == ("undecided", 4)
-    assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 20 ns")
+    assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 5 ns")
     (row,) = (row for row in runs_table.table(folder) if row["point"] == "limited")
     assert row["status"] == "undecided"
     with pytest.raises(StoreError, match="no impact is finished yet"):

@@ -223,10 +223,8 @@ def test_spheres_that_fly_together_fly_as_each_alone(law):
 @pytest.mark.parametrize("kind", ["N2", "He"])
 def test_dust_goes_with_the_gas(kind):
     f = flow(gas=GASES[kind])
-    lags = []
-    for D in (2e-6, 0.5e-6, 0.1e-6):
-        flown = fly(f, material("Al"), D)
-        lags.append(1 - flown.v[int((flown.x < D42.end).sum())] / f.inside(D42.end).u)
+    flights = fly_together(f, material("Al"), (2e-6, 0.5e-6, 0.1e-6))
+    lags = [1 - flown.v[int((flown.x < D42.end).sum())] / f.inside(D42.end).u for flown in flights]
     assert lags[0] > lags[1] > lags[2] > 0
     assert lags[2] < 0.02
 
@@ -241,22 +239,21 @@ def test_the_best_slip_is_at_mach_root_two():  # Dykhuizen & Smith (1998); Gruji
 
 
 def test_faster_with_pressure_temperature_helium_and_small_size():
-    def v(D=25e-6, **changes):
-        return fly(flow(**changes), material("Ni"), D).velocity
+    def v(**changes):
+        return fly(flow(**changes), material("Ni"), 25e-6).velocity
 
-    assert v(D=10e-6) > v() > v(D=50e-6)
-    assert v(p0=50e5) > v() > v(T0=700.0)
-    assert v(gas=GASES["He"]) > 1.2 * v()
+    small, usual, large = (f.velocity for f in fly_together(flow(), material("Ni"), (10e-6, 25e-6, 50e-6)))
+    assert small > usual > large
+    assert v(p0=50e5) > usual > v(T0=700.0)
+    assert v(gas=GASES["He"]) > 1.2 * usual
 
 
 def test_a_shock_before_the_target_slows_the_small_ones_only():
-    def lost(D):
-        with_, without = (fly(flow(bow_shock=b), material("Ni"), D).velocity for b in (True, False))
-        return 1 - with_ / without
-
-    assert lost(1e-6) > 0.2
-    assert 0 < lost(5e-6) < 0.1
-    assert lost(25e-6) < 0.01
+    with_, without = (fly_together(flow(bow_shock=b), material("Ni"), (1e-6, 5e-6, 25e-6)) for b in (True, False))
+    lost = [1 - one.velocity / other.velocity for one, other in zip(with_, without, strict=True)]
+    assert lost[0] > 0.2
+    assert 0 < lost[1] < 0.1
+    assert lost[2] < 0.01
 
 
 def test_velocities_are_those_of_alkhimovs_fit():
@@ -266,8 +263,8 @@ def test_velocities_are_those_of_alkhimovs_fit():
     for kind, name, (p0, T0) in itertools.product(("N2", "He"), ("Al", "Ni", "OFHC_Cu"), stagnations):
         f, metal = flow(gas=GASES[kind], p0=p0, T0=T0), material(name)
         u = f.inside(D42.end).u
-        for D in (5e-6, 50e-6):
-            flown = fly(f, metal, D)
+        sizes = (5e-6, 50e-6)
+        for D, flown in zip(sizes, fly_together(f, metal, sizes), strict=True):
             fit = u / (1 + 0.85 * math.sqrt(D / D42.diverging) * math.sqrt(metal.rho * u**2 / p0))
             ratios.append(flown.v[int((flown.x < D42.end).sum())] / fit)
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
@@ -278,5 +275,6 @@ def test_velocities_are_those_of_alkhimovs_fit():
 def test_no_nozzle_spreads_sizes_more_than_a_constant_drag_coefficient_would(exit_, diverging):
     """v of 18 over v of 25 um: (25 / 18)^0.5 at most. The reference paper's 610 / 500 = 1.22 lies beyond (docs/guide/gas.md)."""
     f = flow(nozzle=dataclasses.replace(D42, exit=exit_, diverging=diverging), p0=8e5, T0=627.15)
-    ratio = fly(f, material("Ni"), 18e-6).velocity / fly(f, material("Ni"), 25e-6).velocity
+    small, large = fly_together(f, material("Ni"), (18e-6, 25e-6))
+    ratio = small.velocity / large.velocity
     assert 1.05 < ratio < math.sqrt(25 / 18)

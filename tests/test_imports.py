@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,7 @@ FLAT = {"__init__", "__main__", "errors", "units", "progress", "measures"}
 FILES = sorted(ROOT.rglob("*.py"))
 
 
+@cache
 def imports(path: Path, top_level_only: bool = False, inner_only: bool = False) -> set[str]:
     """Modules a file imports: dotted within the package ('coupler.fe.mesh'), bare names outside. Imports under
     TYPE_CHECKING are not at the top level: a run does not execute them."""

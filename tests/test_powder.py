@@ -132,7 +132,7 @@ def test_a_particle_of_a_file_flies_and_lands(tmp_path: Path) -> None:
     """Rests on the plan alone once it is planned: the file may go."""
     path = powder.write(tmp_path, "lumpy_1")
     scene = scene_with(
-        particle__shape="file", particle__file=str(path), particle__tilt="30 deg", end__time="4 ns",
+        particle__shape="file", particle__file=str(path), particle__tilt="30 deg", end__time="4 ns", output__every="4 ns",
         resolution__spacing="2.6 um", resolution__element_size="4 um",
     )  # fmt: skip
     decided = plan(scene)

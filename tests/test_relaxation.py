@@ -160,7 +160,7 @@ def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(mon
 def test_half_the_elements_do_not_double_the_steps() -> None:
     """Without the grid they do; the equilibrium is the same, but for where metal yields at the edge of the floor."""
     steps, stresses = [], []
-    for size, frequency in ((5e-6, FREQUENCY), (2.5e-6, FREQUENCY), (2.5e-6, 1e-9)):
+    for size, frequency in ((6e-6, FREQUENCY), (3e-6, FREQUENCY), (3e-6, 1e-9)):
         bodies = substrate(size=size)
         press(bodies)
         with pytest.MonkeyPatch.context() as patch:

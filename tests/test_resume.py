@@ -18,10 +18,13 @@ from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
 from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
+from coupler.commands.main import main
 from coupler.deposition.run import Deposition, resume
 from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
 from coupler.impact.domains import build_target
+from coupler.impact.exchange import Impact
+from coupler.impact.recorder import Recorder
 from coupler.impact.run import RunOptions
 from coupler.impact.summary import ImpactRecord
 from coupler.plan.record import read_plan
@@ -264,11 +267,11 @@ def test_a_finished_run_is_left_alone(shared_run: SharedRuns, tmp_path: Path) ->
         resume(tmp_path / "nothing here")
 
 
-def launch(text: str, folder: Path, every: float = 0.05) -> subprocess.Popen[str]:
+def launch(text: str, folder: Path) -> subprocess.Popen[str]:
     """The command line on a scene, into the folder `out` there."""
     scene = folder / "shared.toml"
     scene.write_text(text)
-    arguments = ["run", str(scene), "--out", str(folder / "out"), "--checkpoint", str(every)]
+    arguments = ["run", str(scene), "--out", str(folder / "out"), "--checkpoint", "0.05"]
     command = [sys.executable, "-m", "coupler", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
@@ -280,21 +283,30 @@ def wait_for(path: Path, size: int = 1) -> None:
         time.sleep(0.005)
 
 
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGTERM, 143), pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_writes_a_checkpoint_first(
-    shared_run: SharedRuns, tmp_path: Path, number: signal.Signals, code: int
+    short: Path,
+    shared_run: SharedRuns,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    code: int,
 ) -> None:
-    out = tmp_path / "out"
-    started = launch(WHOLE, tmp_path, every=1e9)
-    wait_for(out / "history.csv", 600)
-    started.send_signal(number)
-    _, err = started.communicate(timeout=60)
-    assert started.returncode == code
-    assert "go on with coldspray resume" in err
+    out, true_record, sent = tmp_path / "out", Recorder.record, []
+
+    def record(self: Recorder, impact: Impact, *more: Any, **named: Any) -> None:
+        if impact.time > 5e-9 and not sent:
+            sent.append(number)
+            signal.raise_signal(number)
+        true_record(self, impact, *more, **named)
+
+    monkeypatch.setattr(Recorder, "record", record)
+    assert main(["run", str(short), "--out", str(out), "--checkpoint", "1e9", "--quiet"]) == code
+    assert f"go on with coldspray resume {out}" in capsys.readouterr().err
     assert len(checkpoint.stored(out)) == 1
-    assert_same(shared_run(WHOLE), resume(out))
+    assert not (out / "summary.json").exists()
+    assert_same(shared_run(SHORT), resume(out))
 
 
 @pytest.mark.parametrize(

@@ -250,8 +250,9 @@ def test_a_double(double: Result) -> None:
     assert set(double.history("impact")) == {1.0, 2.0}
 
 
-def assert_goes_on(text: str, whole: Result, out: Path, at: float | None) -> None:
-    """Broken off at `at` s after the start of the run, or right after the join, and resumed: the same to 1e-9."""
+def assert_goes_on(text: str, whole: Result, out: Path, at: float | None, every: float = 0.0) -> None:
+    """Broken off at `at` s after the start of the run, or right after the join, and resumed: the same to 1e-9. every: s of wall time
+    between checkpoints within an impact; there is one after each join."""
     seen = []
 
     def probe(impact: Any) -> None:
@@ -261,7 +262,7 @@ def assert_goes_on(text: str, whole: Result, out: Path, at: float | None) -> Non
             raise Stopped
 
     with pytest.raises(Stopped):
-        run(Scene.from_text(text, "shared"), out, probe=probe, checkpoint_every=0.0)
+        run(Scene.from_text(text, "shared"), out, probe=probe, checkpoint_every=every)
     result = resume(out)
     assert_same_numbers(whole.summary, result.summary, rel=1e-9)
     assert_same_files(whole, result)
@@ -271,10 +272,11 @@ def test_two_threads_give_the_numbers_of_one(
     shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All loops are shared, those of a target this small too: the same to the last bit."""
+    one = shared_run(SHORT_DOUBLE)
     for module in (explicit, stability, heat, frequency, compiled, penalty):
         for name in filter(lambda name: name.startswith("LEAST"), vars(module)):
             monkeypatch.setattr(module, name, 1 if module is penalty else 20)
-    one, two = (run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / str(n), threads=n) for n in (1, 2))
+    two = run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / "two", threads=2)
     assert_same_numbers(one.summary, two.summary, rel=0.0)
     assert_same_files(one, two)
 

@@ -255,6 +255,8 @@ spacing = "3 um"
 element_size = "6 um"
 [end]
 time = "12 ns"
+[output]
+every = "12 ns"
 """
 
 

@@ -152,13 +152,18 @@ def test_a_good_result_has_no_fault_and_a_splat_of_another_volume_is_found(
     assert any("volume of splat 1 against its mass" in fault for fault in verify.check(Result(copy)).faults)
 
 
-COLD_FAULTS: dict[str, tuple[Tamper, str]] = {
-    "an inverted element": (field("cold", "Points", inside_out), "cold: an element is inverted"),
-    "warm metal": (field("cold", "CellData/T", lambda T: T + 9.0), "cold: K from ambient"),
-    "a splat of another size": (field("cold", "Points", about_centre(1.03)), "against its mass"),
-    "a stress above the law": (field("cold", "CellData/von_mises", lambda s: 9.0 * s), "over the law's"),
-    "residual stresses": (field("cold", "CellData/stress", lambda s: 1.01 * s), "cold: residual_stress_Pa is"),
-}  # fmt: skip
+# in copies of the run: what is changed in each does not bear on the other messages
+COLD_FAULTS: list[dict[str, tuple[Tamper, str]]] = [
+    {"an inverted element": (field("cold", "Points", inside_out), "cold: an element is inverted")},
+    {
+        "warm metal": (field("cold", "CellData/T", lambda T: T + 9.0), "cold: K from ambient"),
+        "a stress above the law": (field("cold", "CellData/von_mises", lambda s: 9.0 * s), "over the law's"),
+    },
+    {
+        "a splat of another size": (field("cold", "Points", about_centre(1.03)), "against its mass"),
+        "residual stresses": (field("cold", "CellData/stress", lambda s: 1.01 * s), "cold: residual_stress_Pa is"),
+    },
+]
 
 
 def test_a_cold_sequence_has_no_fault_and_faults_of_its_last_stage_are_found(
@@ -167,11 +172,13 @@ def test_a_cold_sequence_has_no_fault_and_faults_of_its_last_stage_are_found(
     """Two impacts on a substrate that goes on as a half-space, and the closing stage."""
     result = shared_run(COLD)
     assert verify.check(result).faults == []
-    for number, (tamper, expected) in enumerate(COLD_FAULTS.values()):
+    for number, changes in enumerate(COLD_FAULTS):
         copy = tmp_path / f"{number}"
         shutil.copytree(result.directory, copy)
-        tamper(copy)
-        assert any(expected in fault for fault in verify.check(Result(copy)).faults), expected
+        for tamper, _ in changes.values():
+            tamper(copy)
+        faults = verify.check(Result(copy)).faults
+        assert [kind for kind, (_, says) in changes.items() if not any(says in fault for fault in faults)] == []
     (tmp_path / "0" / "cold.vtkhdf").unlink()
     assert "no fields of the closing stage" in verify.check(Result(tmp_path / "0")).faults
 
