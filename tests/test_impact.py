@@ -161,10 +161,10 @@ def test_a_time_limit_under_pressure_allows_twice_the_depth(tmp_path: Path, monk
     s = run(Scene.from_text(SHORT, "limit"), tmp_path / "limit")
     assert s.verdict == "undecided"
     assert s.retries == []
-    with pytest.raises(SolverError, match="1.5 spacings inside"):
+    with pytest.raises(SolverError, match=r"1\.5 spacings inside"):
         run(Scene.from_text(SHORT.replace("time =", 'at = "greatest" #'), "greatest"), tmp_path / "greatest")
     monkeypatch.setattr(Impact, "_depths", lambda impact: np.full(impact.particle.n, 2.5))
-    with pytest.raises(SolverError, match="2.5 spacings inside"):
+    with pytest.raises(SolverError, match=r"2\.5 spacings inside"):
         run(Scene.from_text(SHORT, "lost"), tmp_path / "lost")
 
 

@@ -69,7 +69,9 @@ class Case:
     @property
     def set(self) -> str:
         """Name of the strength set, that of the workflow by default."""
-        return self.strength or str(data_of(self.name)["materials"][self.metal].get("strength", f"critical_{self.name}"))
+        return self.strength or str(
+            data_of(self.name)["materials"][self.metal].get("strength", f"critical_{self.name}")
+        )
 
     def key(self, velocity: float) -> tuple[str, ...]:
         """As in the table."""
