@@ -109,6 +109,7 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
 
 COLD = scenes.scene(("Ni", 20, 550), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0})
 COLD = COLD.replace("[substrate]", '[substrate]\nsides = "half_space"\nbottom = "half_space"')
+COLD_AT_LIMIT = COLD.replace('dwell = "0 us"', "").replace('at = "rest"', 'time = "6 ns"')
 COLD = COLD.replace('dwell = "0 us"', "").replace('at = "rest"', 'at = "cold"')
 
 
@@ -152,11 +153,17 @@ def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, mon
     assert result.summary["closing"]["ambient_K"] == 300.0
 
 
+@pytest.mark.parametrize("text", [COLD, COLD_AT_LIMIT], ids=["at rest", "at a time limit"])
 def test_a_signal_between_impacts_ends_a_run_that_can_go_on(
-    shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    shared_run: SharedRuns,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
 ) -> None:
+    """The impact before the signal is over: it does not go on beyond its own end, the time limit included."""
     scene, out, true_pause = tmp_path / "cold.toml", tmp_path / "out", joining.pause
-    scene.write_text(COLD)
+    scene.write_text(text)
 
     def pause(*_: Any) -> Any:
         signal.raise_signal(signal.SIGTERM)
@@ -166,7 +173,7 @@ def test_a_signal_between_impacts_ends_a_run_that_can_go_on(
     assert f"go on with coldspray resume {out}" in capsys.readouterr().err
     monkeypatch.setattr(joining, "pause", true_pause)
     assert main(["resume", str(out), "-q"]) == 0
-    assert_same_files(shared_run(COLD), Result(out))
+    assert_same_files(shared_run(text), Result(out))
 
 
 def test_a_particle_that_slides_off_is_lost_and_the_run_goes_on(

@@ -123,7 +123,8 @@ def resume(
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs,
+        result.finished,
     )  # fmt: skip
     return Deposition(decided, folder, options).run()
 
@@ -148,6 +149,7 @@ def _options(
     until: float | None = None,
     skip_failed: bool = False,
     jobs: int = 1,
+    go_on: bool = False,
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world(), placement)
@@ -163,6 +165,7 @@ def _options(
         until,
         skip_failed,
         max(jobs, 1),
+        go_on,
     )
 
 
