@@ -98,6 +98,11 @@ def test_an_end_by_time_is_met_by_time():
     assert ending.met(40e-9)
     assert ending.touched
     assert not ending.settled(40e-9)
+    ending.extend(40e-9, None)
+    assert ending.reached(40e-9)  # it is over: only a later time lets it go on
+    ending.extend(40e-9, 90e-9)
+    assert not ending.reached(80e-9)
+    assert ending.reached(90e-9)
 
 
 def test_an_end_that_was_moved_is_kept() -> None:

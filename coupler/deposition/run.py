@@ -123,8 +123,7 @@ def resume(
     decided = read_plan(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs,
-        result.finished,
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
     )  # fmt: skip
     return Deposition(decided, folder, options).run()
 
@@ -149,7 +148,6 @@ def _options(
     until: float | None = None,
     skip_failed: bool = False,
     jobs: int = 1,
-    go_on: bool = False,
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world(), placement)
@@ -165,7 +163,6 @@ def _options(
         until,
         skip_failed,
         max(jobs, 1),
-        go_on,
     )
 
 

@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ColdsprayError, NoContactError, SolverError, SplatError
@@ -82,8 +82,7 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
             last = state
             checkpoint.write(task.folder, TaskState(state, prepared, store.state(), result), task.about)
 
-        goes_on = kept is not None and kept.result is not None
-        outcome = run_impact(plan, i, bodies, store, 0.0, replace(options, go_on=goes_on), save, running)
+        outcome = run_impact(plan, i, bodies, store, 0.0, options, save, running)
         try:
             record, after = outcome.record, outcome.domains.bodies
             joined: Values = {}

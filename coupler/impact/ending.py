@@ -147,8 +147,12 @@ class EndCriterion:
         self._state, self.at, self.end_time = state, state.at, state.end_time
 
     def extend(self, time: float, until: float | None) -> None:
-        """Let an impact that is at its end at `time` s go on: until `until` s, or for as long again as it has had."""
-        if self.at_limit(time):
-            self.end_time = until or time + self.end_time
-        elif until is not None and self.met(time):  # its verdict is undecided
+        """Let an impact that is at its end at `time` s go on until `until` s; without that, one that has not met its criterion goes on
+        for as long again as it has had, and one that has is over: its run was stopped later."""
+        if until is None:
+            if self.at_limit(time) and not self.met(time):
+                self.end_time += time
+        elif self.at_limit(time):
+            self.end_time = until
+        elif self.met(time):  # its verdict is undecided
             self.at, self.end_time = "time", until

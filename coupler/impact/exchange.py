@@ -246,13 +246,14 @@ class Impact:
     @property
     def has_lost_points(self) -> bool:
         """Whether more than LOST of the particle's points lie deeper than a spacing in the target."""
-        return bool(np.mean(self._depths() > 1.0) > LOST)
+        return _are_lost(self._depths(), 1.0)
 
     def check_contact(self, pressed: bool = False) -> None:
-        """Raise SolverError where the contact has lost points: they lie deeper than a spacing in the target. pressed: whether a time
-        limit ends the impact while the contact presses: PRESSED spacings are allowed, because as it springs back they come out."""
+        """Raise SolverError where the contact has lost points: more than LOST of them lie deeper than a spacing in the target. pressed:
+        whether a time limit ends the impact while the contact presses: PRESSED spacings are allowed, because as it springs back points
+        come out."""
         allowed, depth = PRESSED if pressed else 1.0, self._depths()
-        if np.mean(depth > allowed) > LOST:
+        if _are_lost(depth, allowed):
             raise SolverError(
                 f"the contact has lost {np.count_nonzero(depth > allowed)} of {len(depth)} points of the particle: they lie up to"
                 f" {depth.max():.1f} spacings inside the target. Try a finer preset"
@@ -282,3 +283,8 @@ class Impact:
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
             self.hold = Hold.from_state(state.hold).on(*self._rings)
+
+
+def _are_lost(depth: np.ndarray, allowed: float) -> bool:
+    """Whether more than LOST of the points are deeper than allowed. depth (n,), allowed: spacings."""
+    return bool(np.mean(depth > allowed) > LOST)

@@ -32,8 +32,7 @@ class RunOptions:
 
     threads: 2 divides loops between both; numerics: values in place of the defaults of `sph.particle.Numerics`; probe:
     called with the `Impact` after every window of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)
-    of an impact that goes on after its own one, None for as long again; go_on: whether an impact that was over goes on after
-    its time limit and is not only resumed;
+    of an impact that goes on after its own one, None for as long again;
     skip_failed: impacts that fail are left out; jobs: impacts of a batch at a time.
     """
 
@@ -47,7 +46,6 @@ class RunOptions:
     until: float | None = None
     skip_failed: bool = False
     jobs: int = 1
-    go_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,8 +115,7 @@ def run_impact(
                 if state is not None:
                     impact.restore(state.impact)
                     ending.restore(state.ending)
-                    # a retry goes on to the same end, and so does an impact that its time limit ended in a run that was stopped later
-                    if state is resume_from and (options.go_on or ending.at != "time"):
+                    if state is resume_from:  # a retry goes on to the same end
                         ending.extend(impact.time, options.until)
                     recorder.restore(state.recorder)
                     impact.dt_factor = retries.applied[-1].dt_factor if retries.applied else 1.0
