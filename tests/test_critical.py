@@ -95,7 +95,7 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
     assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
     text = (Path(__file__).parents[1] / "workflows/critical_cu.toml").read_text()
     assert "rebounds at half the spacing" in critical.resolution_words(Scene.from_text(text))
-    plain = Scene.from_text(text.replace("taylor_alpha = 0.35", "taylor_alpha = 0.0"))
+    plain = Scene.from_text('effects = ["auto", "-gradient_hardening"]\n' + text)
     assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain)
 
 

@@ -19,6 +19,7 @@ from coupler.geometry import mesher
 from coupler.impact.exchange import Impact
 from coupler.physics import constitutive
 from coupler.physics.materials import NYE_FACTOR, Material, from_table, material
+from coupler.plan.budget import Row
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.sph import packing
@@ -28,7 +29,9 @@ from coupler.sph.engine import ENGINES
 D = 25e-6
 SLOPE = np.array([3e4, -2e4, 5e4])  # 1/m
 QUIET = Progress(quiet=True)
-HARDENED = "[materials.Ni]\ntaylor_alpha = 0.35\n"
+HARDENED = 'effects = ["auto", "+gradient_hardening"]\n'
+ON = {"gradient_hardening": True}
+EXPOSED = '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\n'
 
 
 def nickel(alpha: float = 0.35) -> Material:
@@ -45,7 +48,7 @@ def taylor(density: float) -> float:
 def test_dislocations_of_gradients_add_to_the_others() -> None:
     """r eta / b of them per area."""
     metal, eta = nickel(), 4e5
-    law = constitutive.law_record(metal)[0]
+    law = constitutive.law_record(metal, ON)[0]
     of_gradient = 1.9 * eta / 0.2492e-9
     assert taylor(1e12) == pytest.approx(3.06 * 0.35 * 76e9 * 0.2492e-9 * 1e6)
     assert 0.58 < taylor(1e16) / (1e2 * taylor(1e12)) < 0.62
@@ -71,7 +74,7 @@ def test_indents_are_as_hard_as_measured(case: str, error: float) -> None:
     """
     measured = tomllib.loads((Path(__file__).parent / "data/references.toml").read_text())["indents_copper"]
     values, metal = measured["results"][case], from_table("Cu", {"taylor_alpha": 0.35}, material("OFHC_Cu"))
-    law = constitutive.law_record(metal)[0]
+    law = constitutive.law_record(metal, ON)[0]
     for h in measured["depths"]:
         eta = 1.5 * measured["tangent"] ** 2 / h / NYE_FACTOR
         computed = 3.0 * constitutive.with_gradient(law, values["H0"] / 3.0, eta, 293.0)
@@ -79,13 +82,13 @@ def test_indents_are_as_hard_as_measured(case: str, error: float) -> None:
 
 
 def test_without_thermal_softening_the_modulus_stays() -> None:
-    law = constitutive.law_record(nickel(), {"thermal_softening": False})[0]
+    law = constitutive.law_record(nickel(), ON | {"thermal_softening": False})[0]
     assert constitutive.with_gradient(law, 1e8, 4e5, 1200.0) == constitutive.with_gradient(law, 1e8, 4e5, 300.0)
 
 
 def test_a_plastic_step_takes_it() -> None:
     deps, dt = 1e-3, 1e-11
-    law, plain = constitutive.law_record(nickel())[0], constitutive.law_record(material("Ni"))[0]
+    law, plain = constitutive.law_record(nickel(), ON)[0], constitutive.law_record(material("Ni"))[0]
     state = (1.0, 2e8, 2e8, 0.3, 1e7, 400.0)
     eps_p, rate, T, sigma_y, _ = constitutive.harden(law, deps, dt, *state, 3e5)
     assert sigma_y == constitutive.with_gradient(law, constitutive.yield_stress(law, eps_p, rate, T), 3e5, T)
@@ -95,7 +98,7 @@ def test_a_plastic_step_takes_it() -> None:
 @pytest.fixture(scope="module")
 def target() -> Target:
     points, tets = mesher.box((8e-6, 8e-6, 8e-6), 1e-6)
-    return Target(mesh.prepare(points, tets), constitutive.law_record(nickel()), 300.0, fixed=(), track_wave=False)
+    return Target(mesh.prepare(points, tets), constitutive.law_record(nickel(), ON), 300.0, fixed=(), track_wave=False)
 
 
 def turned(angle: float) -> np.ndarray:
@@ -142,7 +145,7 @@ def test_a_metal_without_it_keeps_none() -> None:
 def test_points_see_a_linear_strain(engine: str) -> None:
     """Exactly, at the rim too; turned and stretched as elements do."""
     cloud, volume = packing.sphere(D, 300)
-    p = ENGINES[engine](cloud, volume, constitutive.law_record(nickel()), (0.0, 0.0, 0.0), 300.0)
+    p = ENGINES[engine](cloud, volume, constitutive.law_record(nickel(), ON), (0.0, 0.0, 0.0), 300.0)
     R, stretched = turned(0.7), np.diag([2.0, 0.5, 1.0])
     for rotation, F in ((np.eye(3), np.eye(3)), (R, R), (R, R @ stretched)):
         out = np.zeros((p.n, 3))
@@ -158,7 +161,7 @@ def test_points_see_a_linear_strain(engine: str) -> None:
 
 @pytest.fixture(scope="module")
 def hardened(tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return run(Scene.from_text(WHOLE + HARDENED, "shared"), tmp_path_factory.mktemp("whole") / "out", progress=QUIET)
+    return run(Scene.from_text(HARDENED + WHOLE, "shared"), tmp_path_factory.mktemp("whole") / "out", progress=QUIET)
 
 
 def test_gradients_harden_an_impact(hardened: Result, tmp_path: Path) -> None:
@@ -172,7 +175,7 @@ def test_gradients_harden_an_impact(hardened: Result, tmp_path: Path) -> None:
 
 
 def test_it_goes_on_as_if_nothing_had_happened(hardened: Result, tmp_path: Path) -> None:
-    text = WHOLE + HARDENED
+    text = HARDENED + WHOLE
     break_off(Scene.from_text(text, "shared"), tmp_path / "out", at=15e-9)
     other = resume(tmp_path / "out", progress=QUIET)
     assert_same_numbers(hardened.summary, other.summary, rel=1e-9)
@@ -181,7 +184,7 @@ def test_it_goes_on_as_if_nothing_had_happened(hardened: Result, tmp_path: Path)
 
 def test_a_splat_keeps_its_gradients(tmp_path: Path) -> None:
     """As a body it has those that its points had, in the mean, and none where the metal has none."""
-    text = scene(("Ni", 25, 500), ("Ni", 25, 450), **TINY, end=15, every=20, more=HARDENED)
+    text = HARDENED + scene(("Ni", 25, 500), ("Ni", 25, 450), **TINY, end=15, every=20)
     seen: list[tuple[np.ndarray, np.ndarray]] = []
 
     def probe(impact: Impact) -> None:
@@ -198,13 +201,33 @@ def test_a_splat_keeps_its_gradients(tmp_path: Path) -> None:
     assert np.linalg.norm(after - before) < 0.15 * np.linalg.norm(before)
 
 
+def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
+    def row(text: str) -> Row:
+        rows = plan(Scene.from_text(text)).budget.rows
+        return next(row for row in rows if row.name == "gradient_hardening")
+
+    exposed = WHOLE.replace("SS304", "Ni") + EXPOSED
+    assert row(exposed).on
+    assert row(exposed).value > 0.05
+    assert not row(WHOLE).on
+    assert "no bonds by exposure" in row(WHOLE).why
+    assert row(HARDENED + WHOLE).on
+    for off in ('effects = ["auto", "-gradient_hardening"]\n', 'effects = "none"\n'):
+        assert not row(off + exposed).on
+    assert not row(exposed + "[materials.Ni]\ntaylor_alpha = 0.0\n").on
+    machdyn = exposed.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n')
+    assert not row(machdyn).on
+    assert not row('effects = "all"\n' + machdyn).on
+
+
 def test_what_it_needs_is_said() -> None:
-    def problems(more: str) -> str:
+    def problems(text: str) -> str:
         with pytest.raises(SceneError) as caught:
-            plan(Scene.from_text(WHOLE + more))
+            plan(Scene.from_text(text))
         return str(caught.value)
 
-    assert "burgers" in problems("[materials.SS304]\ntaylor_alpha = 0.35\n")
-    machdyn = WHOLE.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n') + HARDENED
-    with pytest.raises(SceneError, match="take enriched or compiled"):
-        plan(Scene.from_text(machdyn))
+    assert "burgers" in problems(WHOLE + "[materials.SS304]\ntaylor_alpha = 0.35\n")
+    titanium = HARDENED + WHOLE.replace('"Ni"', '"Ti"')
+    assert "gradient_hardening needs taylor_alpha and burgers of SS304 or Ti" in problems(titanium)
+    machdyn = HARDENED + WHOLE.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n')
+    assert "take enriched or compiled" in problems(machdyn)

@@ -72,7 +72,9 @@ if MPI.COMM_WORLD.rank == 0:
 sys.exit(main(["run", {scene!r}, "--out", out + "/failed", "--quiet"]))
 """
 INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
-ENRICHED = SHORT.replace("[resolution]", '[resolution]\nengine = "enriched"') + "[materials.Ni]\ntaylor_alpha = 0.35\n"
+ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
+    "[resolution]", '[resolution]\nengine = "enriched"'
+)
 
 
 @pytest.fixture(scope="module")

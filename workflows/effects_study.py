@@ -53,8 +53,9 @@ PROOF_COLUMNS = (
     "scene", "wanted", *BANDED, "within", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
 )  # fmt: skip
 WANTED = {"everything": "", "shapes": f"[want]\nmeasures = {json.dumps(list(SHAPES))}\n"}
-BASE = ["all"]
-NEVER = ("adhesion", "cooling")  # not left out of a scene that does not ask for it: of no meaning to a single impact
+BASE = ["all", "-gradient_hardening"]
+# not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
+NEVER = ("adhesion", "cooling", "gradient_hardening")
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 
 

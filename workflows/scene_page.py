@@ -39,7 +39,7 @@ MATERIAL = {
     "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
     "oxide_threshold": "share of clean metal at which the film cracks",
     "burgers": "Burgers vector",
-    "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2: gradients of plastic strain harden the metal; 0: they do not",
+    "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2: for `gradient_hardening`; 0: none",
     "cp": "specific heat: one value, or two pairs [T, cp], linear between",
     "k": "conductivity: one value, or two pairs [T, k], linear between",
     "source": "where the numbers come from", "note": "what to know of them",

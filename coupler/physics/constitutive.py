@@ -63,8 +63,8 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
     rate_filter: s, the time constant
     over which the plastic strain rate is averaged before the strength law sees it (0: not averaged). A linear equation
     of state is the Hugoniot with s = 0 and Gamma0 = 0, p = K (1 - J). Without thermal expansion heat stays out of the
-    energy that makes pressure; what compression itself stores there stays. Heat of what the scheme dissipates only where `on`
-    names it ("dissipation_heat"): it is the scheme's, not the metal's.
+    energy that makes pressure; what compression itself stores there stays. Two effects are on only where `on` names them: heat of what
+    the scheme dissipates ("dissipation_heat"), which is not the metal's, and hardening by gradients ("gradient_hardening").
     """
     effects = dict(on or {})
 
@@ -87,7 +87,7 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
         r[f"{name}_T0"], r[f"{name}_T1"], r[f"{name}_0"] = T0, max(T1, T0), v0
         r[f"{name}_slope"] = (v1 - v0) / (T1 - T0) if varies else 0.0
     r["forest"], r["forest_slope"] = material.forest
-    r["gradient_length"] = material.gradient_length
+    r["gradient_length"] = material.gradient_length if effects.get("gradient_hardening") else 0.0
     r["rate_filter"] = rate_filter
     r["expansion"] = 1.0 if active("thermal_expansion") else 0.0
     r["dissipation"] = 1.0 if effects.get("dissipation_heat") else 0.0
@@ -97,7 +97,8 @@ def law_record(material: Material, on: Mapping[str, bool] | None = None, rate_fi
 def is_metal(laws: np.ndarray, material: Material) -> np.ndarray:
     """Which LAW records (k,) are of a material (k,), whatever effects are on."""
     on, off = law_record(material), law_record(material, dict.fromkeys(SWITCHES, False))
-    names = [name for name in LAW.names or () if on[name] == off[name] and name not in ("rate_filter", "dissipation")]
+    others = "rate_filter", "dissipation", "gradient_length"
+    names = [name for name in LAW.names or () if on[name] == off[name] and name not in others]
     return np.all([laws[name] == on[name] for name in names], axis=0)
 
 

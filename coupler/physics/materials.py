@@ -129,9 +129,16 @@ class Material:
         """
         return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
 
+    def stress_of_gradient(self, eta: float) -> float:
+        """Flow stress, Pa, of the dislocations alone that a gradient eta (1/m) of plastic strain needs."""
+        if not self.hardened_by_gradients:
+            return 0.0
+        (A, B), y = self.forest, math.sqrt(self.gradient_length * eta)
+        return y * (A + B * math.log(y))
+
     @property
     def hardened_by_gradients(self) -> bool:
-        """Whether gradients of plastic strain harden it."""
+        """Whether gradients of plastic strain can harden it."""
         return self.taylor_alpha > 0.0
 
     @property

@@ -22,7 +22,8 @@ CASES = 3  # measured ones that an estimate rests on
 LEAST_SAVING = 0.01  # of a step's time: what saves less stays in
 # Below these numbers an effect cannot act: no wave is back yet; the pause is too short for heat to leave the splat.
 CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05}
-NOT_LEFT_OUT = ("adhesion", "friction", "cooling")  # a scene has it or not; or it costs nothing in a step
+# a scene has it or not; or it costs nothing in a step
+NOT_LEFT_OUT = ("adhesion", "friction", "cooling", "gradient_hardening")
 # Where plastic work may heat a metal by more than this share of the way to melting, an impact is followed to rest: at the greatest
 # deformation of the fast case of the study (1.1) the pressure holds 8 % of the points deeper than a spacing in the target.
 HOT = 0.3
@@ -138,7 +139,7 @@ def reason(
     if name in requested:
         return "as the scene says, or what is asked for needs it" if name == REST else "as the scene says"
     if not can_act(name, value):
-        return "it cannot act here"
+        return "no bonds by exposure need it" if name == "gradient_hardening" else "it cannot act here"
     if name in NOT_LEFT_OUT:
         return "the scene has it"
     worst = max(measures, key=lambda m: changes[m], default="")

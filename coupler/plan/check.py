@@ -55,12 +55,16 @@ def problems_of(scene: SceneData, catalogue: Mapping[str, Material], broken: set
         yield from _hardness(where, particle, catalogue.get(particle.material))
     yield from _room(d)
     yield from _resolution(d)
-    hard = sorted({metal.name for metal in known if metal.hardened_by_gradients})
-    if scene.resolution.engine == "machdyn" and hard:
+    asked = not isinstance(scene.effects, str) and {"gradient_hardening", "+gradient_hardening"} & set(scene.effects)
+    if scene.resolution.engine == "machdyn" and asked:
         yield (
-            ("resolution.engine", *(f"materials.{name}" for name in hard)),
-            "resolution.engine = machdyn: it knows no gradients of plastic strain, which harden"
-            f" {', '.join(hard)} (taylor_alpha): take enriched or compiled",
+            ("resolution.engine", "effects"),
+            "resolution.engine = machdyn: it knows no gradients of plastic strain (gradient_hardening): take enriched or compiled",
+        )
+    if asked and known and not any(metal.hardened_by_gradients for metal in known):
+        yield (
+            ("effects", *(f"materials.{metal.name}" for metal in known)),
+            f"effects: gradient_hardening needs taylor_alpha and burgers of {' or '.join(sorted({m.name for m in known}))}",
         )
     yield from _adhesion(d, catalogue)
     if scene.output.at == "ends" and scene.output.every is not None:

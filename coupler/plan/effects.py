@@ -12,6 +12,7 @@ from .cost import STRAIN_OF_FLOW
 NUMBERS = {
     "thermal_softening": "heating or preheat / (T_m - T)",
     "rate_hardening": "rise of the flow stress at v/D",
+    "gradient_hardening": "rise of the flow stress by 10/D",
     "plastic_heating": "Taylor-Quinney coefficient",
     "temperature_dependent_cp": "relative change of cp",
     "temperature_dependent_k": "change of k x diffusion length / size",
@@ -34,7 +35,7 @@ class Situation:
     """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
 
     end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
-    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be.
+    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be; exposed: whether bonds form by exposure.
     """
 
     materials: tuple[Material, Material]
@@ -49,6 +50,7 @@ class Situation:
     duration: float
     dwell: float
     bonded: bool
+    exposed: bool
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def numbers(situation: Situation) -> dict[str, float]:
     return {
         "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
         "rate_hardening": max(_rate_hardening(m, T, rate) for m, T in bodies),
+        "gradient_hardening": situation.exposed * max(_gradient_hardening(m, T, situation) for m, T in bodies),
         "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
         "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
         "temperature_dependent_k": k_change * max(in_target, in_particle),
@@ -130,6 +133,13 @@ def _rate_hardening(material: Material, T: float, rate: float) -> float:
     T = min(T, material.T_ref)
     slow = material.flow_stress(STRAIN_OF_FLOW, 0.0, T)
     return material.flow_stress(STRAIN_OF_FLOW, rate, T) / slow - 1.0
+
+
+def _gradient_hardening(material: Material, T: float, situation: Situation) -> float:
+    """Share by which a plastic strain that changes by 1 over a tenth of the diameter raises the flow stress at T (K)."""
+    rate = situation.velocity / situation.diameter
+    flow_stress = material.flow_stress(STRAIN_OF_FLOW, rate, min(T, material.T_ref))
+    return math.hypot(1.0, material.stress_of_gradient(10.0 / situation.diameter) / flow_stress) - 1.0
 
 
 def _preheat(material: Material, T: float) -> float:

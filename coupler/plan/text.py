@@ -78,7 +78,8 @@ def _strength(plan: Plan, brief: bool) -> list[str]:
         else "powder as its set, no hardness given"
     )
     texts = {"strength": f"{', '.join(f'{name} {m.strength.label}' for name, m in metals.items())}; {powder}"}
-    if hard := [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]:
+    hard = [f"{name} (taylor_alpha {m.taylor_alpha:g})" for name, m in metals.items() if m.hardened_by_gradients]
+    if plan.effects.gradient_hardening and hard:
         texts["strength"] += f"; gradients of plastic strain harden {', '.join(hard)}"
     if not brief:
         sources = [f"{m.name}: {m.source or 'none'}; strength: {m.strength.source or 'none'}" for m in metals.values()]

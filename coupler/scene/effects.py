@@ -12,6 +12,7 @@ class Switches:
 
     thermal_softening: bool
     rate_hardening: bool
+    gradient_hardening: bool
     plastic_heating: bool
     temperature_dependent_cp: bool
     temperature_dependent_k: bool

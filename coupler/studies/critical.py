@@ -204,7 +204,7 @@ def schmidt(scene: Scene) -> float | None:
 def resolution_words(scene: Scene) -> str:
     """What is known of the error of the scene's resolution, which is not in the band."""
     own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
-    if scene.derived.material(scene.particle.material).hardened_by_gradients and scene.preset == "fine" and not own:
+    if scene.preset == "fine" and not own and plan(scene).effects.gradient_hardening:
         return (
             "not in the band: the error of the resolution; with gradients of plastic strain copper rebounds at half the spacing of"
             " `fine`, too, 5 % below the velocity at which its margin is zero"
