@@ -94,7 +94,9 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
     exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
     assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
     text = (Path(__file__).parents[1] / "workflows/critical_cu.toml").read_text()
-    assert "rebounds at half the spacing" in critical.resolution_words(Scene.from_text(text))
+    assert "the same verdicts at half the spacing of `fine`" in critical.resolution_words(Scene.from_text(text))
+    coarse = text.replace('preset = "fine"', 'preset = "standard"')
+    assert "3 % lower at `fine`" in critical.resolution_words(Scene.from_text(coarse))
     plain = Scene.from_text('effects = ["auto", "-gradient_hardening"]\n' + text)
     assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain)
 

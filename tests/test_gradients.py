@@ -18,8 +18,10 @@ from coupler.fe.gradients import growing
 from coupler.geometry import mesher
 from coupler.impact.exchange import Impact
 from coupler.physics import constitutive
-from coupler.physics.materials import NYE_FACTOR, Material, from_table, material
+from coupler.physics.dislocations import NYE_FACTOR
+from coupler.physics.materials import Material, from_table, material
 from coupler.plan.budget import Row
+from coupler.plan.cost import STRAIN_OF_FLOW
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.sph import packing
@@ -208,9 +210,13 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
 
     exposed = WHOLE.replace("SS304", "Ni") + EXPOSED
     assert row(exposed).on
-    assert row(exposed).value > 0.05
+    of_gradient = taylor(
+        1.9 * (10.0 / D) / 0.2492e-9
+    )  # a plastic strain that changes by 1 over a tenth of the diameter
+    flow_stress = material("Ni").flow_stress(STRAIN_OF_FLOW, 500.0 / D, 300.0)
+    assert row(exposed).value == pytest.approx(np.hypot(1.0, of_gradient / flow_stress) - 1.0)
     assert not row(WHOLE).on
-    assert "no bonds by exposure" in row(WHOLE).why
+    assert row(WHOLE).why == "only with bonds by exposure"
     assert row(HARDENED + WHOLE).on
     for off in ('effects = ["auto", "-gradient_hardening"]\n', 'effects = "none"\n'):
         assert not row(off + exposed).on
@@ -218,6 +224,7 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     machdyn = exposed.replace("[resolution]\n", '[resolution]\nengine = "machdyn"\n')
     assert not row(machdyn).on
     assert not row('effects = "all"\n' + machdyn).on
+    assert any("without hardening by gradients" in text for text in plan(Scene.from_text(machdyn)).warnings)
 
 
 def test_what_it_needs_is_said() -> None:

@@ -9,7 +9,8 @@ from ..impact.summary import ImpactRecord, accepted
 from ..impact.validity import merged
 from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
-from ..plan.planning import BEYOND_FIT, Plan
+from ..plan.planning import Plan
+from ..plan.remarks import BEYOND_FIT
 from ..ranks.ranks import Ranks
 from .equilibrium import RELAX_STEPS
 

@@ -1,9 +1,9 @@
 """Where a run has left the range its material models were fitted in: what is noted on the way, and the warnings of it.
 
 Limits: strain rate, temperature and strain that the strength set of a metal is fitted at, where its source says them, else the rate of
-Hopkinson bars and nine tenths of the melting point (`plan.NEAR_MELTING`); the pressure of a shock at the particle velocity to which
-the linear fit U = c0 + s u of a metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without Mie-Grueneisen,
-the compression at which a linear equation of state is off by a twentieth.
+Hopkinson bars and nine tenths of the melting point (`plan.remarks.NEAR_MELTING`); the pressure of a shock at the particle velocity to
+which the linear fit U = c0 + s u of a metal's Hugoniot is commonly given (Marsh 1980, LASL Shock Hugoniot Data); without
+Mie-Grueneisen, the compression at which a linear equation of state is off by a twentieth.
 """
 
 import re
@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import CheckpointError
 from ..fe.explicit import Target
 from ..physics.materials import Material
-from ..plan.planning import BEYOND_FIT, NEAR_MELTING
+from ..plan.remarks import BEYOND_FIT, NEAR_MELTING
 from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock

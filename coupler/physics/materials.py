@@ -12,6 +12,7 @@ from functools import cache
 from .. import units
 from ..errors import ColdsprayError, SceneError
 from . import library
+from .dislocations import gradient_length, taylor_relation
 from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Fitted, Strength
 
 Pairs = tuple[tuple[float, float], ...]
@@ -19,10 +20,6 @@ Pairs = tuple[tuple[float, float], ...]
 _SAFE_TEXT = re.compile(r"[A-Za-z0-9_.,:;/()=&+ -]{0,600}", re.ASCII)
 _HV = 9.80665e6  # Pa
 HOPKINSON_RATE = 1e4  # 1/s
-TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
-TAYLOR_DENSITY = 1e12  # 1/m2, at which Taylor's coefficient is alpha
-LINE_TENSION = 0.8  # its share that follows the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741
-NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
 _HARDEST = 5.0  # the largest initial plastic strain that a hardness may ask for
 
 # field -> (unit, or "" for a plain number; smallest; largest), in SI: wide enough for any metal
@@ -109,32 +106,14 @@ class Material:
 
     @property
     def forest(self) -> tuple[float, float]:
-        """A and B, Pa, of Taylor's relation, sigma = y (A + B ln y) with y = b sqrt(rho), rho dislocations per area.
-
-        sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
-        (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040). Zero without `taylor_alpha`.
-        """
-        if not self.hardened_by_gradients:
-            return 0.0, 0.0
-        alpha, b = self.taylor_alpha, self.burgers or 0.0
-        stress, reference = TAYLOR_FACTOR * alpha * self.G, math.log(alpha * b * math.sqrt(TAYLOR_DENSITY))
-        slope = LINE_TENSION / reference
-        return stress * (1.0 - LINE_TENSION + slope * math.log(alpha)), stress * slope
+        """A and B, Pa, of Taylor's relation (`physics.dislocations`); zero without `taylor_alpha`."""
+        hardened = self.hardened_by_gradients
+        return taylor_relation(self.G, self.burgers or 0.0, self.taylor_alpha) if hardened else (0.0, 0.0)
 
     @property
     def gradient_length(self) -> float:
-        """r b, m: a gradient eta of plastic strain needs r eta / b dislocations per area, y^2 = r b eta. Zero without `taylor_alpha`.
-
-        Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239.
-        """
-        return NYE_FACTOR * (self.burgers or 0.0) if self.hardened_by_gradients else 0.0
-
-    def stress_of_gradient(self, eta: float) -> float:
-        """Flow stress, Pa, of the dislocations alone that a gradient eta (1/m) of plastic strain needs."""
-        if not self.hardened_by_gradients:
-            return 0.0
-        (A, B), y = self.forest, math.sqrt(self.gradient_length * eta)
-        return y * (A + B * math.log(y))
+        """r b, m (`physics.dislocations`); zero without `taylor_alpha`."""
+        return gradient_length(self.burgers or 0.0) if self.hardened_by_gradients else 0.0
 
     @property
     def hardened_by_gradients(self) -> bool:

@@ -139,7 +139,7 @@ def reason(
     if name in requested:
         return "as the scene says, or what is asked for needs it" if name == REST else "as the scene says"
     if not can_act(name, value):
-        return "no bonds by exposure need it" if name == "gradient_hardening" else "it cannot act here"
+        return "only with bonds by exposure" if name == "gradient_hardening" else "it cannot act here"
     if name in NOT_LEFT_OUT:
         return "the scene has it"
     worst = max(measures, key=lambda m: changes[m], default="")

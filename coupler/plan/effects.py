@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
 from ..scene.effects import NAMES, WHOLE, Switches
 from .cost import STRAIN_OF_FLOW
@@ -12,7 +13,7 @@ from .cost import STRAIN_OF_FLOW
 NUMBERS = {
     "thermal_softening": "heating or preheat / (T_m - T)",
     "rate_hardening": "rise of the flow stress at v/D",
-    "gradient_hardening": "rise of the flow stress by 10/D",
+    "gradient_hardening": "rise of the flow stress at a gradient of 10/D",
     "plastic_heating": "Taylor-Quinney coefficient",
     "temperature_dependent_cp": "relative change of cp",
     "temperature_dependent_k": "change of k x diffusion length / size",
@@ -35,7 +36,8 @@ class Situation:
     """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
 
     end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
-    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be; exposed: whether bonds form by exposure.
+    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be; exposed:
+    whether bonds form by exposure, with an engine that knows gradients.
     """
 
     materials: tuple[Material, Material]
@@ -139,7 +141,8 @@ def _gradient_hardening(material: Material, T: float, situation: Situation) -> f
     """Share by which a plastic strain that changes by 1 over a tenth of the diameter raises the flow stress at T (K)."""
     rate = situation.velocity / situation.diameter
     flow_stress = material.flow_stress(STRAIN_OF_FLOW, rate, min(T, material.T_ref))
-    return math.hypot(1.0, material.stress_of_gradient(10.0 / situation.diameter) / flow_stress) - 1.0
+    stress = stress_of_gradient(material.forest, material.gradient_length, 10.0 / situation.diameter)
+    return math.hypot(1.0, stress / flow_stress) - 1.0
 
 
 def _preheat(material: Material, T: float) -> float:

@@ -13,7 +13,7 @@ from .. import units
 from ..geometry.tetrahedra import COARSEST
 from ..measures import NEED_REST, WANTABLE
 from ..physics.adhesion import Adhesion, critical_velocity
-from ..physics.materials import Material, fitted_at
+from ..physics.materials import Material
 from ..scene.tables import End, Face, Particle
 from . import cost as estimates
 from . import effects, forecast
@@ -22,15 +22,13 @@ from .budget import ACCURACY, REST, Budget, decide
 from .effects import Effects, Situation
 from .gas import describe as describe_gas
 from .reading import Scene
+from .remarks import absorbing_distance, remarks
 from .solids import load
 
 RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part of D / v
-BEYOND_FIT = "beyond the fitted range"
 # factors on the contact's penalty stiffness, the second where bonds decide: its springs give back half of the rebound, or a sixth
 CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
-NEAR_MELTING = 0.9  # of the melting point
-EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so little that bonds by exposure are too weak
 
 
 @dataclass(frozen=True)
@@ -223,7 +221,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         preset=scene.preset,
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),
-        warnings=tuple(_warnings(scene, impacts, base, decided)),
+        warnings=tuple(remarks(scene, impacts, base, decided)),
         ambient=scene.derived.ambient,
         surface_heat=scene.derived.surface_heat,
         spray=_spray(scene),
@@ -235,8 +233,8 @@ def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Bu
     """What is left out, within the accuracy asked for. The way to rest stays where the scene says how to end, or something needs it."""
     wanted = scene.want.measures or WANTABLE
     settled = effects.requested(scene.effects)
-    if scene.resolution.engine == "machdyn":  # it knows none
-        settled["gradient_hardening"] = False
+    if scene.resolution.engine == "machdyn":  # it knows none, "all" or not
+        settled.pop("gradient_hardening", None)
     if scene.derived.ambient is not None:  # residual stresses come from these
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
     if any(p.dwell is None for p in scene.particles[:-1]):
@@ -370,89 +368,15 @@ def _situations(scene: Scene, impacts: Sequence[ImpactPlan], base: Material) -> 
                 velocity=math.hypot(*impact.velocity),
                 diameter=impact.diameter,
                 friction=scene.contact.friction,
-                side_distance=_absorbing_distance(scene, impact.offset),
+                side_distance=absorbing_distance(scene, impact.offset),
                 end_time=left,
                 element_size=scene.derived.element_size,
                 spacing=impact.spacing,
                 duration=duration,
                 dwell=impact.dwell,
                 bonded=scene.derived.adhesion_law.kind != "none",
-                exposed=scene.derived.adhesion_law.criterion == "exposure",
+                exposed=scene.derived.adhesion_law.criterion == "exposure" and scene.resolution.engine != "machdyn",
             )
         )
         left -= duration
     return situations
-
-
-def _absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
-    distances = [math.inf]
-    if scene.substrate.sides == "absorbing":
-        distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
-    if scene.substrate.bottom == "absorbing":
-        distances.append(scene.substrate.height)
-    return min(distances)
-
-
-def _warnings(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material, decided: Effects) -> list[str]:
-    warnings = []
-    if text := _extrapolation([i.material for i in impacts] + [base], impacts):
-        warnings.append(text)
-    if scene.derived.element_size < scene.derived.spacing:
-        warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
-    hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what
-    for i, label in zip(impacts, scene.labels, strict=True):
-        T = effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature
-        if _hot(i.material, T):
-            hot.setdefault(i.material.name, []).append((label, T))
-    for metal in {i.material.name: i.material for i in impacts if i.material.name in hot}.values():
-        labels, reached = zip(*hot[metal.name], strict=True)
-        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
-    if text := _hot(base, scene.substrate.temperature):
-        warnings.append(f"the target {text}")
-    if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
-        real = units.rounded(scene.derived.time_between, "ms")
-        warnings.append(
-            f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
-        )
-    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
-        name = impacts[0].material.name
-        warnings.append(
-            f"the critical velocity of {name} is not known (no sigma_TS), so that nothing holds the particle: give sigma_TS under"
-            f' [materials.{name}], or adhesion.kind ("none" to have it so)'
-        )
-    fewest = min(i.points for i in impacts)
-    if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
-        warnings.append(
-            f"{fewest} points to a particle are too few for bonds by exposure, which come out too weak: critical velocities are some"
-            ' 10 % too high with 5000 points, and with 1000 there may be none; take preset = "fine"'
-        )
-    if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
-        warnings.append(
-            "bonds by exposure without hardening by gradients of plastic strain (effect gradient_hardening; taylor_alpha and burgers of"
-            " the metals): verdicts do not converge with the spacing, and nickel sticks at some 20 % lower velocities than with it"
-        )
-    named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
-    if decided.absorbing_boundaries and named and math.isinf(_absorbing_distance(scene, scene.particle.offset)):
-        warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
-    return warnings
-
-
-def _extrapolation(metals: list[Material], impacts: tuple[ImpactPlan, ...]) -> str:
-    """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
-    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
-    short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
-    limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
-    valid = [f"{name} {set_name}" for name, metal in short.items() for set_name in fitted_at(metal, rate)]
-    others = f"; fitted there: {', '.join(valid)} (key strength of [materials.NAME])" if valid else ""
-    return f"{BEYOND_FIT}: strain rates near v/D = {rate:.1e} 1/s; {', '.join(limits)}{others}" if limits else ""
-
-
-def _hot(material: Material, *reached: float) -> str:
-    """What to say of bodies that may reach these temperatures, K; nothing where all are far from melting."""
-    near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
-    between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
-    return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
-
-
-def _listed(labels: Sequence[str]) -> str:
-    return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")

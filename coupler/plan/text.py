@@ -9,7 +9,8 @@ from ..measures import MEASURES
 from . import cost as estimates
 from .batches import batches
 from .forecast import file_bytes
-from .planning import BEYOND_FIT, ImpactPlan, Plan
+from .planning import ImpactPlan, Plan
+from .remarks import BEYOND_FIT
 
 _MOST_LINES = 12  # of the impacts
 _FEW = 3  # lines of the impacts, in brief

@@ -31,8 +31,13 @@ BELOW = 3  # steps below the start that are tried where the particle rebounds at
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
 BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
-#: how much lower the critical velocity of copper lies at half the spacing of `fine`, at least (docs/tables/critical_resolution.csv)
+#: how much lower the critical velocity of copper lies at half the spacing of `fine`, at least, without hardening by gradients
+#: (docs/tables/critical_resolution.csv)
 LOWER_AT_SMALL_SPACING = {"standard": 0.10, "fine": 0.05}
+WITH_GRADIENTS = {  # docs/evidence/bonding.md
+    "standard": "the velocity at which copper's margin is zero is some 3 % lower at `fine`, 6 % at half the spacing of `fine`",
+    "fine": "5 % below and above the velocity at which its margin is zero copper has the same verdicts at half the spacing of `fine`",
+}
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 KEY = ("velocity_m_s", "placement")
@@ -204,11 +209,8 @@ def schmidt(scene: Scene) -> float | None:
 def resolution_words(scene: Scene) -> str:
     """What is known of the error of the scene's resolution, which is not in the band."""
     own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
-    if scene.preset == "fine" and not own and plan(scene).effects.gradient_hardening:
-        return (
-            "not in the band: the error of the resolution; with gradients of plastic strain copper rebounds at half the spacing of"
-            " `fine`, too, 5 % below the velocity at which its margin is zero"
-        )
+    if not own and scene.preset in WITH_GRADIENTS and plan(scene).effects.gradient_hardening:
+        return f"not in the band: the error of the resolution; {WITH_GRADIENTS[scene.preset]}"
     known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
     if known is None:
         return "not in the band: the error of the resolution, which is not known for this spacing (compare with a smaller one)"

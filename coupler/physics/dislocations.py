@@ -1,0 +1,37 @@
+"""Taylor's relation between flow stress and density of dislocations, and those that gradients of plastic strain need.
+
+With y = b sqrt(rho), b the Burgers vector and rho dislocations per area, the flow stress is y (A + B ln y).
+"""
+
+import math
+
+TAYLOR_FACTOR = 3.06  # of fcc polycrystals: Bishop & Hill (1951), Phil. Mag. 42, 1298, second-hand
+TAYLOR_DENSITY = 1e12  # 1/m2, at which Taylor's coefficient is alpha
+LINE_TENSION = 0.8  # its share that follows the line tension: Devincre, Kubin & Hoc (2006), Scripta Mater. 54, 741
+NYE_FACTOR = 1.9  # of fcc polycrystals: Arsenlis & Parks (1999), Acta Mater. 47, 1597, second-hand
+
+
+def taylor_relation(G: float, burgers: float, alpha: float) -> tuple[float, float]:
+    """A and B, Pa. G Pa; burgers m; alpha: Taylor's coefficient at TAYLOR_DENSITY.
+
+    sigma = M G y alpha (0.2 + 0.8 ln(alpha y) / ln(alpha b sqrt(1e12 / m2))): shorter segments have a lower line tension
+    (Devincre, Kubin & Hoc 2006; Kubin, Devincre & Hoc (2008), Acta Mater. 56, 6040).
+    """
+    stress, reference = TAYLOR_FACTOR * alpha * G, math.log(alpha * burgers * math.sqrt(TAYLOR_DENSITY))
+    slope = LINE_TENSION / reference
+    return stress * (1.0 - LINE_TENSION + slope * math.log(alpha)), stress * slope
+
+
+def gradient_length(burgers: float) -> float:
+    """r b, m: a gradient eta (1/m) of plastic strain needs r eta / b dislocations per area, y^2 = r b eta. burgers m.
+
+    Gao, Huang, Nix & Hutchinson (1999), J. Mech. Phys. Solids 47, 1239.
+    """
+    return NYE_FACTOR * burgers
+
+
+def stress_of_gradient(forest: tuple[float, float], length: float, eta: float) -> float:
+    """Flow stress, Pa, of the dislocations alone that a gradient eta (1/m) needs. forest: A and B, Pa; length m: of `gradient_length`;
+    both 0 of a metal that gradients do not harden."""
+    (A, B), y = forest, math.sqrt(length * eta)
+    return y * (A + B * math.log(y)) if y > 0.0 else 0.0

@@ -1,0 +1,94 @@
+"""What `check` warns of, and the summary of a run."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from .. import units
+from ..physics.materials import Material, fitted_at
+from . import effects
+from .effects import Effects
+from .reading import Scene
+
+if TYPE_CHECKING:
+    from .planning import ImpactPlan
+
+BEYOND_FIT = "beyond the fitted range"
+NEAR_MELTING = 0.9  # of the melting point
+EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so little that bonds by exposure are too weak
+
+
+def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
+    """Distance (m) from an offset (m) to the nearest absorbing face; infinite without any."""
+    distances = [math.inf]
+    if scene.substrate.sides == "absorbing":
+        distances.append(scene.substrate.diameter / 2 - math.hypot(*offset))
+    if scene.substrate.bottom == "absorbing":
+        distances.append(scene.substrate.height)
+    return min(distances)
+
+
+def remarks(scene: Scene, impacts: "tuple[ImpactPlan, ...]", base: Material, decided: Effects) -> list[str]:
+    """What the scene should know before it runs: where it leaves the range of its models, and what it asks for in vain."""
+    warnings = []
+    if text := _extrapolation([i.material for i in impacts] + [base], impacts):
+        warnings.append(text)
+    if scene.derived.element_size < scene.derived.spacing:
+        warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
+    hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what
+    for i, label in zip(impacts, scene.labels, strict=True):
+        T = effects.heating(i.material, i.temperature, math.hypot(*i.velocity)) + i.temperature
+        if _hot(i.material, T):
+            hot.setdefault(i.material.name, []).append((label, T))
+    for metal in {i.material.name: i.material for i in impacts if i.material.name in hot}.values():
+        labels, reached = zip(*hot[metal.name], strict=True)
+        warnings.append(f"{_listed(labels) if len(impacts) > 1 else 'the particle'} {_hot(metal, *reached)}")
+    if text := _hot(base, scene.substrate.temperature):
+        warnings.append(f"the target {text}")
+    if len(impacts) > 1 and any(p.dwell == 0.0 for p in scene.particles[:-1]):
+        real = units.rounded(scene.derived.time_between, "ms")
+        warnings.append(
+            f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
+        )
+    if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
+        name = impacts[0].material.name
+        warnings.append(
+            f"the critical velocity of {name} is not known (no sigma_TS), so that nothing holds the particle: give sigma_TS under"
+            f' [materials.{name}], or adhesion.kind ("none" to have it so)'
+        )
+    fewest = min(i.points for i in impacts)
+    if scene.derived.adhesion_law.criterion == "exposure" and fewest < EXPOSURE_POINTS:
+        warnings.append(
+            f"{fewest} points to a particle are too few for bonds by exposure, which come out too weak: critical velocities are 6 to"
+            ' 10 % too high with 5000 points, and with 1000 there may be none; take preset = "fine"'
+        )
+    if scene.derived.adhesion_law.criterion == "exposure" and not decided.gradient_hardening:
+        warnings.append(
+            "bonds by exposure without hardening by gradients of plastic strain (effect gradient_hardening; taylor_alpha and burgers of"
+            " the metals): verdicts do not converge with the spacing, and nickel sticks at some 20 % lower velocities than with it"
+        )
+    named = not isinstance(scene.effects, str) and any("absorbing" in item for item in scene.effects)
+    if decided.absorbing_boundaries and named and math.isinf(absorbing_distance(scene, scene.particle.offset)):
+        warnings.append("absorbing_boundaries is asked for, but no face of the substrate is absorbing")
+    return warnings
+
+
+def _extrapolation(metals: list[Material], impacts: "tuple[ImpactPlan, ...]") -> str:
+    """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
+    rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
+    short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
+    limits = [f"{metal.name} {metal.strength.label} to {metal.fitted_rate:.0e} 1/s" for metal in short.values()]
+    valid = [f"{name} {set_name}" for name, metal in short.items() for set_name in fitted_at(metal, rate)]
+    others = f"; fitted there: {', '.join(valid)} (key strength of [materials.NAME])" if valid else ""
+    return f"{BEYOND_FIT}: strain rates near v/D = {rate:.1e} 1/s; {', '.join(limits)}{others}" if limits else ""
+
+
+def _hot(material: Material, *reached: float) -> str:
+    """What to say of bodies that may reach these temperatures, K; nothing where all are far from melting."""
+    near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
+    between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
+    return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
+
+
+def _listed(labels: Sequence[str]) -> str:
+    return ", ".join(labels[:3]) + (f" and {len(labels) - 3} more" if len(labels) > 3 else "")
