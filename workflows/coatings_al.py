@@ -25,7 +25,8 @@ from coupler.studies.table import Row
 MEASURED = tomllib.loads((Path(__file__).parent / "measurements.toml").read_text())["deposition_stress"]
 COLUMNS = (
     "metal", "velocity_m_s", "diameter_um", "temperature_K", "seed", "points", "number", "layers", "disc", "strength", "stress_MPa",
-    "thermal_MPa", "density", "open", "closed", "overlap_share", "thickness_um", "eps_p", "impacts", "skipped", "drift", "cpu_s", "failed",
+    "thermal_MPa", "density", "open", "closed", "overlap_share", "thickness_um", "eps_p", "impacts", "skipped", "drift", "cpu_s",
+    "failed",
 )  # fmt: skip
 KEY = COLUMNS[:10]
 POINTS, FINE = 213, 500  # of a particle
