@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from .. import units
 from ..physics.materials import Material, fitted_at
@@ -10,12 +10,24 @@ from . import effects
 from .effects import Effects
 from .reading import Scene
 
-if TYPE_CHECKING:
-    from .planning import ImpactPlan
-
 BEYOND_FIT = "beyond the fitted range"
 NEAR_MELTING = 0.9  # of the melting point
 EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so little that bonds by exposure are too weak
+
+
+class Impact(Protocol):
+    """What warnings depend on. velocity (vx, vy, vz) m/s; diameter m; temperature K; points: about that many."""
+
+    @property
+    def material(self) -> Material: ...
+    @property
+    def velocity(self) -> tuple[float, float, float]: ...
+    @property
+    def diameter(self) -> float: ...
+    @property
+    def temperature(self) -> float: ...
+    @property
+    def points(self) -> int: ...
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
@@ -28,7 +40,7 @@ def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
     return min(distances)
 
 
-def remarks(scene: Scene, impacts: "tuple[ImpactPlan, ...]", base: Material, decided: Effects) -> list[str]:
+def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Effects) -> list[str]:
     """What the scene should know before it runs: where it leaves the range of its models, and what it asks for in vain."""
     warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
@@ -73,7 +85,7 @@ def remarks(scene: Scene, impacts: "tuple[ImpactPlan, ...]", base: Material, dec
     return warnings
 
 
-def _extrapolation(metals: list[Material], impacts: "tuple[ImpactPlan, ...]") -> str:
+def _extrapolation(metals: list[Material], impacts: Sequence[Impact]) -> str:
     """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
