@@ -32,9 +32,6 @@ KEY = COLUMNS[:10]
 POINTS, FINE = 213, 500  # of a particle
 NUMBER, LAYERS = 12, 2
 DISC = 0.9  # diameters: radius of the disc that the particles are aimed at
-# Strength of commercially pure aluminium that saturates, for comparison: 35 MPa annealed, 165 MPa at a strain of 1. Sheet of 99 %
-# aluminium in its hardest temper (1200-H18) has a yield strength of 150 and a tensile strength of 170 MPa (MakeItFrom, read)
-SATURATING = '[materials.{metal}]\nA = "35 MPa"\nB = "130 MPa"\nn = 0.2\n'
 SCENE = """
 preset = "draft"
 [coating]
@@ -56,13 +53,15 @@ kind = "tied"
 criterion = "all"
 [resolution]
 spacing = "{spacing:.4g} um"
+[materials.{metal}]
+strength = "{strength}"
 """
 
 
 @dataclass(frozen=True)
 class Case:
     """One coating. velocity m/s, diameter um, temperature K of the particles; points of each; number: of particles, in so many layers
-    on a disc of `disc` diameters radius; strength: "" for the library's set, or "saturating"."""
+    on a disc of `disc` diameters radius; strength: set of the library, "" for that of the comparison."""
 
     metal: str
     velocity: float
@@ -76,11 +75,16 @@ class Case:
     strength: str = ""
 
     @property
+    def set(self) -> str:
+        """The strength set."""
+        return self.strength or MEASURED["strength"][self.metal]
+
+    @property
     def key(self) -> tuple[str, ...]:
         """As in the table."""
         return (
             self.metal, f"{self.velocity:g}", f"{self.diameter:g}", f"{self.temperature:g}", f"{self.seed}", f"{self.points}",
-            f"{self.number}", f"{self.layers}", f"{self.disc:g}", self.strength,
+            f"{self.number}", f"{self.layers}", f"{self.disc:g}", self.set,
         )  # fmt: skip
 
     @property
@@ -89,8 +93,7 @@ class Case:
         spacing = self.diameter * (math.pi / 6.0 / self.points) ** (1.0 / 3.0)
         width = (2.0 * self.disc + 3.7) * self.diameter
         size = {"radius": self.disc * self.diameter, "width": width, "depth": 3.0 * self.diameter}
-        text = SCENE + (SATURATING if self.strength else "")
-        return text.format(**vars(self), **size, spacing=spacing)
+        return SCENE.format(**vars(self) | {"strength": self.set}, **size, spacing=spacing)
 
 
 def cases() -> Iterator[Case]:
@@ -107,11 +110,13 @@ def cases() -> Iterator[Case]:
     nominal = MEASURED["nominal"]
     yield Case(*rows[0], nominal["diameter_um"], nominal["temperature_K"], first, FINE)
     one = Case(*rows[0], nominal["diameter_um"], nominal["temperature_K"], first)
-    yield replace(one, number=56, layers=4, disc=1.35)
-    yield replace(one, number=236, disc=4.0)
-    for metal, velocity in rows:
-        if metal == one.metal:
-            yield replace(one, velocity=velocity, strength="saturating")
+    for strength in MEASURED["other_strength"]:
+        for metal, velocity in rows:
+            if metal == one.metal:
+                yield replace(one, velocity=velocity, strength=strength)
+    for strength in ("Hassani_2016", ""):
+        yield replace(one, number=56, layers=4, disc=1.35, strength=strength)
+    yield replace(one, number=236, disc=4.0, strength="Hassani_2016")
 
 
 def row_of(case: Case) -> dict[str, object]:
@@ -155,7 +160,7 @@ def gap(low: float, high: float, value: float, error: float) -> float:
 
 def is_usual(row: Row) -> bool:
     """Whether a row has the patch and the strength of the comparison."""
-    return (row["number"], row["strength"]) == (str(NUMBER), "")
+    return (row["number"], row["strength"]) == (str(NUMBER), MEASURED["strength"][row["metal"]])
 
 
 def reasons(rows: Sequence[Row]) -> list[str]:
@@ -169,8 +174,9 @@ def reasons(rows: Sequence[Row]) -> list[str]:
             continue
         density, stress = measured[row["velocity_m_s"]]
         table.append([
-            row["velocity_m_s"], f"{row['number']} in {row['layers']} layers, {row['disc']} diameters", row["strength"] or "library",
-            f"{float(row['stress_MPa']):.0f}", stress, f"{float(row['thermal_MPa']):+.0f}", f"{float(row['density']):.1f}", density,
+            row["velocity_m_s"], f"{row['number']} in {row['layers']} layers, {row['disc']} diameters",
+            row["strength"].replace("_", " "), f"{float(row['stress_MPa']):.0f}", stress,
+            f"{float(row['thermal_MPa']):+.0f}", f"{float(row['density']):.1f}", density,
         ])  # fmt: skip
     table.sort(key=lambda line: (int(line[0]), line[2], line[1]))
     head = "m/s | particles, radius of the disc | strength | stress (MPa) | measured | of it cooling | density (%) | measured"

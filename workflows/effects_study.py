@@ -53,9 +53,10 @@ PROOF_COLUMNS = (
     "scene", "wanted", *BANDED, "within", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
 )  # fmt: skip
 WANTED = {"everything": "", "shapes": f"[want]\nmeasures = {json.dumps(list(SHAPES))}\n"}
-BASE = ["all", "-gradient_hardening"]
+GRADIENTS = "gradient_hardening"
+BASE = ["all", f"-{GRADIENTS}"]
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
-NEVER = ("adhesion", "cooling", "gradient_hardening")
+NEVER = ("adhesion", "cooling", GRADIENTS)
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 
 
@@ -66,6 +67,12 @@ def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", mor
     tied = '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n' if after else ""
     text = text.replace("[substrate]\n", f"{more}\n{after}{tied}[substrate]\n")
     return text.replace("[resolution]", f"{size}[resolution]")
+
+
+def exposing(metal: str, diameter: float, velocity: float) -> str:
+    """A particle on its own metal, with bonds by exposure."""
+    bonds = '[adhesion]\nkind = "cohesive"\ncriterion = "exposure"\n'
+    return f"{scene(metal, diameter, velocity, metal)}\n{bonds}"
 
 
 def following(dwell: str = "") -> str:
@@ -87,6 +94,10 @@ SCENES = {
         f"two Ni, {pause} between": scene("Ni", 25, 500, more=f'dwell = "{pause}"', after=following())
         for pause in ("10 ns", "100 ns", "1 us", "20 us")
     },
+    "bonds by exposure: Ni 10 um, 660 m/s": exposing("Ni", 10, 660),
+    "bonds by exposure: Ni 40 um, 660 m/s": exposing("Ni", 40, 660),
+    "bonds by exposure: Cu 14 um, 570 m/s": exposing("OFHC_Cu", 14, 570),
+    "bonds by exposure: Al 22 um, 620 m/s": exposing("Al1100", 22, 620),
 }
 WARM = (
     "thermal_softening", "temperature_dependent_cp", "friction_heat", "dissipation_heat", "mie_gruneisen", "thermal_expansion",
@@ -101,8 +112,9 @@ ONLY = {
     "rebound: Ni, 150 m/s": ("thermal_softening", "dissipation_heat", "mie_gruneisen", "thermal_expansion"),
     "large: Ni 190 um, 300 m/s": FLOW,
     **{name: ("cooling",) for name in SCENES if name.startswith("two Ni")},
+    **{name: (GRADIENTS,) for name in SCENES if name.startswith("bonds")},
 }  # what is left out of each scene; of the others everything
-PROOFS = {name: text for name, text in SCENES.items() if not name.startswith("two Ni")} | {
+PROOFS = {name: text for name, text in SCENES.items() if not name.startswith(("two Ni", "bonds"))} | {
     "rod: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "rod"'),
     "hollow: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "hollow_sphere"'),
     "not in the study: Cu on steel, 600 m/s": scene("OFHC_Cu", 20, 600),
@@ -174,14 +186,20 @@ def changes(values: dict[str, float], whole: dict[str, float], prefix: str = "")
 
 def costs(rounds: int) -> None:
     """Time of a step with everything on, and the share of it that leaving out an effect saves."""
-    choices: dict[str, Effects] = {"everything on": "all", "none": "none"}
-    choices |= {f"without {name}": ["all", f"-{name}"] for name in NAMES if name not in NEVER}
-    text = SCENES["Ni on steel, 500 m/s"]
-    scenes = {name: f"effects = {json.dumps(effects)}\n{text}" for name, effects in choices.items()}
-    step = {name: sum(times) / (WINDOW * len(times)) for name, times in least_of(rounds, scenes, CROSSINGS).items()}
-    whole = step["everything on"]
-    rows = [{"effects": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()]
+    choices: dict[str, Effects] = {"everything on": BASE, "none": "none"}
+    choices |= {f"without {name}": [*BASE, f"-{name}"] for name in NAMES if name not in NEVER}
+    rows = shares("Ni on steel, 500 m/s", choices, rounds)
+    exposing: dict[str, Effects] = {"everything on, bonds by exposure": "all", f"without {GRADIENTS}": BASE}
+    rows += shares("bonds by exposure: Ni 10 um, 660 m/s", exposing, rounds)
     write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
+
+
+def shares(name: str, choices: Mapping[str, Effects], rounds: int) -> list[dict[str, object]]:
+    """Rows of the table of costs: choices of effects for the scene of this name, each beside the first of them."""
+    scenes = {key: f"effects = {json.dumps(effects)}\n{SCENES[name]}" for key, effects in choices.items()}
+    step = {key: sum(times) / (WINDOW * len(times)) for key, times in least_of(rounds, scenes, CROSSINGS).items()}
+    whole = next(iter(step.values()))
+    return [{"effects": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()]
 
 
 def study(table: StudyTable) -> None:
@@ -192,8 +210,9 @@ def study(table: StudyTable) -> None:
         if not wanted:
             continue
         numbers = _numbers(text)
-        whole = compute(text, BASE)
-        if len(plan(Scene.from_text(text, "effects_study")).impacts) == 1:
+        base = ["all"] if GRADIENTS in effects else BASE
+        whole = compute(text, base)
+        if GRADIENTS not in effects and len(plan(Scene.from_text(text, "effects_study")).impacts) == 1:
             way = {"cost_share": 1.0 - whole["greatest.time_s"] / whole["time_s"], "steps": whole["steps"]}
             table.add(
                 {"scene": name, "effect": REST, "number": numbers[REST], **changes(whole, whole, "greatest."), **way}
@@ -201,7 +220,7 @@ def study(table: StudyTable) -> None:
         for effect in wanted:
             row: dict[str, object] = {"scene": name, "effect": effect, "number": numbers[effect]}
             try:
-                values = compute(text, [*BASE, f"-{effect}"])
+                values = compute(text, [*base, f"-{effect}"])
                 row |= {**changes(values, whole), "steps": values["steps"], "drift": values["drift"]}
             except ColdsprayError as problem:
                 row |= {"failed": str(problem)[:100]}
@@ -274,6 +293,7 @@ def write(influence: StudyTable, against: StudyTable) -> None:
     table = table_rows("effects_costs")
     saves = {row["effects"].removeprefix("without "): row["saves"] for row in table}
     rows = [{**row, "cost_share": row["cost_share"] or saves.get(row["effect"], "")} for row in known]
+    rows = [row for row in rows if row["effect"] != GRADIENTS]  # no budget decides on it
     write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
     lines = [
         [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
