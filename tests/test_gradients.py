@@ -1,5 +1,6 @@
 """Hardening by gradients of plastic strain: the flow stress, the gradient in both domains, whole impacts with it."""
 
+import re
 import tomllib
 from pathlib import Path
 
@@ -215,8 +216,12 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     )  # a plastic strain that changes by 1 over a tenth of the diameter
     flow_stress = material("Ni").flow_stress(STRAIN_OF_FLOW, 500.0 / D, 300.0)
     assert row(exposed).value == pytest.approx(np.hypot(1.0, of_gradient / flow_stress) - 1.0)
-    assert not row(WHOLE).on
-    assert row(WHOLE).why == "only with bonds by exposure"
+    without = WHOLE.replace("SS304", "Ni")
+    assert not row(without).on
+    assert row(without).value == row(exposed).value
+    assert re.fullmatch(r"only with bonds by exposure; with it flattening changes by [0-9.]+ %", row(without).why)
+    none = "[materials.Ni]\ntaylor_alpha = 0.0\n"
+    assert row(without + none).why == "it cannot act here"
     assert row(HARDENED + WHOLE).on
     for off in ('effects = ["auto", "-gradient_hardening"]\n', 'effects = "none"\n'):
         assert not row(off + exposed).on

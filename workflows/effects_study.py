@@ -180,8 +180,8 @@ def least_of(rounds: int, scenes: Mapping[str, str], crossings: float) -> dict[s
 
 
 def changes(values: dict[str, float], whole: dict[str, float], prefix: str = "") -> dict[str, float]:
-    """Change of each measure in percent of what it is with everything on."""
-    return {key: 100.0 * (values[prefix + key] / whole[key] - 1.0) for key in BANDED}
+    """Change of each measure in percent of what it is with everything on; nan where that is 0."""
+    return {key: 100.0 * (values[prefix + key] / (whole[key] or math.nan) - 1.0) for key in BANDED}
 
 
 def costs(rounds: int) -> None:
@@ -293,14 +293,16 @@ def write(influence: StudyTable, against: StudyTable) -> None:
     table = table_rows("effects_costs")
     saves = {row["effects"].removeprefix("without "): row["saves"] for row in table}
     rows = [{**row, "cost_share": row["cost_share"] or saves.get(row["effect"], "")} for row in known]
-    rows = [row for row in rows if row["effect"] != GRADIENTS]  # no budget decides on it
     write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
     lines = [
         [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
         for row in table
     ]
+    parts = {"gradients": [], "study": []}
+    for row in known:
+        parts["gradients" if row["effect"] == GRADIENTS else "study"].append(row)
     write_parts(PAGES["effects"], {
-        "study": [*study_part(known), "", versions(known)],
+        **{name: [*study_part(own), "", versions(own)] for name, own in parts.items()},
         "costs": markdown("effects | ms per step | saves", lines), "proof": proof_part(against.rows),
     })  # fmt: skip
 

@@ -22,8 +22,8 @@ CASES = 3  # measured ones that an estimate rests on
 LEAST_SAVING = 0.01  # of a step's time: what saves less stays in
 # Below these numbers an effect cannot act: no wave is back yet; the pause is too short for heat to leave the splat.
 CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05}
-# a scene has it or not; or it costs nothing in a step
-NOT_LEFT_OUT = ("adhesion", "friction", "cooling", "gradient_hardening")
+GRADIENTS = "gradient_hardening"  # by default only with bonds by exposure, whose verdicts depend on it
+NOT_LEFT_OUT = ("adhesion", "friction", "cooling", GRADIENTS)  # a scene has it or not
 # Where plastic work may heat a metal by more than this share of the way to melting, an impact is followed to rest: at the greatest
 # deformation of the fast case of the study (1.1) the pressure holds 8 % of the points deeper than a spacing in the target.
 HOT = 0.3
@@ -105,7 +105,9 @@ def decide(
     allowed = {name: max(accuracy, (1.0 + LEFT_TO_EFFECTS) * wide[name]) for name in measures}
     spent = {name: wide[name] for name in measures}
     known = {name: expected(name, values) for name in values}
-    on = {name: can_act(name, value) for name, value in values.items()} | dict(requested)
+    on = {name: can_act(name, value) for name, value in values.items()}
+    on[GRADIENTS] &= any(situation.exposed for situation in situations)
+    on |= requested
 
     def price(name: str) -> float:
         changes, saves = known[name]
@@ -139,7 +141,11 @@ def reason(
     if name in requested:
         return "as the scene says, or what is asked for needs it" if name == REST else "as the scene says"
     if not can_act(name, value):
-        return "only with bonds by exposure" if name == "gradient_hardening" else "it cannot act here"
+        return "it cannot act here"
+    if name == GRADIENTS and not on:
+        change = changes["flattening_ratio"]
+        told = f"; with it flattening changes by {100.0 * change:.2g} %" if math.isfinite(change) else ""
+        return f"only with bonds by exposure{told}"
     if name in NOT_LEFT_OUT:
         return "the scene has it"
     worst = max(measures, key=lambda m: changes[m], default="")

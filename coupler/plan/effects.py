@@ -102,7 +102,7 @@ def numbers(situation: Situation) -> dict[str, float]:
     return {
         "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
         "rate_hardening": max(_rate_hardening(m, T, rate) for m, T in bodies),
-        "gradient_hardening": situation.exposed * max(_gradient_hardening(m, T, situation) for m, T in bodies),
+        "gradient_hardening": max(_gradient_hardening(m, T, situation) for m, T in bodies),
         "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
         "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
         "temperature_dependent_k": k_change * max(in_target, in_particle),
