@@ -15,6 +15,7 @@ from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.errors import SolverError, StoreError
 from coupler.geometry.points import depths
+from coupler.impact import retry
 from coupler.impact.exchange import Impact
 from coupler.report.picture import section_picture
 
@@ -157,6 +158,7 @@ def test_points_that_the_contact_has_lost_are_no_result(tmp_path: Path) -> None:
 
 def test_a_time_limit_under_pressure_allows_twice_the_depth(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Points that lie 1.5 spacings deep end a run that has come to its end, but not one that a limit ends while its contact presses."""
+    monkeypatch.setattr(retry, "REMEDIES", ())
     monkeypatch.setattr(Impact, "_depths", lambda impact: np.full(impact.particle.n, 1.5))
     s = run(Scene.from_text(SHORT, "limit"), tmp_path / "limit")
     assert s.verdict == "undecided"
