@@ -43,7 +43,8 @@ def test_the_sum_of_what_is_left_out_stays_within_what_is_allowed(preset: str, m
     made = plan(scene_with(preset=preset, **more)).budget
     assert made.accuracy == budget.ACCURACY[preset]
     for share in made.shares:
-        chosen = [row for row in made.rows if row.name != budget.GRADIENTS]  # a choice of the model, as the strength set is
+        # gradients of plastic strain are a choice of the model, as the strength set is
+        chosen = [row for row in made.rows if row.name != budget.GRADIENTS]
         left_out = sum(row.changes[share.measure] for row in chosen if not row.on)
         assert share.omitted == pytest.approx(left_out)
         assert share.discretisation + share.omitted <= share.allowed * (1.0 + 1e-12)

@@ -219,7 +219,7 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     without = WHOLE.replace("SS304", "Ni")
     assert not row(without).on
     assert row(without).value == row(exposed).value
-    assert re.fullmatch(r"only with bonds by exposure; with it flattening changes by [0-9.]+ %", row(without).why)
+    assert re.fullmatch(r"bonds by exposure only; flattening [0-9.]+ % off", row(without).why)
     none = "[materials.Ni]\ntaylor_alpha = 0.0\n"
     assert row(without + none).why == "it cannot act here"
     assert row(HARDENED + WHOLE).on

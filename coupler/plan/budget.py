@@ -144,8 +144,8 @@ def reason(
         return "it cannot act here"
     if name == GRADIENTS and not on:
         change = changes["flattening_ratio"]
-        told = f"; with it flattening changes by {100.0 * change:.2g} %" if math.isfinite(change) else ""
-        return f"only with bonds by exposure{told}"
+        told = f"; flattening {100.0 * change:.2g} % off" if math.isfinite(change) else ""
+        return f"bonds by exposure only{told}"
     if name in NOT_LEFT_OUT:
         return "the scene has it"
     worst = max(measures, key=lambda m: changes[m], default="")

@@ -13,7 +13,7 @@ from .cost import STRAIN_OF_FLOW
 NUMBERS = {
     "thermal_softening": "heating or preheat / (T_m - T)",
     "rate_hardening": "rise of the flow stress at v/D",
-    "gradient_hardening": "rise of the flow stress at a gradient of 10/D",
+    "gradient_hardening": "rise of flow stress at 10/D",
     "plastic_heating": "Taylor-Quinney coefficient",
     "temperature_dependent_cp": "relative change of cp",
     "temperature_dependent_k": "change of k x diffusion length / size",
