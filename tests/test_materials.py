@@ -95,6 +95,13 @@ def test_a_strength_set_is_chosen_by_its_name_or_its_law():
     assert materials.from_scene(other, "Steinberg_1996", {"Own"})[0]["Own"].strength.law == "zerilli_armstrong"
 
 
+def test_pure_aluminium_is_annealed():
+    """Its first set has 49 + 157 MPa at a strain of 1, 1 1/s and its reference temperature."""
+    m = materials.material("aluminium")
+    assert m.strength.set == "Pierazzo_2008"
+    assert m.flow_stress(1.0, 1.0, 293.0) == pytest.approx(206e6)
+
+
 def test_a_set_may_have_a_melting_point_of_its_own():
     assert materials.material("SS304", "Lee_2006").T_m == 1673.0
     assert materials.material("SS304").T_m == 1800.0

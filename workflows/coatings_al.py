@@ -75,7 +75,7 @@ class Case:
     strength: str = ""
 
     @property
-    def set(self) -> str:
+    def strength_set(self) -> str:
         """The strength set."""
         return self.strength or MEASURED["strength"][self.metal]
 
@@ -84,7 +84,7 @@ class Case:
         """As in the table."""
         return (
             self.metal, f"{self.velocity:g}", f"{self.diameter:g}", f"{self.temperature:g}", f"{self.seed}", f"{self.points}",
-            f"{self.number}", f"{self.layers}", f"{self.disc:g}", self.set,
+            f"{self.number}", f"{self.layers}", f"{self.disc:g}", self.strength_set,
         )  # fmt: skip
 
     @property
@@ -93,7 +93,7 @@ class Case:
         spacing = self.diameter * (math.pi / 6.0 / self.points) ** (1.0 / 3.0)
         width = (2.0 * self.disc + 3.7) * self.diameter
         size = {"radius": self.disc * self.diameter, "width": width, "depth": 3.0 * self.diameter}
-        return SCENE.format(**vars(self) | {"strength": self.set}, **size, spacing=spacing)
+        return SCENE.format(**vars(self) | {"strength": self.strength_set}, **size, spacing=spacing)
 
 
 def cases() -> Iterator[Case]:

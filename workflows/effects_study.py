@@ -189,8 +189,8 @@ def costs(rounds: int) -> None:
     choices: dict[str, Effects] = {"everything on": BASE, "none": "none"}
     choices |= {f"without {name}": [*BASE, f"-{name}"] for name in NAMES if name not in NEVER}
     rows = shares("Ni on steel, 500 m/s", choices, rounds)
-    exposing: dict[str, Effects] = {"everything on, bonds by exposure": "all", f"without {GRADIENTS}": BASE}
-    rows += shares("bonds by exposure: Ni 10 um, 660 m/s", exposing, rounds)
+    with_bonds: dict[str, Effects] = {"everything on, bonds by exposure": "all", f"without {GRADIENTS}": BASE}
+    rows += shares("bonds by exposure: Ni 10 um, 660 m/s", with_bonds, rounds)
     write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
 
 
