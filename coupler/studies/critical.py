@@ -36,7 +36,8 @@ BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the ban
 LOWER_AT_SMALL_SPACING = {"standard": 0.10, "fine": 0.05}
 WITH_GRADIENTS = {  # docs/evidence/bonding.md
     "standard": "the velocity at which copper's margin is zero is some 3 % lower at `fine`, 6 % at half the spacing of `fine`",
-    "fine": "5 % below and above the velocity at which its margin is zero copper has the same verdicts at half the spacing of `fine`",
+    "fine": "copper and nickel have the same verdicts at half the spacing of `fine`, 5 % below and above the velocity at which their"
+    " margin is zero",
 }
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
