@@ -211,9 +211,8 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
 
     exposed = WHOLE.replace("SS304", "Ni") + EXPOSED
     assert row(exposed).on
-    of_gradient = taylor(
-        1.9 * (10.0 / D) / 0.2492e-9
-    )  # a plastic strain that changes by 1 over a tenth of the diameter
+    # of a plastic strain that changes by 1 over a tenth of the diameter
+    of_gradient = taylor(1.9 * (10.0 / D) / 0.2492e-9)
     flow_stress = material("Ni").flow_stress(STRAIN_OF_FLOW, 500.0 / D, 300.0)
     assert row(exposed).value == pytest.approx(np.hypot(1.0, of_gradient / flow_stress) - 1.0)
     without = WHOLE.replace("SS304", "Ni")
@@ -222,6 +221,8 @@ def test_it_is_on_where_bonds_form_by_exposure_or_the_scene_says_so() -> None:
     assert re.fullmatch(r"bonds by exposure only; flattening [0-9.]+ % off", row(without).why)
     none = "[materials.Ni]\ntaylor_alpha = 0.0\n"
     assert row(without + none).why == "it cannot act here"
+    saved = [plan(Scene.from_text(text)).budget.saved for text in (without, without + none)]
+    assert saved[0] == saved[1]  # a choice of the model saves nothing
     assert row(HARDENED + WHOLE).on
     for off in ('effects = ["auto", "-gradient_hardening"]\n', 'effects = "none"\n'):
         assert not row(off + exposed).on
