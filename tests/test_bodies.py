@@ -409,6 +409,33 @@ def test_an_overlap_that_did_not_come_from_a_motion_sets_no_energy_free() -> Non
     assert energy_at(0.4) == 0.0
 
 
+def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
+    """Deeper than a step can bring them: they begin without a force, which grows as less of the depth is ignored."""
+    b = cubes(1.0)
+    contact, t, above = b.touch(), b.target, b.nodes(1)
+    depth = 0.3 * b.surfaces.spacing(t.x, 1)
+    t.x[above, 2] -= depth
+
+    def lift() -> float:
+        f = np.zeros_like(t.x)
+        contact.search(t.x, 0.01)
+        contact.forces(0.0, t.x, t.v, f)
+        return float(f[above, 2].sum())
+
+    assert lift() == 0.0
+    contact.meet(overlaps(b.surfaces, t.x, [1]))
+    begins = lift()
+    lifts = []
+    for step in range(10):
+        contact.ease(1.0 - 1.0 / (10 - step))
+        lifts.append(lift())
+    stiffness = sum(side.contact.stiffness * side.contact.sums[3] for side in contact._sides)
+    np.testing.assert_allclose(lifts, 0.1 * depth * stiffness * np.arange(1, 11), rtol=1e-6)
+    assert abs(begins) < 1e-12 * lifts[-1]
+    contact.meet(overlaps(b.surfaces, t.x, [1]))
+    assert lift() == pytest.approx(lifts[-1], rel=1e-6), "those that press go on"
+
+
 def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
     """Two blocks side by side on a slab: what is closest to their edges is the other block, and they lie in the slab all the same."""
     gap, depth = 0.002, 0.008  # m; a block's spacing is 0.1

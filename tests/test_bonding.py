@@ -13,8 +13,9 @@ from coupler import Result, Scene, run
 from coupler.contact.penalty import PointContact
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
+from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
-from coupler.impact import bodies
+from coupler.impact import placing
 from coupler.impact.bodies import Bodies
 from coupler.impact.exchange import Impact
 from coupler.impact.verdict import deposition_efficiency
@@ -98,9 +99,25 @@ def test_a_splat_put_on_the_surface_keeps_its_volume(monkeypatch: pytest.MonkeyP
     own = new.target.mesh.conn[new.body == 1]
     assert volumes(new.target.x, own).sum() == pytest.approx(8e-15, rel=1e-3)
     assert new.target.x[np.unique(own), 2].min() > -1e-9, "it lies on the substrate"
-    monkeypatch.setattr(bodies, "MOST_OFFSET", 0.0)
+    monkeypatch.setattr(placing, "MOST_OFFSET", 0.0)
     with pytest.raises(SolverError, match="changed its volume by -6"):
         joined()
+
+
+def test_a_thin_rim_that_is_moved_out_moves_as_a_whole() -> None:
+    """A plate of 4 x 4 x 0.5 whose lower side goes up by nine tenths of its thickness keeps its elements."""
+    points, tets = mesher.box((4.0, 4.0, 0.5), 0.5)
+    way = np.zeros_like(points)
+    way[points[:, 2] < 1e-9, 2] = 0.45
+    moved = placing.followed(tets, way)
+    before = volumes(points, tets)
+    assert (volumes(points + way, tets) / before).min() < placing.LEAST_QUALITY
+    assert (volumes(points + moved, tets) / before).min() > placing.LEAST_QUALITY
+    np.testing.assert_array_equal(moved[way[:, 2] > 0.0], way[way[:, 2] > 0.0])
+    far = np.zeros_like(points)
+    far[np.linalg.norm(points[:, :2], axis=1) < 1e-9, 2] = 0.1
+    reach = points[placing.followed(tets, far)[:, 2] > 0.0, :2].max()
+    assert 1.0 < reach < 1.5 * placing.FOLLOWING * 0.5
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from convergence import HCP  # workflows/convergence.py
 from numba import njit
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from coupler import Scene, run
 from coupler.errors import SolverError
@@ -231,6 +232,19 @@ def test_two_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Part
             p.run(100, DT, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "sums"):
         assert np.array_equal(getattr(alone, name), getattr(shared, name)), name
+
+
+def test_blas_has_one_thread_in_a_run() -> None:
+    """Long products would be added up in another order, and wait for the core of the second thread."""
+
+    def counts() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    with threadpool_limits(2, "blas"):
+        before = counts()
+        with second_thread(1):
+            assert set(counts()) == {1}
+        assert counts() == before
 
 
 def test_shared_work_is_done_once_and_its_error_comes_out() -> None:

@@ -12,7 +12,7 @@ from ..state.records import Shape
 from . import broad
 from .bond import Bond
 from .closest import ANY
-from .kernels import UNKNOWN
+from .kernels import ALL, UNKNOWN
 from .penalty import ContactState, PointContact, SideBySide
 from .surfaces import Surfaces, neighbours
 
@@ -294,6 +294,23 @@ class BodyContact:
         own = x[side.nodes]
         least, most = broad.bounds(own, own)
         return broad.boxes_within(side.facets, self._low, self._high, least - margin, most + margin)
+
+    def meet(self, depth: np.ndarray) -> None:
+        """Let nodes without a contact force, depth (N,) m deep in another body, begin one that ignores all of this depth."""
+        for side in self._sides:
+            own, c = depth[side.nodes], side.contact
+            new = (own > 0.0) & (c.depth == 0.0)
+            if new.any():
+                c.ignored[new], side.reach = own[new], -np.inf
+
+    def ease(self, share: float) -> None:
+        """Ignore only this share of the depths that the contacts of active nodes ignore: the bodies are pushed apart."""
+        for side in self._sides:
+            rows = side.contact.rows
+            if not side.idle:
+                ignored = side.contact.ignored[rows]
+                side.contact.ignored[rows] = np.where((ignored > 0.0) & (ignored < ALL), share * ignored, ignored)
+                side.contact.second_ignored[rows] *= share
 
     def forces(self, dt: float, x: np.ndarray, v: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add the contact forces of this instant to f (N,3) N; friction moves on by dt s. x m, v m/s (N,3). active: as in `search`."""

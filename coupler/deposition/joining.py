@@ -89,6 +89,9 @@ def join(
     }  # fmt: skip
     progress.stage("bringing splat and target to rest")
     new.target.window(radius)
+    own = np.flatnonzero(new.impact == i + 1).tolist()
+    if new.contact is not None:
+        new.contact.meet(overlaps(new.surfaces, new.target.x, own))
     report |= settle(new, kinetic_0, release_time(plan), back=_way_back(bodies.target, new.target))
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
@@ -96,7 +99,7 @@ def join(
             f" may still be set free, {RELAXED:.0e} is sought"
         )
     report["after"] = _held(new)
-    deep = overlaps(new.surfaces, new.target.x, np.flatnonzero(new.impact == i + 1).tolist())
+    deep = overlaps(new.surfaces, new.target.x, own)
     report["overlap_m"] = float(deep.max())
     report["joining_s"] = clock.perf_counter() - started
     if report["released"] > RELEASED_BOUND:

@@ -17,7 +17,8 @@ from ..fe.explicit import Target
 from ..fe.heat import take_heat
 from ..files.summary import Values
 from ..geometry.triangles import areas
-from ..impact.bodies import NEAR, Bodies
+from ..impact.bodies import Bodies
+from ..impact.placing import NEAR
 from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan

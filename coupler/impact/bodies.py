@@ -1,6 +1,6 @@
 """The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -10,28 +10,18 @@ from scipy.sparse.csgraph import connected_components
 from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
-from ..contact.overlap import ways_out
 from ..contact.surfaces import Interface, Surfaces, interface
-from ..errors import CheckpointError, SolverError
+from ..errors import CheckpointError
 from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh
 from ..fe.state import TargetState
 from ..geometry.raycast import RaySurface
-from ..geometry.tetrahedra import boundary_faces, volumes
-from ..geometry.triangles import correct_volume
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
 from ..state.arrays import SpringTable
 from ..state.records import Shape, check_indices
-
-NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
-CLEAR, ROUNDS = 0.02, 6  # element sizes that a new splat may lie in other bodies; rounds of moving it out of them
-LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
-# Change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
-FITTED_VOLUME = 0.01
-MOST_OFFSET = 0.25  # ... which may move by this part of an element size
-LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it the mesh is not the splat
+from .placing import NEAR, placed_on
 
 
 @dataclass(frozen=True)
@@ -181,7 +171,7 @@ class Bodies:
         equilibrium: see `deposition.equilibrium.settle`. Raises SolverError when a splat cannot be put in place.
         """
         self.release_heat()
-        fitted = [self._fitted(splat, size) for splat in splats]
+        fitted = [placed_on(splat, self.target, self.body, size) for splat in splats]
         parts = [domain_now(self.target, self.body)]
         parts += [domain_of(splat, f"{SPLAT}{self.count + i}") for i, splat in enumerate(fitted)]
         domain, rank = merge(parts, origin)
@@ -274,75 +264,6 @@ class Bodies:
         self.contact = BodyContact(self.surfaces, self.placed, [float(K) for K in self.target.laws["K"]], self.friction)
         if before is not None and rank is not None:
             self.contact.follow(before, rank)
-
-    def _fitted(self, splat: BodyState, size: float) -> BodyState:
-        """A splat with the nodes that lie on other bodies put on their facets, as far as its tetrahedra bear it."""
-        n, t = len(self.target.x), self.target
-        if len(splat.tets) == 0:
-            raise SolverError("a splat without elements cannot join the target")
-        facets, element = boundary_faces(splat.tets)
-        x = np.concatenate([t.x, splat.points])
-        surfaces = Surfaces(
-            np.concatenate([t.mesh.facets, facets + n]).astype(np.int64),
-            np.concatenate([self.body[t.mesh.facet_element], np.full(len(facets), self.count)]).astype(np.int64),
-            np.concatenate([t.mesh.facet_element, element + len(t.mesh.conn)]).astype(np.int64),
-        )
-        contact_pairs = interface(surfaces, x, self.count, NEAR * size)
-        points = _as_far_as_possible(splat, splat.points, contact_pairs.fitted(x, surfaces)[n:])
-        placed = contact_pairs.nodes - n
-        try:
-            cleared = self._cleared(splat, points, placed, surfaces, size)
-        except SolverError:  # what it would lose of its volume is worse than the overlap
-            cleared = self._of_volume(points, splat, placed, size)
-        return replace(splat, points=cleared)
-
-    def _cleared(
-        self, splat: BodyState, points: np.ndarray, placed: np.ndarray, surfaces: Surfaces, size: float
-    ) -> np.ndarray:
-        """Points (n,3) m of a splat moved out of what it still overlaps, with its volume; placed: nodes that lie on other bodies."""
-        before = self.target.x
-        for _ in range(ROUNDS):
-            way = ways_out(surfaces, np.concatenate([before, points]), self.count)[len(before) :]
-            depth = np.linalg.norm(way, axis=1)
-            if depth.max() < CLEAR * size:
-                break
-            placed = np.union1d(placed, np.flatnonzero(depth))
-            points = _as_far_as_possible(splat, points, points + way)
-        return self._of_volume(points, splat, placed, size)
-
-    @staticmethod
-    def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
-        """Points (n,3) m of a splat whose nodes `placed` lie on other bodies, with the volume it had before: its free surface moves.
-
-        size: m, of elements. Raises SolverError where the volume cannot be restored.
-        """
-        before = volumes(splat.points, splat.tets)
-        whole, now = float(before.sum()), volumes(points, splat.tets)
-        if abs(now.sum() / whole - 1.0) > FITTED_VOLUME:
-            fixed = np.zeros(len(points), bool)
-            fixed[placed] = True
-            corrected, _ = correct_volume(points, boundary_faces(splat.tets)[0], whole, MOST_OFFSET * size, fixed)
-            if (volumes(corrected, splat.tets) > LEAST_QUALITY * before).all():
-                points, now = corrected, volumes(corrected, splat.tets)
-        if abs(error := now.sum() / whole - 1.0) > LOST_VOLUME:
-            raise SolverError(
-                f"a splat changed its volume by {error:+.1%} as it was put on the surface below it, allowed {LOST_VOLUME:.0%}:"
-                " try a finer preset, or another [splat] method"
-            )
-        return points
-
-
-def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The nodes of a splat moved from points to wanted (n,3) m, each as far as its tetrahedra bear it."""
-    least = LEAST_QUALITY * volumes(splat.points, splat.tets)
-    share = np.ones(len(wanted))
-    for _ in range(8):
-        moved = points + share[:, None] * (wanted - points)
-        bad = volumes(moved, splat.tets) < least
-        if not bad.any():
-            return moved
-        share[np.unique(splat.tets[bad])] *= 0.5
-    return points
 
 
 def _check(state: BodiesState) -> None:

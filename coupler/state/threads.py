@@ -13,6 +13,7 @@ from threading import Lock, Thread
 from typing import TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from .arrays import Ints
 from .loops import LOOPS, wait_for
@@ -93,12 +94,14 @@ _second: SecondThread | None = None
 
 @contextmanager
 def second_thread(threads: int) -> Iterator[None]:
-    """With threads = 2, this process has a second thread meanwhile."""
+    """With threads = 2, this process has a second thread meanwhile. BLAS has one: two would add up long products in another order,
+    and wait for a core that the second thread keeps busy."""
     global _second
     before = _second
     _second = SecondThread() if threads > 1 else None
     try:
-        yield
+        with threadpool_limits(1, "blas"):
+            yield
     finally:
         if _second is not None:
             _second.close()

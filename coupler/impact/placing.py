@@ -1,0 +1,112 @@
+"""A finished splat is put on what it lies on, and moved out of all other bodies."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+
+from ..contact.overlap import ways_out
+from ..contact.surfaces import Surfaces, interface
+from ..errors import SolverError
+from ..fe.assemble import BodyState
+from ..fe.explicit import Target
+from ..geometry.tetrahedra import boundary_faces, volumes
+from ..geometry.triangles import correct_volume
+
+NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
+CLEAR, ROUNDS = 0.02, 6  # element sizes that a new splat may lie in other bodies; rounds of moving it out of them
+FOLLOWING = 6  # edges from what is moved out, as far as which nodes follow
+LEAST_QUALITY = 0.1  # of a tetrahedron's volume that must be left when its corner is put on a facet
+# Change of a splat's volume by it that its density makes up for; more is put right at its free surface ...
+FITTED_VOLUME = 0.01
+MOST_OFFSET = 0.25  # ... which may move by this part of an element size
+LOST_VOLUME = 0.05  # largest change of a splat's volume that is left: beyond it the mesh is not the splat
+
+
+def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -> BodyState:
+    """A splat with the nodes that lie on the bodies of a target put on their facets, as far as its tetrahedra bear it, and out of them.
+
+    body (m,): of each element of the target; size: of the splat's elements, m. Raises SolverError where it has no elements, or its
+    volume cannot be kept.
+    """
+    n, new = len(target.x), int(body.max()) + 1
+    if len(splat.tets) == 0:
+        raise SolverError("a splat without elements cannot join the target")
+    facets, element = boundary_faces(splat.tets)
+    x, mesh = np.concatenate([target.x, splat.points]), target.mesh
+    surfaces = Surfaces(
+        np.concatenate([mesh.facets, facets + n]).astype(np.int64),
+        np.concatenate([body[mesh.facet_element], np.full(len(facets), new)]).astype(np.int64),
+        np.concatenate([mesh.facet_element, element + len(mesh.conn)]).astype(np.int64),
+    )
+    contact_pairs = interface(surfaces, x, new, NEAR * size)
+    points = _as_far_as_possible(splat, splat.points, contact_pairs.fitted(x, surfaces)[n:])
+    placed = contact_pairs.nodes - n
+    try:
+        cleared = _cleared(splat, points, placed, target.x, surfaces, new, size)
+    except SolverError:  # what it would lose of its volume is worse than the overlap
+        cleared = _of_volume(points, splat, placed, size)
+    return replace(splat, points=cleared)
+
+
+def _cleared(
+    splat: BodyState, points: np.ndarray, placed: np.ndarray, before: np.ndarray, surfaces: Surfaces, new: int, size: float
+) -> np.ndarray:  # fmt: skip
+    """Points (n,3) m of a splat, the body `new`, moved out of what it still overlaps, with its volume. placed: nodes that lie on other
+    bodies; before (N,3) m: the nodes of these."""
+    for _ in range(ROUNDS):
+        way = ways_out(surfaces, np.concatenate([before, points]), new)[len(before) :]
+        depth = np.linalg.norm(way, axis=1)
+        if depth.max() < CLEAR * size:
+            break
+        placed = np.union1d(placed, np.flatnonzero(depth))
+        points = _as_far_as_possible(splat, points, points + followed(splat.tets, way))
+    return _of_volume(points, splat, placed, size)
+
+
+def followed(tets: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Displacements (n,3) m of the nodes of tetrahedra (m,4): those of way (n,3) m, and of nodes with none there the mean of their
+    neighbours', up to FOLLOWING edges away: a thin rim moves as a whole."""
+    edges = np.concatenate([tets[:, pair] for pair in combinations(range(4), 2)])
+    both = np.concatenate([edges, edges[:, ::-1]])
+    beside = coo_matrix((np.ones(len(both)), both.T), shape=(len(way), len(way))).tocsr()
+    beside.data[:] = 1.0
+    moved, free = way.copy(), ~way.any(axis=1)
+    for _ in range(FOLLOWING):
+        moved[free] = (beside @ moved)[free] / np.maximum(np.diff(beside.indptr), 1)[free, None]
+    return moved
+
+
+def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: float) -> np.ndarray:
+    """Points (n,3) m of a splat whose nodes `placed` lie on other bodies, with the volume it had before: its free surface moves.
+
+    size: m, of elements. Raises SolverError where the volume cannot be restored.
+    """
+    before = volumes(splat.points, splat.tets)
+    whole, now = float(before.sum()), volumes(points, splat.tets)
+    if abs(now.sum() / whole - 1.0) > FITTED_VOLUME:
+        fixed = np.zeros(len(points), bool)
+        fixed[placed] = True
+        corrected, _ = correct_volume(points, boundary_faces(splat.tets)[0], whole, MOST_OFFSET * size, fixed)
+        if (volumes(corrected, splat.tets) > LEAST_QUALITY * before).all():
+            points, now = corrected, volumes(corrected, splat.tets)
+    if abs(error := now.sum() / whole - 1.0) > LOST_VOLUME:
+        raise SolverError(
+            f"a splat changed its volume by {error:+.1%} as it was put on the surface below it, allowed {LOST_VOLUME:.0%}:"
+            " try a finer preset, or another [splat] method"
+        )
+    return points
+
+
+def _as_far_as_possible(splat: BodyState, points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The nodes of a splat moved from points to wanted (n,3) m, each as far as its tetrahedra bear it."""
+    least = LEAST_QUALITY * volumes(splat.points, splat.tets)
+    share = np.ones(len(wanted))
+    for _ in range(8):
+        moved = points + share[:, None] * (wanted - points)
+        bad = volumes(moved, splat.tets) < least
+        if not bad.any():
+            return moved
+        share[np.unique(splat.tets[bad])] *= 0.5
+    return points
