@@ -95,7 +95,7 @@ def test_equal_bars_exchange_their_velocities(turned: bool) -> None:
     contact, t = b.touch(), b.target
     t.v[b.nodes(1)] = turn @ [0, 0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
-    b.run(1.6e-3)
+    b.run(1.6e-3, limit=1e-6)
     assert touching(contact) == 0
     assert (b.velocity(0) @ turn)[2] == pytest.approx(-10.0, abs=0.5)
     assert (b.velocity(1) @ turn)[2] == pytest.approx(0.0, abs=0.5)
@@ -110,9 +110,9 @@ def test_an_oblique_collision_with_friction_closes_its_ledger() -> None:
     contact, t = b.touch(friction=0.3), b.target
     t.v[b.nodes(1)] = [3.0, 1.0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
-    b.run(1.6e-3, limit=1e-6)
+    b.run(1.6e-3, limit=5e-7)
     assert contact.friction_heat > 5e-4 * start
-    assert b.energy() == pytest.approx(start, rel=1e-4)
+    assert b.energy() == pytest.approx(start, rel=3e-4)
     scale = float(t.mass.sum()) * 10.0
     assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
     assert np.abs(b.moment() - moment).max() < 1e-12 * scale
@@ -502,7 +502,7 @@ def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
     def watch() -> None:
         second[0] = max(second[0], *(float(side.contact.second_depth.max()) for side in contact._sides))
 
-    b.run(1e-3, limit=1e-6, watch=watch)
+    b.run(1e-3, limit=2.5e-7, watch=watch)
     assert second[0] > 1e-4 * b.surfaces.spacing(t.x, 1)
     assert b.velocity(2)[0] > 0.0
     assert b.energy() + contact.dropped_energy == pytest.approx(start, rel=1e-3)

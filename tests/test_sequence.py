@@ -134,7 +134,7 @@ def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch
     new, deepest = joined()
     assert deepest < 0.1e-6
     assert new.target.volume[new.body == 1].sum() == pytest.approx(volumes(body.points, body.tets).sum(), rel=0.05)
-    monkeypatch.setattr("coupler.impact.bodies.ROUNDS", 0)
+    monkeypatch.setattr("coupler.impact.placing.ROUNDS", 0)
     assert joined()[1] > 3e-6
 
 

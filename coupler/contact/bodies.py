@@ -67,9 +67,9 @@ class BodyContactState:
 class BodyContact:
     """Surface nodes of each body against the facets of all others, so that neither side of a pair lies in the other.
 
-    The same sums as between particle and target: penalty k = factor K a / 2h for each node (K the softer bulk modulus, a
-    the mean area of a node, h the spacing of its body's surface, for the substrate, whose own grows outwards, of the first splat's),
-    half of it because both sides of a pair press; Coulomb friction with history, forces equal and opposite in force and moment. Nodes
+    The same sums as between particle and target: penalty k = factor K a / h for each node of both sides (K the softer bulk
+    modulus, a the mean area of a node, h the spacing of its body's surface, for the substrate, whose own grows outwards, of the first
+    splat's); Coulomb friction with history, forces equal and opposite in force and moment. Nodes
     that a bond holds to a body meet the others; those of the other side between them meet both. Bodies fitted together
     (`Interface.fitted`) begin all but without a force.
     """
@@ -118,7 +118,7 @@ class BodyContact:
         area = 0.5 * np.sqrt(3.0) * spacing**2  # two equilateral triangles for each node
         softer = min(self.bulk_modulus[: alike + 1])
         contact = PointContact(
-            len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=0.5 * factor, facet_ids=ids, jump=JUMP,
+            len(nodes), s.facets[ids], spacing, area, softer, self.friction, factor=factor, facet_ids=ids, jump=JUMP,
             owner=s.body[ids],
         )  # fmt: skip
         return _Side(

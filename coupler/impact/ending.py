@@ -11,9 +11,9 @@ QUIET_TIME = 0.1  # of D / v: how long the contact must be silent
 # A bonded particle swings on its bonds: it is at rest when it has swung more slowly than this part of the impact speed ...
 HELD_STILL = 0.02
 HELD_TIME = 0.5  # ... for this part of D / v, about a period
-SPENT = 0.05  # of the impact's energy: a tied particle that would dissipate less in the next D / v rests
-# of the impact speed: a particle that touches nothing and sinks more slowly has less than SPENT of its energy to land with
-GLANCING = math.sqrt(SPENT)
+SPENT = 0.01  # of the impact's energy: a tied particle that would dissipate less in the next D / v rests
+# of the impact speed: a particle that touches nothing and sinks more slowly has less than 5 % of its energy to land with
+GLANCING = math.sqrt(0.05)
 
 
 @dataclass(frozen=True)
