@@ -7,9 +7,11 @@ from scipy.spatial.transform import Rotation
 
 from coupler.contact.bond import Bond
 from coupler.contact.bond_kernels import yielding
+from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit, stability
+from coupler.impact.bodies import Bodies
 
 N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
 SIDE = 1e-3
@@ -131,6 +133,53 @@ def test_unloading_is_elastic_to_a_residual_opening_and_damage_does_not_heal(
     assert bond.broken.all()
     if toward[2] == 0.0:
         assert bond.dissipated == pytest.approx(GII * SIDE**2, rel=1e-3)
+
+
+def test_a_bond_that_is_moved_begins_without_a_force_and_leads_its_node_out() -> None:
+    b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
+    bond, t, rows = b.tie(), b.target, np.array([3])
+    node = bond.nodes[3]
+
+    def lift() -> float:
+        f = np.zeros_like(t.x)
+        bond.forces(t.x, f)
+        return float(f[node, 2])
+
+    t.x[node, 2] -= 0.02
+    pressed, stored = lift(), bond.stored
+    assert pressed > 0.0
+    assert bond.compression(t.x, rows) == pytest.approx(0.02)
+    bond.move(t.x, rows, bond.triangles[rows])
+    assert bond.dissipated == pytest.approx(stored)
+    assert abs(lift()) < 1e-9 * pressed
+    bond.ease(0.5)
+    assert lift() == pytest.approx(0.5 * pressed)
+    bond.ease(0.0)
+    assert lift() == pytest.approx(pressed)
+    bond.ease(0.0)
+    assert bond.gap[3] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_bonded_node_behind_a_folded_surface_is_led_out() -> None:
+    """A node that its bond holds beside its triangle, where the surface has risen above the node."""
+    b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
+    bond, t = b.tie(), b.target
+    b.touch()
+    node = bond.nodes[np.argmin(np.hypot(*(t.x[bond.nodes, :2] - 0.3).T))]
+    row = int(np.flatnonzero(bond.nodes == node)[0])
+    t.x[node, :2] -= 0.15
+    top = np.flatnonzero((b.body_of_node == 0) & (t.x[:, 2] > 0.5 - 1e-9))
+    beside = np.setdiff1d(top[np.hypot(*(t.x[top, :2] - t.x[node, :2]).T) < 0.2], bond.triangles[row])
+    t.x[beside, 2] += 0.1
+    deep = overlaps(b.surfaces, t.x, [1])[node]
+    assert deep > 0.02
+    assert bond.compression(t.x, np.array([row]))[0] < 0.5 * deep
+    before = bond.triangles[row].copy()
+    Bodies.part(b, [1])
+    assert set(bond.triangles[row]) != set(before)
+    assert bond.compression(t.x, np.array([row]))[0] == pytest.approx(0.0, abs=1e-12)
+    Bodies.ease(b, 0.0)
+    assert bond.compression(t.x, np.array([row]))[0] > 0.5 * deep
 
 
 def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None:

@@ -117,7 +117,9 @@ class ElementImpact:
         of_particle, of_substrate = (stiffness * weight for weight in CONTACTS[contact])
         if of_particle > 0.0:
             moduli = [float(K) for K in t.laws["K"]]
-            self.bodies.contact = BodyContact(self.bodies.surfaces, t.x.copy(), moduli, plan.friction, of_particle)
+            self.bodies.contact = BodyContact(
+                self.bodies.surfaces, t.x.copy(), moduli, plan.friction, 0.5 * of_particle
+            )  # both sides press
         self.reverse = self._reverse(of_substrate) if of_substrate > 0.0 else None
         t.reach = max(t.reach, float(np.linalg.norm(t.x[self.nodes], axis=1).max()) * 1.01)  # the particle moves
         t._activate(0.0)

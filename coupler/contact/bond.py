@@ -137,6 +137,7 @@ class Bond:
         with np.errstate(divide="ignore"):
             self._weakness, self._ease = 1.0 / self.strength, 1.0 / self.energy
         self._sums, self._free = np.zeros(2), np.full(len(self), -1.0)
+        self._moved = np.zeros(0, np.int64)  # rows whose node `ease` leads to its new facet
 
     @property
     def broken(self) -> np.ndarray:
@@ -217,6 +218,26 @@ class Bond:
             kept = take(collect(BondRows, self), ~broken)
             self.restore(BondState(kept, self.exponent, self.stored, self.dissipated))
         return energy
+
+    def compression(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """How far (k,) m the nodes of bonds `rows` (k,) are below the height at which they are at rest, negative above. x (N,3) m."""
+        return np.asarray(self.gap[rows] - _foot(x[self.nodes[rows]], x[self.triangles[rows]])[1])
+
+    def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:
+        """Tie the nodes of bonds `rows` (k,) to other triangles (k,3) of the body, as they lie now, without a force: what the bonds
+        stored is dissipated. `ease` leads nodes that lie behind their triangle to it. x (N,3) m."""
+        held = float(self.stored_by_each[rows].sum())
+        self.stored, self.dissipated = self.stored - held, self.dissipated + held
+        self.triangles[rows] = triangles
+        self.weights[rows], self.gap[rows] = _foot(x[self.nodes[rows]], x[triangles])
+        self.opening[rows], self.traction[rows] = 0.0, 0.0
+        self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
+
+    def ease(self, share: float) -> None:
+        """Leave this share of the depths at which the bonds that were moved are at rest behind their triangles."""
+        self.gap[self._moved] *= share
+        if share == 0.0:
+            self._moved = self._moved[:0]
 
     def drop(self, gone: np.ndarray) -> None:
         """Take bonds (mask) out. What they hold is dissipated."""

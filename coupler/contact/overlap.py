@@ -1,6 +1,6 @@
 """How far bodies lie in each other, and how a new one is moved out of those that are there."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -8,13 +8,23 @@ from ..geometry.raycast import RaySurface
 from .surfaces import Surfaces, neighbours
 
 
-def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
-    """Depth (N,) m to which each surface node lies inside another body, where one of both is in `bodies`; 0 outside. x (N,3) m."""
-    depth, asked, boxes = np.zeros(len(x)), set(bodies), surfaces.boxes(x)
+def lying_inside(
+    surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]
+) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Of each body, the surface nodes (k,) of others that lie inside it, how deep (k,) m, and its facet (k,) closest to each, where one
+    of both is in `bodies`. x (N,3) m."""
+    asked, boxes = set(bodies), surfaces.boxes(x)
     for body in range(surfaces.bodies):
         others = [other for other in neighbours(*boxes, body, 0.0) if body in asked or other in asked]
-        nodes, away, *_ = _inside(surfaces, x, body, others)
-        np.maximum.at(depth, nodes, np.linalg.norm(away, axis=1))
+        nodes, away, facets, _ = _inside(surfaces, x, body, others)
+        yield body, nodes, np.linalg.norm(away, axis=1), facets
+
+
+def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
+    """Depth (N,) m to which each surface node lies inside another body, where one of both is in `bodies`; 0 outside. x (N,3) m."""
+    depth = np.zeros(len(x))
+    for _, nodes, own, _ in lying_inside(surfaces, x, bodies):
+        np.maximum.at(depth, nodes, own)
     return depth
 
 

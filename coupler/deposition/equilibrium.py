@@ -130,8 +130,8 @@ def _relax(
             if steps < portions:
                 t.heat[:m] += portion
             t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
-            if bodies.contact is not None and steps < BACK:
-                bodies.contact.ease(1.0 - 1.0 / (BACK - steps))
+            if steps < BACK:
+                bodies.ease(1.0 - 1.0 / (BACK - steps))
             _step(bodies, dt)
             steps += 1
             along = grid.acceleration(t.total[:n])

@@ -90,8 +90,7 @@ def join(
     progress.stage("bringing splat and target to rest")
     new.target.window(radius)
     own = np.flatnonzero(new.impact == i + 1).tolist()
-    if new.contact is not None:
-        new.contact.meet(overlaps(new.surfaces, new.target.x, own))
+    new.part(own)
     report |= settle(new, kinetic_0, release_time(plan), back=_way_back(bodies.target, new.target))
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
@@ -163,6 +162,7 @@ def rest(
     """
     radius = REST * max(plan.impacts[i].window for i in impacts)
     bodies, report["detached"] = without_detached(plan, bodies.renumbered(*places), impacts.stop, "impact")
+    bodies.part(_near(bodies, places, radius))
     time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))
     if time > 0.0 and plan.effects.cooling:
         report["cooling"] = pause(plan, time, bodies, kinetic_0, radius)
@@ -172,6 +172,14 @@ def rest(
     bodies, lost = held_at_rest(plan, bodies, impacts.stop, "pause" if time > 0.0 else "rest", kinetic_0)
     report["detached"] += lost
     return bodies
+
+
+def _near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
+    """Bodies whose boxes come within a radius of one of the places, m."""
+    low, high = bodies.surfaces.boxes(bodies.target.x)
+    at = np.array(places)[:, None]
+    away = np.maximum(np.maximum(low - at, at - high), 0.0)
+    return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
 
 
 def cloud_of(domains: Domains) -> Cloud:

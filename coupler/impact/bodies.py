@@ -1,5 +1,6 @@
 """The finite-element side of a run: substrate and finished splats in one domain, what acts between them, and how one more joins."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
+from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, interface
 from ..errors import CheckpointError
 from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
@@ -22,6 +24,8 @@ from ..physics.constitutive import LAW
 from ..state.arrays import SpringTable
 from ..state.records import Shape, check_indices
 from .placing import NEAR, placed_on
+
+FOLDED = 0.03  # spacings: a bonded node that lies deeper in its partner is looked at
 
 
 @dataclass(frozen=True)
@@ -152,6 +156,35 @@ class Bodies:
         return bodies
 
     # ---- between impacts -----------------------------------------------------------------------------------------
+
+    def part(self, which: Iterable[int]) -> None:
+        """Prepare bodies at rest that lie in each other, one of each two among `which`, to be pushed apart (`ease`).
+
+        Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
+        by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
+        """
+        if self.contact is None:
+            return
+        surfaces, x, bond = self.surfaces, self.target.x, self.bond
+        depth = np.zeros(len(x))
+        for body, nodes, deep, facets in lying_inside(surfaces, x, which):
+            np.maximum.at(depth, nodes, deep)
+            if bond is None or len(nodes) == 0:
+                continue
+            folded = nodes[deep > FOLDED * surfaces.spacing(x, max(body, 1))]
+            rows = np.flatnonzero(np.isin(bond.nodes, folded))
+            rows = rows[np.isin(bond.triangles[rows, 0], surfaces.nodes_of(body))]
+            place = np.searchsorted(nodes, bond.nodes[rows])
+            outside = bond.compression(x, rows) < 0.5 * deep[place]
+            bond.move(x, rows[outside], surfaces.facets[facets[place[outside]]])
+        self.contact.meet(depth)
+
+    def ease(self, share: float) -> None:
+        """Leave this share of the depths that contacts ignore and at which bonds that `part` has moved are at rest."""
+        if self.contact is not None:
+            self.contact.ease(share)
+        if self.bond is not None:
+            self.bond.ease(share)
 
     def joined(
         self,
