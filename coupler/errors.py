@@ -57,6 +57,10 @@ class PlacementError(ColdsprayError):
     """Ranks that cannot be arranged as asked."""
 
 
+class WorkerError(ColdsprayError):
+    """A process that computed a part of a run and was ended from outside."""
+
+
 class InterruptedRunError(ColdsprayError):
     """A run of a study that was stopped from outside: it has no end, and the next attempt goes on with it."""
 

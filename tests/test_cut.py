@@ -2,8 +2,11 @@
 
 import itertools
 import math
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +16,14 @@ from test_sequence import block, substrate
 
 from coupler import Scene
 from coupler.contact.bodies import new_history
+from coupler.deposition import batches as deposition_batches
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.run import resume, run
 from coupler.deposition.task import Task, run_task
+from coupler.errors import WorkerError
+from coupler.files import checkpoint
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
@@ -269,6 +275,21 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     result = resume(tmp_path / "out", jobs=jobs)
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)
+
+
+def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Ended(Executor):
+        def submit(self, *arguments: object, **options: object) -> Future[Any]:  # type: ignore[override]
+            future: Future[Any] = Future()
+            future.set_exception(BrokenProcessPool("ended"))
+            return future
+
+    monkeypatch.setattr(deposition_batches, "executor", lambda *arguments: Ended())
+    with pytest.raises(
+        WorkerError, match=f"impacts 1 to 2 was ended from outside.*coldspray resume {tmp_path / 'out'}"
+    ):
+        run(Scene.from_text(SIDE, "x"), tmp_path / "out", quiet=True, jobs=2)
+    assert checkpoint.stored(tmp_path / "out")
 
 
 def test_an_impact_on_a_cut_that_is_undecided_at_its_limit_goes_on(tmp_path: Path) -> None:

@@ -3,12 +3,12 @@
 import contextlib
 import shutil
 from collections.abc import Iterator
-from concurrent.futures import Executor, wait
+from concurrent.futures import BrokenExecutor, Executor, wait
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, WorkerError
 from ..files.result import Result
 from ..files.store import Store
 from ..impact.bodies import Bodies
@@ -63,7 +63,8 @@ def compute(
     that fails.
 
     whole: the bodies before the batch. folder, about: of the run, as in `Task`. With a pool each task begins as soon as its cut is
-    made: workers do not wait for the cuts of others. Raises Stopped after a signal."""
+    made: workers do not wait for the cuts of others. Raises Stopped after a signal, WorkerError where a process is ended from
+    outside."""
     stop = folder / TASKS / STOP
     stop.parent.mkdir(exist_ok=True)
     stop.unlink(missing_ok=True)
@@ -76,22 +77,29 @@ def compute(
             results.append(attempt(task, options))
         return tasks, results
     with StopSignals() as signals:
-        futures = []
-        for task, cut in made:
-            tasks.append((task, cut))
-            futures.append(
-                pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
-            )
-        words = f"impacts {first + 1} to {first + len(tasks)} side by side"
-        options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
-        left = set(futures)
-        while left:
-            left = wait(left, _LOOK).not_done
-            if signals.number and not stop.exists():
-                stop.touch()
-        if signals.number:
-            raise Stopped(signals.number)
-    return tasks, [future.result() for future in futures]
+        try:
+            futures = []
+            for task, cut in made:
+                tasks.append((task, cut))
+                futures.append(
+                    pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
+                )
+            words = f"impacts {first + 1} to {first + len(tasks)} side by side"
+            options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
+            left = set(futures)
+            while left:
+                left = wait(left, _LOOK).not_done
+                if signals.number and not stop.exists():
+                    stop.touch()
+            if signals.number:
+                raise Stopped(signals.number)
+            return tasks, [future.result() for future in futures]
+        except BrokenExecutor as error:
+            which = f"impacts {first + 1} to {first + len(tasks)}"
+            raise WorkerError(
+                f"a process that computed one of the {which} was ended from outside, perhaps for want of memory. What was computed is"
+                f" kept: go on with coldspray resume {folder}, with fewer --jobs where memory is short"
+            ) from error
 
 
 class BatchReplay:

@@ -17,6 +17,7 @@ from ..impact.summary import ImpactRecord
 from ..measures import UNDECIDED
 from ..plan.planning import Plan
 from ..progress import Progress
+from ..state.threads import second_thread
 from .joining import join
 from .mass_scaling import prepare
 
@@ -118,4 +119,5 @@ def run_alone(
         Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
         until=until,
     )  # fmt: skip
-    return attempt(task, options)
+    with second_thread(options.threads):
+        return attempt(task, options)
