@@ -6,6 +6,7 @@ from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,12 @@ import pytest
 import scenes
 from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
 from test_sequence import block, substrate
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from coupler import Scene
 from coupler.contact.bodies import new_history
 from coupler.deposition import batches as deposition_batches
+from coupler.deposition import task as deposition_task
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
@@ -275,6 +278,17 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     result = resume(tmp_path / "out", jobs=jobs)
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)
+
+
+def test_a_process_of_a_batch_lets_blas_have_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the run has in one process: sums over many nodes are the same to the last bit."""
+
+    def threads(*_: object) -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    monkeypatch.setattr(deposition_task, "attempt", threads)
+    with threadpool_limits(2, "blas"):
+        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == {1}
 
 
 def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
