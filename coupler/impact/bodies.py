@@ -25,7 +25,8 @@ from ..state.arrays import SpringTable
 from ..state.records import Shape, check_indices
 from .placing import NEAR, placed_on
 
-FOLDED = 0.03  # spacings: a bonded node that lies deeper in its partner is looked at
+# spacings: a bonded node that lies deeper in its partner than the first is looked at; deeper than the second it came through no fold
+FOLDED, DEEPEST = 0.03, 0.5
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,8 @@ class Bodies:
             np.maximum.at(depth, nodes, deep)
             if bond is None or len(nodes) == 0:
                 continue
-            folded = nodes[deep > FOLDED * surfaces.spacing(x, max(body, 1))]
+            spacing = surfaces.spacing(x, max(body, 1))
+            folded = nodes[(deep > FOLDED * spacing) & (deep < DEEPEST * spacing)]
             rows = np.flatnonzero(np.isin(bond.nodes, folded))
             rows = rows[np.isin(bond.triangles[rows, 0], surfaces.nodes_of(body))]
             place = np.searchsorted(nodes, bond.nodes[rows])
