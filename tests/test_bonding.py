@@ -13,6 +13,7 @@ from coupler import Result, Scene, run
 from coupler.contact.penalty import PointContact
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
+from coupler.fe.assemble import BodyState
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact import placing
@@ -102,6 +103,26 @@ def test_a_splat_put_on_the_surface_keeps_its_volume(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(placing, "MOST_OFFSET", 0.0)
     with pytest.raises(SolverError, match="changed its volume by -6"):
         joined()
+
+
+def test_a_splat_that_cannot_be_moved_out_gets_its_volume_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nodes that have been moved out cannot give back what the fitting has changed."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    body = block((-10e-6, -10e-6, -1.2e-6), 0.0, 1.0, law)
+    seen: list[float] = []
+    move_out = placing._cleared
+
+    def first_fails(splat: BodyState, points: np.ndarray, *others: Any) -> np.ndarray:
+        seen.append(volumes(points, splat.tets).sum())
+        if len(seen) == 1:
+            raise SolverError("its volume")
+        return move_out(splat, points, *others)
+
+    monkeypatch.setattr(placing, "_cleared", first_fails)
+    new = substrate().joined([body], Adhesion(kind="tied"), 6e-6, (0.0, 0.0, 0.0), 1.0, 1)
+    assert seen[0] < 0.96 * 8e-15
+    assert seen[1] == pytest.approx(8e-15, rel=1e-3)
+    assert new.target.volume[new.body == 1].sum() == pytest.approx(8e-15, rel=0.01)
 
 
 def test_a_thin_rim_that_is_moved_out_moves_as_a_whole() -> None:

@@ -45,8 +45,12 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
     placed = contact_pairs.nodes - n
     try:
         cleared = _cleared(splat, points, placed, target.x, surfaces, new, size)
-    except SolverError:  # what it would lose of its volume is worse than the overlap
-        cleared = _of_volume(points, splat, placed, size)
+    except SolverError:  # nodes that are moved out cannot give the volume back: before, more of them are free
+        points = _of_volume(points, splat, placed, size)
+        try:
+            cleared = _cleared(splat, points, placed, target.x, surfaces, new, size)
+        except SolverError:  # what it would lose of its volume is worse than the overlap
+            cleared = points
     return replace(splat, points=cleared)
 
 
