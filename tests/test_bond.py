@@ -175,7 +175,7 @@ def test_a_bonded_node_behind_a_folded_surface_is_led_out() -> None:
     assert deep > 0.02
     assert bond.compression(t.x, np.array([row]))[0] < 0.5 * deep
     before = bond.triangles[row].copy()
-    Bodies.part(b, [1])
+    Bodies.separate(b, [1])
     assert set(bond.triangles[row]) != set(before)
     assert bond.compression(t.x, np.array([row]))[0] == pytest.approx(0.0, abs=1e-12)
     Bodies.ease(b, 0.0)

@@ -90,7 +90,7 @@ def join(
     progress.stage("bringing splat and target to rest")
     new.target.window(radius)
     own = np.flatnonzero(new.impact == i + 1).tolist()
-    new.part(own)
+    new.separate(own)
     report |= settle(new, kinetic_0, release_time(plan), back=_way_back(bodies.target, new.target))
     if report["left_J"] > RELAXED * kinetic_0:
         progress.log(
@@ -162,7 +162,7 @@ def rest(
     """
     radius = REST * max(plan.impacts[i].window for i in impacts)
     bodies, report["detached"] = without_detached(plan, bodies.renumbered(*places), impacts.stop, "impact")
-    bodies.part(_near(bodies, places, radius))
+    bodies.separate(_near(bodies, places, radius))
     time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))
     if time > 0.0 and plan.effects.cooling:
         report["cooling"] = pause(plan, time, bodies, kinetic_0, radius)

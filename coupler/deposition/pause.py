@@ -64,7 +64,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     """
     started, t = clock.perf_counter(), bodies.target
     ambient = plan.ambient if plan.ambient is not None else plan.target.temperature
-    bodies.part(range(bodies.count))
+    bodies.separate(range(bodies.count))
     known = Known()  # as before a pause: what is out of balance is not caused by cooling
     settle(bodies, kinetic_0, 0.0, ramp=True, known=known)
     came = [(plan.target.material, plan.target.temperature)]

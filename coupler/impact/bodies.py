@@ -158,7 +158,7 @@ class Bodies:
 
     # ---- between impacts -----------------------------------------------------------------------------------------
 
-    def part(self, which: Iterable[int]) -> None:
+    def separate(self, which: Iterable[int]) -> None:
         """Prepare bodies at rest that lie in each other, one of each two among `which`, to be pushed apart (`ease`).
 
         Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
@@ -174,7 +174,9 @@ class Bodies:
                 continue
             spacing = surfaces.spacing(x, max(body, 1))
             folded = nodes[(deep > FOLDED * spacing) & (deep < DEEPEST * spacing)]
-            rows = np.flatnonzero(np.isin(bond.nodes, folded))
+            rows = np.flatnonzero(
+                np.isin(bond.nodes, folded) & ~bond.loose
+            )  # of a loose one the contact resists compression
             rows = rows[np.isin(bond.triangles[rows, 0], surfaces.nodes_of(body))]
             place = np.searchsorted(nodes, bond.nodes[rows])
             outside = bond.compression(x, rows) < 0.5 * deep[place]
@@ -182,7 +184,7 @@ class Bodies:
         self.contact.meet(depth)
 
     def ease(self, share: float) -> None:
-        """Leave this share of the depths that contacts ignore and at which bonds that `part` has moved are at rest."""
+        """Leave this share of the depths that contacts ignore and at which bonds that `separate` has moved are at rest."""
         if self.contact is not None:
             self.contact.ease(share)
         if self.bond is not None:
