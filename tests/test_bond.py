@@ -182,6 +182,29 @@ def test_a_bonded_node_behind_a_folded_surface_is_led_out() -> None:
     assert bond.compression(t.x, np.array([row]))[0] > 0.5 * deep
 
 
+def test_bonds_that_hold_a_body_on_a_node_begin_anew() -> None:
+    """A node of the lower body that has risen into the upper one, whose own nodes are tied round it; other bonds keep their forces."""
+    b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
+    bond, t = b.tie(), b.target
+    b.touch()
+    top = np.flatnonzero((b.body_of_node == 0) & (t.x[:, 2] > 0.5 - 1e-9))
+    node = top[np.argmin(np.hypot(*(t.x[top, :2] - 0.5).T))]
+    t.x[b.nodes(1), 0] += 1e-3
+    t.x[node, 2] += 0.04
+    pinned = (bond.triangles == node).any(axis=1)
+    assert 0 < pinned.sum() < len(bond)
+    assert overlaps(b.surfaces, t.x, [1])[node] > 0.02
+    f = np.zeros_like(t.x)
+    bond.forces(t.x, f)
+    before, held = bond.traction.copy(), bond.stored_by_each[pinned].sum()
+    assert before.any(axis=1).all()
+    Bodies.separate(b, [1])
+    bond.forces(t.x, f)
+    assert np.abs(bond.traction[pinned]).max() < 1e-9 * np.abs(before).max()
+    assert bond.traction[~pinned] == pytest.approx(before[~pinned])
+    assert bond.dissipated == pytest.approx(held)
+
+
 def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None:
     bond, up = cohesive(pair), np.array([0, 0, 1.0])
     pull(pair, bond, np.linspace(0, GI / N, 500)[:, None] * up)

@@ -1,5 +1,6 @@
 """A particle that bonds in its impact is held while it rebounds; one that does not leaves, and the run goes on without it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,27 @@ def test_a_splat_that_cannot_be_moved_out_gets_its_volume_first(monkeypatch: pyt
     assert seen[0] < 0.96 * 8e-15
     assert seen[1] == pytest.approx(8e-15, rel=1e-3)
     assert new.target.volume[new.body == 1].sum() == pytest.approx(8e-15, rel=0.01)
+
+
+def test_a_thin_place_does_not_keep_a_splat_from_its_volume() -> None:
+    """The lower side of a plate of 4 x 4 x 1 goes down by an eighth; a place of its upper side is too thin to go down as far as the
+    rest of it must."""
+    points, tets = mesher.box((4.0, 4.0, 1.0), 0.5)
+    points = points - points.mean(axis=0)
+    upper, lower = points[:, 2] > 0.49, points[:, 2] < -0.49
+    middle = np.argmin(np.where(upper, np.hypot(*points[:, :2].T), np.inf))
+    down = -0.01 * np.eye(len(points))[middle][:, None] * [0.0, 0.0, 1.0]
+    left = volumes(points + down, tets) / volumes(points, tets)
+    points += down * 0.87 / (1.0 - left.min())  # its thinnest element keeps 0.13 of its volume
+    body = block((0.0, 0.0, 0.0), 0.0, 1.0, law_record(material("Ni"), rate_filter=1e-9))
+    splat = replace(body, points=points, tets=tets)
+    wanted = points - np.outer(lower, [0.0, 0.0, 0.125])
+    whole = volumes(points, tets).sum()
+    assert volumes(wanted, tets).sum() > 1.1 * whole
+    put_right = placing._of_volume(wanted, splat, np.flatnonzero(lower), 1.0)
+    assert volumes(put_right, tets).sum() == pytest.approx(whole, rel=placing.FITTED_VOLUME)
+    assert (volumes(put_right, tets) >= placing.LEAST_QUALITY * volumes(points, tets)).all()
+    assert np.array_equal(put_right[lower], wanted[lower])
 
 
 def test_a_thin_rim_that_is_moved_out_moves_as_a_whole() -> None:

@@ -87,15 +87,17 @@ def _of_volume(points: np.ndarray, splat: BodyState, placed: np.ndarray, size: f
 
     size: m, of elements. Raises SolverError where the volume cannot be restored.
     """
-    before = volumes(splat.points, splat.tets)
-    whole, now = float(before.sum()), volumes(points, splat.tets)
-    if abs(now.sum() / whole - 1.0) > FITTED_VOLUME:
-        fixed = np.zeros(len(points), bool)
-        fixed[placed] = True
-        corrected, _ = correct_volume(points, boundary_faces(splat.tets)[0], whole, MOST_OFFSET * size, fixed)
-        if (volumes(corrected, splat.tets) > LEAST_QUALITY * before).all():
-            points, now = corrected, volumes(corrected, splat.tets)
-    if abs(error := now.sum() / whole - 1.0) > LOST_VOLUME:
+    whole, facets = float(volumes(splat.points, splat.tets).sum()), boundary_faces(splat.tets)[0]
+    fixed = np.zeros(len(points), bool)
+    fixed[placed] = True
+    left = MOST_OFFSET * size
+    for _ in range(ROUNDS):  # nodes whose tetrahedra do not bear it leave their part to the others
+        if abs(volumes(points, splat.tets).sum() / whole - 1.0) <= FITTED_VOLUME:
+            break
+        corrected, offset = correct_volume(points, facets, whole, left, fixed)
+        points = _as_far_as_possible(splat, points, corrected)
+        left = max(left - abs(offset), 0.0)
+    if abs(error := volumes(points, splat.tets).sum() / whole - 1.0) > LOST_VOLUME:
         raise SolverError(
             f"a splat changed its volume by {error:+.1%} as it was put on the surface below it, allowed {LOST_VOLUME:.0%}:"
             " try a finer preset, or another [splat] method"
