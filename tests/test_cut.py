@@ -288,7 +288,18 @@ def test_a_process_of_a_batch_lets_blas_have_one_thread(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(deposition_task, "attempt", threads)
     with threadpool_limits(2, "blas"):
-        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == {1}
+        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None, 2) == {1}
+
+
+@pytest.mark.parametrize(
+    ("count", "jobs", "threads", "each"),
+    [(3, 2, 2, [1, 1, 2]), (4, 2, 2, [1] * 4), (3, 2, 1, [1] * 3), (5, 4, 2, [1] * 4 + [2]), (7, 4, 2, [1] * 7)],
+)
+def test_impacts_left_over_for_idle_cores_have_two_threads(
+    count: int, jobs: int, threads: int, each: list[int]
+) -> None:
+    options = RunOptions(Progress(True), Path("log"), threads=threads, jobs=jobs)
+    assert [deposition_batches.threads_of(place, count, options) for place in range(count)] == each
 
 
 def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -50,6 +50,13 @@ def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[st
         yield Task(plan, i, part.state(), place, folder / TASKS / f"{i + 1:05d}", own), cut
 
 
+def threads_of(place: int, count: int, options: RunOptions) -> int:
+    """Threads of the task at a place of a batch of `count`: two for the last ones, where so few are left over that cores are idle
+    beside them. They do not change the numbers."""
+    left = count % options.jobs
+    return 2 if options.threads > 1 and place >= count - left and 2 * left <= options.jobs else 1
+
+
 def compute(
     plan: Plan,
     first: int,
@@ -78,11 +85,14 @@ def compute(
         return tasks, results
     with StopSignals() as signals:
         try:
-            futures = []
-            for task, cut in made:
+            futures, count = [], len(batch(plan.impacts, first))
+            for place, (task, cut) in enumerate(made):
                 tasks.append((task, cut))
+                threads = threads_of(place, count, options)
                 futures.append(
-                    pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
+                    pool.submit(
+                        run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
+                    )
                 )
             words = f"impacts {first + 1} to {first + len(tasks)} side by side"
             options.progress.stage(words, of_impact=False, done=plan.shares[first][0])

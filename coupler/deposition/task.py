@@ -106,9 +106,9 @@ def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
 
 
 def run_alone(
-    task: Task, numerics: Mapping[str, float], every: float, until: float | None
+    task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int
 ) -> TaskResult | ColdsprayError:
-    """`run_task` in a process of an executor, on one core; the error of an impact that fails."""
+    """`run_task` in a process of an executor; the error of an impact that fails."""
     stop = task.folder.parent / STOP
 
     def look(_: object) -> None:
@@ -117,7 +117,7 @@ def run_alone(
 
     options = RunOptions(
         Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
-        until=until,
+        until=until, threads=threads,
     )  # fmt: skip
     with second_thread(options.threads):
         return attempt(task, options)
