@@ -108,8 +108,8 @@ class BodyContact:
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
         elements = int(surfaces.element.max(initial=0)) + 1
-        pairs = np.unique(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
-        self._behind = np.divmod(pairs, elements)  # pairs of surface node and element
+        pairs = np.sort(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
+        self._behind = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], elements)  # pairs of surface node and element
         self._share_of_node = 1.0 / np.maximum(np.bincount(self._behind[0], minlength=len(x)), 1)
 
     def _side(self, body: int, x: np.ndarray, factor: float, partners: Sequence[int], ids: np.ndarray) -> _Side:
@@ -129,7 +129,7 @@ class BodyContact:
             np.zeros(len(ids), bool),
             body,
             np.array(partners, np.int64),
-            np.unique(s.facets[ids]),
+            s.corners_of(ids),
             np.zeros(s.bodies),
         )
 

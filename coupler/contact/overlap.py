@@ -58,7 +58,7 @@ def _inside(
     own = surfaces.facets_of(body)
     corners = x[surfaces.facets[own]]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    nodes = np.unique(surfaces.facets[surfaces.facets_of(*others)])
+    nodes = surfaces.nodes_of(*others)
     nodes = nodes[((x[nodes] > low) & (x[nodes] < high)).all(axis=1)]
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))

@@ -51,9 +51,17 @@ class Surfaces:
             corners.max(axis=1), start[:-1]
         )
 
-    def nodes_of(self, body: int) -> np.ndarray:
-        """Surface nodes of a body, ascending."""
-        return np.unique(self.facets[self.facets_of(body)])
+    @cached_property
+    def _nodes(self) -> int:
+        return int(self.facets.max(initial=-1)) + 1
+
+    def nodes_of(self, *bodies: int) -> np.ndarray:
+        """Surface nodes of these bodies, ascending."""
+        return self.corners_of(self.facets_of(*bodies))
+
+    def corners_of(self, ids: np.ndarray) -> np.ndarray:
+        """Nodes of facets, ascending."""
+        return broad.corners(self.facets, ids, self._nodes)
 
     def vectors(self, x: np.ndarray, ids: np.ndarray) -> np.ndarray:
         """Area vectors (len(ids),3) of facets, m2: outward normal times area. x (N,3) m."""
