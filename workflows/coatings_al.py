@@ -30,7 +30,7 @@ COLUMNS = (
     "failed",
 )  # fmt: skip
 KEY = COLUMNS[:10]
-DRAFT, BETWEEN, FINE = 213, 500, 1000  # points of a particle
+DRAFT, BETWEEN, FINE, FINEST = 213, 500, 1000, 2000  # points of a particle
 NUMBER, LAYERS = 12, 2
 DISC = 0.9  # diameters: radius of the disc that the particles are aimed at
 SCENE = """
@@ -98,7 +98,7 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The nominal coatings, the corners and other places of the particles, one with a third number of points, and what tests the
+    """The nominal coatings, the corners and other places of the particles, two with more points, and what tests the
     reasons for what is missed: another strength, other patches. All but the patches with two numbers of points."""
     rows = [(MEASURED["metals"][name], row[0]) for name in MEASURED["metals"] for row in MEASURED[name]]
     first, *others = MEASURED["seeds"]
@@ -112,6 +112,8 @@ def cases() -> Iterator[Case]:
     nominal = MEASURED["nominal"]
     one = Case(*rows[0], nominal["diameter_um"], nominal["temperature_K"], first)
     yield replace(one, points=BETWEEN)
+    for metal, velocity in (rows[0], rows[3]):
+        yield replace(one, metal=metal, velocity=velocity, points=FINEST)
     for strength, points in product(MEASURED["other_strength"], (DRAFT, FINE)):
         for metal, velocity in rows:
             if metal == one.metal:
