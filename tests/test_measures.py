@@ -9,7 +9,7 @@ from validate import contact_pressure  # workflows/validate.py
 
 from coupler.fe import mesh as meshes
 from coupler.geometry import mesher
-from coupler.impact.measure import YIELDED, plastic_zone
+from coupler.impact.measure import YIELDED, crater_depth, plastic_zone
 from coupler.measures import GROUPS, MEASURES, TABLE, axis_label, measure, within_range
 
 
@@ -98,3 +98,8 @@ def test_records_agree_with_their_keys() -> None:
     assert measure("T_p99_K").initial(300.0) == 300.0
     assert measure("crater_depth_m").initial(300.0) == 0.0
     assert axis_label("velocity_m_s") == "velocity (m/s)"
+
+
+def test_a_cut_without_the_surface_of_the_substrate_has_no_crater() -> None:
+    """The window of an impact on a heap higher than its radius holds splats alone."""
+    assert crater_depth(np.zeros((0, 3))) == 0.0

@@ -224,8 +224,8 @@ class Bond:
         return np.asarray(self.gap[rows] - _foot(x[self.nodes[rows]], x[self.triangles[rows]])[1])
 
     def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:
-        """Tie the nodes of bonds `rows` (k,) to other triangles (k,3) of the body, as they lie now, without a force: what the bonds
-        stored is dissipated. `ease` leads nodes that lie behind their triangle to it. x (N,3) m."""
+        """Tie the nodes of bonds `rows` (k,) to triangles (k,3) of the body, others or their own, as they lie now, without a force:
+        what the bonds stored is dissipated. `ease` leads nodes that lie behind their triangle to it. x (N,3) m."""
         if len(rows) == 0:
             return
         held = float(self.stored_by_each[rows].sum())

@@ -25,8 +25,8 @@ from ..state.arrays import SpringTable
 from ..state.records import Shape, check_indices
 from .placing import NEAR, placed_on
 
-# spacings: a bonded node that lies deeper in its partner than the first is looked at; in a body that lies deeper on a node than the
-# second, bonds beside this node let go of what they hold; deeper than the third a node came through no fold
+# Spacings. A bonded node that lies deeper than the first in its partner is looked at. Deeper than the second the contact presses with
+# 0.06 K, about the theoretical strength G / 2 pi: no bond beside the node bears that. Deeper than the third it came through no fold.
 FOLDED, PRESSED, DEEPEST = 0.03, 0.06, 0.5
 
 
@@ -165,7 +165,7 @@ class Bodies:
         Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
         by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
         Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can hold
-        the body on it, with the theoretical strength of the metal: they begin anew, without a force.
+        the body on it, with more than the theoretical strength of the metal: they begin anew, without a force.
         """
         if self.contact is None:
             return
@@ -180,9 +180,8 @@ class Bodies:
             pins = np.flatnonzero(np.isin(bond.triangles, pressed).any(axis=1) & np.isin(bond.nodes, own))
             bond.move(x, pins, bond.triangles[pins])
             folded = nodes[(deep > FOLDED * spacing) & (deep < DEEPEST * spacing)]
-            rows = np.flatnonzero(
-                np.isin(bond.nodes, folded) & ~bond.loose
-            )  # of a loose one the contact resists compression
+            # of a loose bond the contact resists compression
+            rows = np.flatnonzero(np.isin(bond.nodes, folded) & ~bond.loose)
             rows = rows[np.isin(bond.triangles[rows, 0], own)]
             place = np.searchsorted(nodes, bond.nodes[rows])
             outside = bond.compression(x, rows) < 0.5 * deep[place]

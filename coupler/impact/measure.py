@@ -12,11 +12,14 @@ YIELDED = 0.002  # plastic strain from which on an element counts as yielded: th
 
 
 def crater_depth(surface: np.ndarray) -> float:
-    """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes.
+    """Depth in m of a crater below z = 0, from the positions (k,3) of the target's surface nodes; 0 without any, as in the cut of an
+    impact on a heap that is higher than its window.
 
     The lowest value, at the nodes, of a paraboloid through the 16 nodes nearest to the deepest one: a single node hangs
     on where the mesh happens to have it.
     """
+    if len(surface) == 0:
+        return 0.0
     deepest = surface[np.argmin(surface[:, 2])]
     distance = np.hypot(surface[:, 0] - deepest[0], surface[:, 1] - deepest[1])
     d = surface[np.argsort(distance, kind="stable")[:16]] - deepest
