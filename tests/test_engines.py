@@ -1,5 +1,6 @@
 """Both engines are one particle: in MACHDYN's form our compiled passes give MACHDYN's numbers to rounding."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from convergence import HCP  # workflows/convergence.py
 from numba import njit
 from threadpoolctl import threadpool_info, threadpool_limits
 
+import coupler
 from coupler import Scene, run
 from coupler.errors import SolverError
 from coupler.physics import constitutive
@@ -267,7 +269,7 @@ def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
     second.close()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _count(team: Ints, fails_at: int, seen: Ints) -> None:
     """Two loops over the elements of seen; fails at this one in the second."""
     for lo, hi, _ in ranges(team, 0, len(seen), 1):
@@ -277,6 +279,15 @@ def _count(team: Ints, fails_at: int, seen: Ints) -> None:
             if i == fails_at:
                 raise ValueError("no second time")
             seen[i] *= 10
+
+
+def test_functions_of_both_threads_release_the_lock_of_python() -> None:
+    """One that keeps it while it waits for the other thread waits for ever where that fails: the other needs it to say so."""
+    heads = []
+    for path in sorted(Path(coupler.__file__).parent.rglob("*.py")):
+        heads += re.findall(r"@njit(.*)\ndef \w+\(\s*team: Ints", path.read_text())
+    assert len(heads) >= 12
+    assert all("nogil=True" in head for head in heads)
 
 
 @pytest.mark.parametrize("threads", [1, 2])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scenes
 from runs import SharedRuns
+from test_coating import COATING
 from test_scene import scene_with, several
 
 from coupler.errors import StoreError
@@ -315,6 +316,18 @@ def test_the_spray_gives_the_time_between_impacts():
     stacked = plan(several({}, {}))
     assert stacked.impact.dwell == pytest.approx(expected * 0.5 * 20 / 30 * (6 / 5) ** 2 * (20 / 12.5) ** 2)
     assert "usual conditions" in describe(stacked)
+
+
+def test_a_heap_is_warned_of():
+    """40 particles on a disc of 94 um are a coating; on one of 30 um they are three times as high as that."""
+    wide = plan(Scene.from_text(COATING))
+    assert not any("heap" in text for text in wide.warnings)
+    heap = plan(Scene.from_text(COATING.replace('radius = "36 um"', 'radius = "4 um"')))
+    (text,) = (text for text in heap.warnings if "heap" in text)
+    across = 8.0 + 1e6 * np.mean([i.diameter for i in heap.impacts])
+    high = sum(math.pi / 6 * (1e6 * i.diameter) ** 3 for i in heap.impacts) / (math.pi / 4 * across**2)
+    assert f"on a disc of {across:.3g} um make a heap some {high:.3g} um high" in text
+    assert "a larger coating.radius" in text
 
 
 def test_no_time_between_impacts_is_warned_of():

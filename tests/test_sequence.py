@@ -23,6 +23,7 @@ from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
 from coupler.geometry import mesher
+from coupler.geometry.points import morton
 from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.bodies import Bodies, level_under
@@ -82,20 +83,37 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
     assert heavier.laws["rho"][0] == pytest.approx(1.01 * domain.laws["rho"][0])
 
 
-def test_numbering_anew_changes_nothing() -> None:
+@pytest.mark.parametrize("shell", [0.0, 15e-6])
+def test_numbering_anew_changes_nothing(shell: float) -> None:
     bodies = substrate()
     rng = np.random.default_rng(3)
     bodies.target.x += 1e-7 * rng.standard_normal(bodies.target.x.shape)
     bodies.target.s[:] = 1e7 * rng.standard_normal(bodies.target.s.shape)
     before = domain_now(bodies.target, bodies.body)
-    after, rank = merge([before], (20e-6, -10e-6, 0.0))
+    after, rank = merge([before], (20e-6, -10e-6, 0.0), shell=shell)
     np.testing.assert_array_equal(after.nodes.x[rank], before.nodes.x)
     volume = np.linalg.det(after.nodes.x[after.mesh.conn[:, 1:]] - after.nodes.x[after.mesh.conn[:, :1]]) / 6
     assert volume.min() > 0
     assert np.all(np.diff(after.mesh.reach_node) >= 0)
     assert np.all(np.diff(after.mesh.reach_element) >= 0)
+    away = np.linalg.norm(after.nodes.x - (20e-6, -10e-6, 0.0), axis=1)
+    assert np.all(after.mesh.reach_node <= away * (1 + 1e-12))
+    assert np.all(after.mesh.reach_node >= away - shell)
+    near = np.searchsorted(after.mesh.reach_element, 25e-6)  # elements with a node so near are the first ones
+    assert away[after.mesh.conn[near:]].min() >= 25e-6
     assert {k: len(v) for k, v in after.mesh.sets.items()} == {k: len(v) for k, v in before.mesh.sets.items()}
     np.testing.assert_allclose(sorted(after.elements.s[:, 0]), sorted(before.elements.s[:, 0]))
+
+
+def test_points_in_the_order_of_the_curve() -> None:
+    """Morton's curve through the corners of a cube goes through x first, then y, then z; twice as fine it stays in each eighth."""
+    corners = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
+    assert np.argsort(morton(corners)).tolist() == list(range(8))
+    fine = np.array([[x, y, z] for x in range(4) for y in range(4) for z in range(4)], float)[
+        np.random.default_rng(1).permutation(64)
+    ]
+    eighth = (fine[np.argsort(morton(fine))] // 2).astype(int) @ [1, 2, 4]
+    assert eighth.tolist() == np.repeat(range(8), 8).tolist()
 
 
 @pytest.mark.parametrize("kind", ["tied", "none"])

@@ -2,8 +2,9 @@
 
 import contextlib
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor, wait
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,19 +38,6 @@ def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor 
         yield pool
 
 
-def tasks_of(plan: Plan, first: int, whole: Bodies, folder: Path, about: dict[str, str]) -> Iterator[tuple[Task, Cut]]:
-    """The batch that begins with an impact, as far as its cuts share no node; each cut is made when it is asked for."""
-    taken = np.zeros(len(whole.target.x), bool)
-    for i in batch(plan.impacts, first):
-        place = point_of_impact(whole, plan.impacts[i].offset)
-        part, cut = cut_out(whole, place, plan.impacts[i].window)
-        if taken[cut.nodes].any():
-            break
-        taken[cut.nodes] = True
-        own = about | {"impact": str(i + 1)}
-        yield Task(plan, i, part.state(), place, folder / TASKS / f"{i + 1:05d}", own), cut
-
-
 def threads_of(place: int, count: int, options: RunOptions) -> int:
     """Threads of the task at a place of a batch of `count`: two for the last ones, where so few are left over that cores are idle
     beside them. They do not change the numbers."""
@@ -57,59 +45,78 @@ def threads_of(place: int, count: int, options: RunOptions) -> int:
     return 2 if options.threads > 1 and place >= count - left and 2 * left <= options.jobs else 1
 
 
-def compute(
-    plan: Plan,
-    first: int,
-    whole: Bodies,
-    folder: Path,
-    about: dict[str, str],
-    options: RunOptions,
-    pool: Executor | None,
-) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
-    """The tasks of the batch that begins with an impact, with their cuts, and their results, in order; the error in the place of one
-    that fails.
+@dataclass(frozen=True)
+class Batches:
+    """The batches of a run. folder, about: of it, as in `Task`; pool: its executor, None where all is computed in this process."""
 
-    whole: the bodies before the batch. folder, about: of the run, as in `Task`. With a pool each task begins as soon as its cut is
-    made: workers do not wait for the cuts of others. Raises Stopped after a signal, WorkerError where a process is ended from
-    outside."""
-    stop = folder / TASKS / STOP
-    stop.parent.mkdir(exist_ok=True)
-    stop.unlink(missing_ok=True)
-    made = tasks_of(plan, first, whole, folder, about)
-    tasks: list[tuple[Task, Cut]] = []
-    if pool is None or len(batch(plan.impacts, first)) == 1:
+    plan: Plan
+    folder: Path
+    about: Mapping[str, str]
+    options: RunOptions
+    pool: Executor | None
+
+    def tasks(self, first: int, whole: Bodies) -> Iterator[tuple[Task, Cut]]:
+        """The batch that begins with an impact, as far as its cuts share no node; each cut is made when it is asked for."""
+        taken = np.zeros(len(whole.target.x), bool)
+        for i in batch(self.plan.impacts, first):
+            place = point_of_impact(whole, self.plan.impacts[i].offset)
+            part, cut = cut_out(whole, place, self.plan.impacts[i].window)
+            if taken[cut.nodes].any():
+                break
+            taken[cut.nodes] = True
+            own = {**self.about, "impact": str(i + 1)}
+            yield Task(self.plan, i, part.state(), place, self.folder / TASKS / f"{i + 1:05d}", own), cut
+
+    def compute(self, first: int, whole: Bodies) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
+        """The tasks of the batch that begins with an impact, with their cuts, and their results, in order; the error in the place of
+        one that fails. whole: the bodies before the batch.
+
+        Raises Stopped after a signal, WorkerError where a process is ended from outside."""
+        stop = self.folder / TASKS / STOP
+        stop.parent.mkdir(exist_ok=True)
+        stop.unlink(missing_ok=True)
+        count = len(batch(self.plan.impacts, first))
+        if self.pool is not None and count > 1:
+            return self._side_by_side(self.pool, first, count, whole, stop)
+        tasks: list[tuple[Task, Cut]] = []
         results: list[TaskResult | ColdsprayError] = []
-        for task, cut in made:
+        for task, cut in self.tasks(first, whole):
             tasks.append((task, cut))
-            results.append(attempt(task, options))
+            results.append(attempt(task, self.options))
         return tasks, results
-    with StopSignals() as signals:
-        try:
-            futures, count = [], len(batch(plan.impacts, first))
-            for place, (task, cut) in enumerate(made):
-                tasks.append((task, cut))
-                threads = threads_of(place, count, options)
-                futures.append(
-                    pool.submit(
-                        run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
+
+    def _side_by_side(
+        self, pool: Executor, first: int, count: int, whole: Bodies, stop: Path
+    ) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
+        """`compute` of a batch of `count` impacts in processes, which the file `stop` ends. Each task begins as soon as its cut is
+        made: workers do not wait for the cuts of others."""
+        options, tasks, futures = self.options, [], []
+        with StopSignals() as signals:
+            try:
+                for place, (task, cut) in enumerate(self.tasks(first, whole)):
+                    tasks.append((task, cut))
+                    threads = threads_of(place, count, options)
+                    futures.append(
+                        pool.submit(
+                            run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
+                        )
                     )
-                )
-            words = f"impacts {first + 1} to {first + len(tasks)} side by side"
-            options.progress.stage(words, of_impact=False, done=plan.shares[first][0])
-            left = set(futures)
-            while left:
-                left = wait(left, _LOOK).not_done
-                if signals.number and not stop.exists():
-                    stop.touch()
-            if signals.number:
-                raise Stopped(signals.number)
-            return tasks, [future.result() for future in futures]
-        except BrokenExecutor as error:
-            which = f"impacts {first + 1} to {first + len(tasks)}"
-            raise WorkerError(
-                f"a process that computed one of the {which} was ended from outside, perhaps for want of memory. What was computed is"
-                f" kept: go on with coldspray resume {folder}, with fewer --jobs where memory is short"
-            ) from error
+                words = f"impacts {first + 1} to {first + len(tasks)} side by side"
+                options.progress.stage(words, of_impact=False, done=self.plan.shares[first][0])
+                left = set(futures)
+                while left:
+                    left = wait(left, _LOOK).not_done
+                    if signals.number and not stop.exists():
+                        stop.touch()
+                if signals.number:
+                    raise Stopped(signals.number)
+                return tasks, [future.result() for future in futures]
+            except BrokenExecutor as error:
+                which = f"impacts {first + 1} to {first + len(tasks)}"
+                raise WorkerError(
+                    f"a process that computed one of the {which} was ended from outside, perhaps for want of memory. What was computed"
+                    f" is kept: go on with coldspray resume {self.folder}, with fewer --jobs where memory is short"
+                ) from error
 
 
 class BatchReplay:

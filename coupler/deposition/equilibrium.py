@@ -4,7 +4,8 @@ Real masses would make a handful of crushed elements dictate the step, and hundr
 element is given the mass with which it just bears the same step, so that the number of steps does not follow from their sizes, and
 a coarse grid moves whole regions at once (`fe.coarse`), so that it does not follow from how many elements there are across the
 bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh quotient of forces and velocities says in each step
-(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). Positions, stresses, plastic
+(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5), and in a pause, where thin rims of
+splats are slower than all the grid can have, no more than theirs. Positions, stresses, plastic
 flow, bonds, contact and friction go their way as in the explicit solver.
 """
 
@@ -24,10 +25,13 @@ RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those 
 SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
+# the most of it through a ramp and after: about that of the slowest motion between splats, which more of it slows down, and with which
+# all faster ones decay as fast
+RAMP_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most
-RAMP = 30  # steps in which a change of temperature becomes pressure
+RAMP = 40  # steps in which a change of temperature becomes pressure
 RELAXED = 2e-5  # of the kinetic energy of the impacts before: what may be left to be set free
-COOLED = 1e-7  # the same after cooling: stresses within a few MPa
+COOLED = 4e-7  # the same after cooling: stresses within a few MPa
 LOCAL = 0.5  # share of the elements up to which equilibrium is found in a part of the bodies: more of them cost hardly less than all
 RELEASE_TIME = 5e-9  # s after joining in which the kinetic energy set free is measured, of particles of 25 um
 
@@ -107,7 +111,7 @@ def _relax(
     """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
-    portion, portions = t.heat[:m] / RAMP, RAMP if ramp else 0
+    heat, portions = t.heat[:m].copy(), RAMP if ramp else 0
     moved, moving = back if back is not None else (np.zeros(0, np.int64), np.zeros((0, 3)))
     goal, moving_for = t.x[moved] + moving, BACK if len(moved) else 0
     if ramp:
@@ -120,7 +124,8 @@ def _relax(
         t.dt_last = dt
         steps, left, n = 0, np.inf, t.active_nodes
         grid, along, momentum = known.grid(bodies, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
-        before, damping, inverse = t.total[:n].copy(), MOST_DAMPING, t.inv_mass
+        most = RAMP_DAMPING if ramp else MOST_DAMPING
+        before, damping, inverse = t.total[:n].copy(), most, t.inv_mass
         t.inv_mass = inverse.copy()
         while steps < RELAX_STEPS and left > enough:
             if steps % SEARCH_EVERY == 0:
@@ -128,7 +133,7 @@ def _relax(
             share(partial(_damp, t, free, dt, damping, along, momentum), n, motion.LEAST)
             np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
             if steps < portions:
-                t.heat[:m] += portion
+                t.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
             t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
             if steps < BACK:
                 bodies.ease(1.0 - 1.0 / (BACK - steps))
@@ -136,13 +141,18 @@ def _relax(
             steps += 1
             along = grid.acceleration(t.total[:n])
             kinetic, omega2, loose = _moving(t, free[:n], dt, along, momentum, before)
-            damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, MOST_DAMPING))
+            damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
             if steps > max(2 * SEARCH_EVERY, portions, moving_for):
                 left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
         return {"settle_steps": float(steps), "left_J": float(left)}
     finally:
         t.rest()
         t.mass, t.inv_mass, t.dt_last = own
+
+
+def _ramp(time: float) -> float:
+    """Share of a change that has come at a time, of that of the whole ramp: it begins and ends gently."""
+    return time * time * (3.0 - 2.0 * time)
 
 
 def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float:

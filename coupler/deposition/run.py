@@ -4,7 +4,6 @@ import hashlib
 import math
 import time as clock
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import cores, second_thread
-from .batches import BatchReplay, clear, compute, workers
+from .batches import Batches, BatchReplay, clear, workers
 from .cut import put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
@@ -233,6 +232,7 @@ class Deposition:
         ):
             options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
             self._belongs_to = self._identity()
+            batches = Batches(plan, self.folder, self._belongs_to, options, pool)
             options.progress.stage("meshing the target")
             if create is not None:
                 clear(self.folder)
@@ -240,7 +240,7 @@ class Deposition:
             while len(self.records) < len(self.plan.impacts):
                 if math.isfinite(self.plan.impacts[len(self.records)].window):
                     self._save(None, bodies.state())
-                    bodies = self._batch(bodies, pool)
+                    bodies = self._batch(bodies, batches)
                     if self.undecided:
                         break
                     continue
@@ -298,10 +298,10 @@ class Deposition:
             if outcome is not None:
                 outcome.domains.particle.close()
 
-    def _batch(self, whole: Bodies, pool: Executor | None) -> Bodies:
+    def _batch(self, whole: Bodies, batches: Batches) -> Bodies:
         """Compute the next impacts side by side, each on its own cut of the bodies; returns these with all splats that stay."""
         plan, options, first = self.plan, self.options, len(self.records)
-        tasks, results = compute(plan, first, whole, self.folder, self._belongs_to, options, pool)
+        tasks, results = batches.compute(first, whole)
         for i, result in enumerate(results, first):
             error = result if isinstance(result, ColdsprayError) else None
             if (

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..geometry.points import morton
 from ..geometry.tetrahedra import boundary_faces, lumped
 from ..physics.constitutive import pressures, yield_stresses
 from ..state.records import collect, concatenate, new_rows, take
@@ -80,11 +81,12 @@ def domain_of(body: BodyState, name: str) -> Domain:
     return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 
 
-def merge(domains: Sequence[Domain], *origins: Point) -> tuple[Domain, np.ndarray]:
+def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tuple[Domain, np.ndarray]:
     """One domain of several, numbered outwards from the nearest of the origins (m) as the bodies lie now, one after another without
     one; bodies and laws follow one another.
 
-    Returns it and the new number of each node (n,), in the order of the domains given.
+    shell: m; with one, distances are those of the inner faces of shells so thick, and numbers follow a curve inside each: what lies
+    together in space does so in memory. Returns the domain, and the new number of each node (n,) in the order of the domains given.
     """
     nodes = np.cumsum([0, *(len(d.mesh.points) for d in domains)])
     elements = np.cumsum([0, *(len(d.mesh.conn) for d in domains)])
@@ -96,11 +98,15 @@ def merge(domains: Sequence[Domain], *origins: Point) -> tuple[Domain, np.ndarra
 
     x = np.concatenate([d.nodes.x for d in domains])
     distance = np.min([np.linalg.norm(x - np.asarray(o), axis=1) for o in origins] or np.zeros((1, len(x))), axis=0)
-    by_node = np.argsort(distance, kind="stable")
+    if shell > 0.0:
+        distance = shell * np.floor(distance / shell)
+        by_node = np.lexsort([morton(x), distance])
+    else:
+        by_node = np.argsort(distance, kind="stable")
     rank = np.argsort(by_node)
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
     reach = distance[by_node][conn].min(axis=1)
-    by_element = np.argsort(reach, kind="stable")
+    by_element = np.argsort(conn.min(axis=1) if shell > 0.0 else reach, kind="stable")
     element_rank = np.argsort(by_element)
     facet_nodes = np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)])
     behind = np.concatenate([element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)])

@@ -1,4 +1,4 @@
-"""Points: how deep they lie in a mesh; cleaning of clouds (open3d)."""
+"""Points: how deep they lie in a mesh; their order along a curve; cleaning of clouds (open3d)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from .tetrahedra import boundary_faces
 SAME_PLACE = 1e-4  # spacings: points so close are one
 PLACES = 4096  # looked for at once in `depths`: some 100 MB
 LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
+BITS = 16  # of each coordinate in a place of the curve of `morton`
 LONELY = 2.5  # spacings: a point without another one so near is no part of a body
 
 
@@ -47,3 +48,16 @@ def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArra
         boundary = points[np.unique(boundary_faces(tets)[0])]
         depth[inside] = cKDTree(boundary).query(x[inside])[0]
     return depth
+
+
+def morton(x: NDArray) -> NDArray[np.uint64]:
+    """Place (n,) of points x (n,3) along the curve of Morton (1966), which interleaves the bits of their coordinates: points that are
+    near along it are near in space."""
+    low = x.min(axis=0)
+    extent = float((x.max(axis=0) - low).max()) or 1.0
+    cells = ((x - low) * ((2**BITS - 1) / extent)).astype(np.uint64)
+    place = np.zeros(len(x), np.uint64)
+    for bit in range(BITS):
+        for d in range(3):
+            place |= ((cells[:, d] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + d)
+    return place

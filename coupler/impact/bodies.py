@@ -243,10 +243,11 @@ class Bodies:
         new.touch(self.contact, rank[: len(self.target.x)])
         return new
 
-    def renumbered(self, *origins: Point) -> "Bodies":
-        """The same, numbered outwards from the nearest of these points; only what is near them is active."""
+    def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
+        """The same, numbered outwards from the nearest of these points, in shells of so many m (`merge`); only what is near them is
+        active."""
         self.release_heat()
-        domain, rank = merge([domain_now(self.target, self.body)], *origins)
+        domain, rank = merge([domain_now(self.target, self.body)], *origins, shell=shell)
         return self.on(domain, rank, self.buried)
 
     def on(self, domain: Domain, rank: np.ndarray, buried: np.ndarray) -> "Bodies":

@@ -62,6 +62,8 @@ def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Ef
         warnings.append(
             f"dwell = 0 us: particles hit what is still hot from the last one; the spray has {real} between impacts"
         )
+    if scene.coating is not None and (text := _heap(impacts, scene.coating.radius)):
+        warnings.append(text)
     if scene.adhesion.kind is None and scene.derived.adhesion_law.kind == "none":
         name = impacts[0].material.name
         warnings.append(
@@ -100,6 +102,18 @@ def _hot(material: Material, *reached: float) -> str:
     near = [f"{T:.0f}" for T in sorted(reached) if T > NEAR_MELTING * material.T_m]
     between = " to ".join(dict.fromkeys((near[0], near[-1]))) if near else ""
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
+
+
+def _heap(impacts: Sequence[Impact], radius: float) -> str:
+    """What to say of a coating, its centres on a disc of `radius` m, that grows higher than it is wide; nothing otherwise."""
+    across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
+    height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # of their volume on the disc
+    if height < across:
+        return ""
+    return (
+        f"{len(impacts)} particles on a disc of {units.rounded(across, 'um')} make a heap some {units.rounded(height, 'um')} high,"
+        " whose flanks the late ones slide down: give a larger coating.radius or fewer particles"
+    )
 
 
 def _listed(labels: Sequence[str]) -> str:
