@@ -32,6 +32,7 @@ from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
 from coupler.impact.run import RunOptions
+from coupler.impact.summary import peak_memory
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -275,7 +276,9 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     assert [impact["numerics"]["inertia"] for impact in whole.summary["impacts"]] == [0.0, ENOUGH, ENOUGH]
     break_off(Scene.from_text(SIDE, "shared"), tmp_path / "out", 4e-9, after=after)
     assert max(path.name for path in (tmp_path / "out" / "impacts").iterdir()) == f"{after + 1:05d}"
+    own = peak_memory()
     result = resume(tmp_path / "out", jobs=jobs)
+    assert result.summary["run"]["memory_peak_bytes"] >= own  # of this process, too, where others compute the impacts
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)
 

@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 from .. import __version__
 from ..files.summary import FORMAT, Summary, Values
-from ..impact.summary import ImpactRecord, accepted
+from ..impact.summary import ImpactRecord, accepted, peak_memory
 from ..impact.validity import merged
 from ..impact.verdict import deposition_efficiency
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
@@ -69,7 +69,7 @@ def summary(
             "wall_loop_s": sum(impact["wall_loop_s"] for impact in impacts),
             "placement": ranks.placement,
             "ranks": ranks.size,
-            "memory_peak_bytes": records[-1].memory_peak,
+            "memory_peak_bytes": max(peak_memory(), *(record.memory_peak for record in records)),  # of one process
             "warnings": [
                 *plan.skipped,
                 *(
