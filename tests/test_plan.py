@@ -319,7 +319,7 @@ def test_the_spray_gives_the_time_between_impacts():
 
 
 def test_a_heap_is_warned_of():
-    """40 particles on a disc of 94 um are a coating; on one of 30 um they are three times as high as that."""
+    """40 particles on a disc of 94 um are a coating; on one of 30 um they are ten times as high as that."""
     wide = plan(Scene.from_text(COATING))
     assert not any("heap" in text for text in wide.warnings)
     heap = plan(Scene.from_text(COATING.replace('radius = "36 um"', 'radius = "4 um"')))

@@ -132,6 +132,20 @@ def test_history(folder):
         result.history()
 
 
+def test_a_history_is_read_once_until_it_changes(folder, monkeypatch):
+    read: list[Path] = []
+    own = coupler.files.result.read_text
+    monkeypatch.setattr(coupler.files.result, "read_text", lambda path: read.append(path) or own(path))
+    result = Result(folder)
+    result.history()["kinetic"][:] = 0.0  # the caller's own
+    np.testing.assert_allclose(result.history("kinetic"), [10, 9, 8])
+    assert len(read) == 1
+    with open(folder / "history.csv", "a") as stream:
+        stream.write("3e-09,7.25\n")
+    np.testing.assert_allclose(result.history("kinetic"), [10, 9, 8, 7.25])
+    assert len(read) == 2
+
+
 def test_file_without_a_step(folder):
     from coupler.files.vtkhdf import VtkHdfWriter
 

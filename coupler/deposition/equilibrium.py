@@ -4,9 +4,9 @@ Real masses would make a handful of crushed elements dictate the step, and hundr
 element is given the mass with which it just bears the same step, so that the number of steps does not follow from their sizes, and
 a coarse grid moves whole regions at once (`fe.coarse`), so that it does not follow from how many elements there are across the
 bodies. Damping is that of the lowest frequency now in motion, which a Rayleigh quotient of forces and velocities says in each step
-(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5), and in a pause, where thin rims of
-splats are slower than all the grid can have, no more than theirs. Positions, stresses, plastic
-flow, bonds, contact and friction go their way as in the explicit solver.
+(Underwood 1983, in Belytschko & Hughes, Computational methods for transient analysis, section 5.5). In a pause it is that of the
+slowest motion at most: thin rims of splats are slower than all that the grid can have. Positions, stresses, plastic flow, bonds,
+contact and friction go their way as in the explicit solver.
 """
 
 from functools import partial
@@ -25,8 +25,7 @@ RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those 
 SEARCH_EVERY = 10
 WAY = 0.1  # edges of the smallest element that surfaces may move between two searches beside what their velocities say
 LEAST_DAMPING, MOST_DAMPING = 0.004, 0.5  # of the critical one of the step itself
-# the most of it through a ramp and after: about that of the slowest motion between splats, which more of it slows down, and with which
-# all faster ones decay as fast
+# The most in a pause: about the critical one of its slowest motion. More slows that one down; all faster ones decay as fast with this.
 RAMP_DAMPING = 0.06
 RELAX_STEPS = 2500  # at most
 RAMP = 40  # steps in which a change of temperature becomes pressure
@@ -150,9 +149,10 @@ def _relax(
         t.mass, t.inv_mass, t.dt_last = own
 
 
-def _ramp(time: float) -> float:
-    """Share of a change that has come at a time, of that of the whole ramp: it begins and ends gently."""
-    return time * time * (3.0 - 2.0 * time)
+def _ramp(way: float) -> float:
+    """Share of a change of temperature that has come when a share `way` of the ramp has passed. It begins and ends gently: where it
+    does so suddenly, so little damping lets stresses overshoot, and more metal yields."""
+    return way * way * (3.0 - 2.0 * way)
 
 
 def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float:

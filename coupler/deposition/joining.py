@@ -27,7 +27,9 @@ from .pause import pause
 
 _CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy", "eps_gradient")
 REST = 2.25  # windows round an impact in which equilibrium is found after it
-SHELLS = 8  # within REST: numbers that follow a curve in shells so thick make a step of the elements a quarter faster
+SHELLS = (
+    8  # of the numbering within REST: following a curve in each makes a step of the elements a quarter faster or more
+)
 RELEASED_BOUND = 0.005  # of an impact's kinetic energy: released kinetic energy after a splat has joined, at most
 
 

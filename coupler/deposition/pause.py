@@ -49,7 +49,10 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     known = Known()
     balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
     t.heat += heat
-    settled = _settled(bodies, kinetic_0, max(radius, float(np.nextafter(changed.max(initial=0.0), np.inf))), known)
+    beyond = float(
+        np.nextafter(changed.max(initial=0.0), np.inf)
+    )  # all of a shell of the numbering has the same distance
+    settled = _settled(bodies, kinetic_0, max(radius, beyond), known)
     report = {"balance_steps": balanced["settle_steps"], **cooling, **settled}
     return {**report, "wall_s": clock.perf_counter() - started}
 

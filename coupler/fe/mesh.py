@@ -18,8 +18,8 @@ class TetMesh:
 
     points (n,3) m; conn (m,4); B (m,3,3) reference gradients of nodes 1 to 3; V0 (m,) m3; node_volume (n,) m3, the
     lumped share of each node; facets (k,3) boundary triangles, normals outwards; facet_element (k,); sets: facet
-    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, ascending. axis (2,): x, y (m) of
-    the axis from which a half-space round the target is reckoned.
+    index arrays by name. reach_node (n,), reach_element (m,): distance from the point of impact, or of the inner face of the shell of
+    `assemble.merge`, m, ascending. axis (2,): x, y (m) of the axis from which a half-space round the target is reckoned.
     """
 
     points: Annotated[np.ndarray, Shape(-1, 3)]

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import pyvista
 
 DOMAINS = ("particle", "surface", "target")
+HISTORY = "history.csv"
 COLD = "cold"  # the bodies after the closing stage, one step
 _VTK_TYPES = {columns: kind for kind, columns in CELL_COLUMNS.items()}
 _CSV_MEMORY = 12  # bytes while reading over bytes of the file
@@ -49,10 +50,12 @@ class Result:
                 else similar(self.directory, is_folder=True)
             )
             raise StoreError(f"{self.directory} is not a folder of results{hint}")
-        known = ["scene.toml", "summary.json", "history.csv", *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
+        known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
             raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
+        self._rows_at: tuple[int, int] | None = None  # time and size of the history that `_rows` knows
+        self._known_rows: tuple[list[str], NDArray[np.float64]] = [], np.zeros((0, 0))
 
     def __repr__(self) -> str:
         return f"Result({str(self.directory)!r}, {'finished' if self.finished else 'unfinished'})"
@@ -195,7 +198,28 @@ class Result:
         A last line that was cut short is left out. Raises StoreError if the file is missing or damaged, or has lost rows of a finished
         run, KeyError for an unknown column.
         """
-        path = self.directory / "history.csv"
+        names, values = self._rows()
+        written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
+        if written != len(values):
+            path = self.directory / HISTORY
+            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written}")
+        table = {name: values[:, number].copy() for number, name in enumerate(names)}
+        if column is None:
+            return table
+        if column not in table:
+            near = difflib.get_close_matches(column, table, n=1)
+            raise KeyError(
+                f"history has no column {column!r}; " + (f"did you mean {near[0]!r}?" if near else f"has {names}")
+            )
+        return table[column]
+
+    def _rows(self) -> tuple[list[str], NDArray[np.float64]]:
+        """Names and values (rows, columns) of history.csv: read anew where the file has changed, as that of a running run."""
+        path = self.directory / HISTORY
+        stat = path.stat() if path.is_file() else None  # else reading says what is wrong
+        now = (stat.st_mtime_ns, stat.st_size) if stat is not None else None
+        if now is not None and now == self._rows_at:
+            return self._known_rows
         text = read_text(path)
         require_memory(_CSV_MEMORY * len(text), f"to read {path}")
         whole = text[: text.rfind("\n") + 1]  # a line without its end is not whole
@@ -207,18 +231,8 @@ class Result:
             values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(names))
         except (ValueError, csv.Error) as error:
             raise StoreError(f"{path} is damaged: {error}") from error
-        written = self.summary.get("history_rows", len(values)) if self.finished else len(values)
-        if written != len(values):
-            raise StoreError(f"{path} is damaged: it has {len(values)} rows, the run wrote {written}")
-        table = {name: values[:, number] for number, name in enumerate(names)}
-        if column is None:
-            return table
-        if column not in table:
-            near = difflib.get_close_matches(column, table, n=1)
-            raise KeyError(
-                f"history has no column {column!r}; " + (f"did you mean {near[0]!r}?" if near else f"has {names}")
-            )
-        return table[column]
+        self._rows_at, self._known_rows = now, (names, values)
+        return names, values
 
     def _path(self, domain: str) -> Path:
         if domain not in (*DOMAINS, COLD):

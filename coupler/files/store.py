@@ -34,10 +34,10 @@ from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
-from .result import COLD, DOMAINS
+from .result import COLD, DOMAINS, HISTORY
 from .vtkhdf import Data, VtkHdfWriter, first_steps
 
-HISTORY, SCENE, PLAN, LOG = "history.csv", "scene.toml", "plan.json", "run.log"
+SCENE, PLAN, LOG = "scene.toml", "plan.json", "run.log"
 SUMMARY, PICTURE = "summary.json", "section.png"
 
 
