@@ -102,9 +102,9 @@ class BodyContact:
         self._sides = []
         for body in bodies:
             partners = neighbours(low, high, body, reach)
-            facets = surfaces.facets_of(*partners)
-            near = broad.boxes_within(facets, self._low, self._high, low[body] - reach, high[body] + reach)
-            self._sides.append(self._side(body, x, factor, partners, near))
+            least, most = low[body] - reach, high[body] + reach
+            near = [broad.boxes_within(surfaces.facets_of(b), self._low, self._high, least, most) for b in partners]
+            self._sides.append(self._side(body, x, factor, partners, np.sort(np.concatenate(near or [self._all[:0]]))))
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
         elements = int(surfaces.element.max(initial=0)) + 1

@@ -184,6 +184,35 @@ def boxes_within(ids: Ints, low: Floats, high: Floats, least: Floats, most: Floa
 
 
 @njit(cache=True, nogil=True)
+def facets_within(x: Floats, facets: Ints, ids: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
+    """Those of the triangles `ids` whose boxes overlap the box [least, most]."""
+    overlapping = np.empty(len(ids), np.int64)
+    count = 0
+    for i in ids:
+        t, apart = facets[i], False
+        for d in range(3):
+            u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
+            apart = apart or min(u, v, w) > most[d] or max(u, v, w) < least[d]
+        if not apart:
+            overlapping[count] = i
+            count += 1
+    return overlapping[:count]
+
+
+@njit(cache=True, nogil=True)
+def nodes_within(x: Floats, nodes: Ints, least: Floats, most: Floats) -> NDArray[np.int64]:
+    """Those of the nodes that lie inside the box [least, most]."""
+    inside = np.empty(len(nodes), np.int64)
+    count = 0
+    for i in nodes:
+        p = x[i]
+        if (p > least).all() and (p < most).all():
+            inside[count] = i
+            count += 1
+    return inside[:count]
+
+
+@njit(cache=True, nogil=True)
 def farthest(x: Floats, rows: Ints, before: Floats) -> float:
     """The farthest that any of the points `rows` of x (N,3) is from where it was before (k,3), m."""
     most = 0.0

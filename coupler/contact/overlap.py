@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from ..geometry.raycast import RaySurface
+from . import broad
 from .surfaces import Surfaces, neighbours
 
 
@@ -58,8 +59,7 @@ def _inside(
     own = surfaces.facets_of(body)
     corners = x[surfaces.facets[own]]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    nodes = surfaces.nodes_of(*others)
-    nodes = nodes[((x[nodes] > low) & (x[nodes] < high)).all(axis=1)]
+    nodes = broad.nodes_within(x, surfaces.nodes_of(*others), low, high)
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
     surface = RaySurface(x, surfaces.facets[own])

@@ -41,7 +41,7 @@ class Surfaces:
         """Ids of the facets of these bodies, ascending."""
         order, start = self._by_body
         parts = [order[start[b] : start[b + 1]] for b in bodies if b < self.bodies]
-        return np.sort(np.concatenate(parts), kind="stable") if parts else order[:0]
+        return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else [*parts, order[:0]][0]
 
     def boxes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest corner (bodies,3) m of a box round each body; x (N,3) m."""
@@ -161,12 +161,11 @@ def _facing(
     x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
     (n,3) of its closest point; gap (n,) m, negative inside).
     """
-    low, high = np.empty((len(ids), 3)), np.empty((len(ids), 3))
-    broad.facet_boxes(x, facets, ids, low, high)
     least, most = broad.bounds(points, points)
-    near = broad.boxes_within(np.arange(len(ids)), low, high, least - reach, most + reach)
-    ids, low, high = ids[near], low[near] - reach, high[near] + reach
-    start, boxes, _ = broad.pairs_within(points, low, high, cell, 64 * len(points))
+    ids = broad.facets_within(x, facets, ids, least - reach, most + reach)
+    low, high = np.empty((2, len(ids), 3))
+    broad.facet_boxes(x, facets, ids, low, high)
+    start, boxes, _ = broad.pairs_within(points, low - reach, high + reach, cell, 64 * len(points))
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
     bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
     return face, weights, gap

@@ -20,7 +20,7 @@ from ..plan.batches import batch, batches
 from ..plan.planning import Plan
 from ..ranks.executors import executor
 from .cut import Cut, cut_out
-from .joining import point_of_impact
+from .joining import points_of_impact
 from .task import STOP, Task, TaskResult, attempt, run_alone
 
 TASKS = "impacts"  # folder of the tasks in that of the run
@@ -58,8 +58,9 @@ class Batches:
     def tasks(self, first: int, whole: Bodies) -> Iterator[tuple[Task, Cut]]:
         """The batch that begins with an impact, as far as its cuts share no node; each cut is made when it is asked for."""
         taken = np.zeros(len(whole.target.x), bool)
-        for i in batch(self.plan.impacts, first):
-            place = point_of_impact(whole, self.plan.impacts[i].offset)
+        numbers = batch(self.plan.impacts, first)
+        places = points_of_impact(whole, [self.plan.impacts[i].offset for i in numbers])
+        for i, place in zip(numbers, places, strict=True):
             part, cut = cut_out(whole, place, self.plan.impacts[i].window)
             if taken[cut.nodes].any():
                 break

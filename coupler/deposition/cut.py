@@ -18,6 +18,7 @@ from ..fe.state import ElementState, NodeState
 from ..geometry.tetrahedra import boundary_faces
 from ..geometry.triangles import edges
 from ..impact.bodies import Bodies
+from ..state.arrays import occurring
 from ..state.records import collect, concatenate, rows_of, take
 
 ROUNDS = 20  # at most, to make the surface of a cut sound
@@ -51,8 +52,10 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     near = conn[inside]
     rim = max(float(np.linalg.norm(x[near[:, a]] - x[near[:, b]], axis=1).max()) for a in range(4) for b in range(a))
     chosen = reach < radius + 1.5 * rim
-    splats = np.unique(whole.body[chosen])
-    chosen |= np.isin(whole.body, splats[splats > 0])  # the stiffness of a splat's contact is that of its whole surface
+    splats = np.zeros(whole.count, bool)
+    splats[whole.body[chosen]] = True
+    splats[0] = False
+    chosen |= splats[whole.body]  # the stiffness of a splat's contact is that of its whole surface
     chosen = _without_pinches(conn, chosen)
     domain = domain_now(t, whole.body)
     domain.nodes.node_number[:] = np.arange(len(x))
@@ -73,7 +76,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
         part.bond.stored = float(part.bond.stored_by_each.sum())
         part.bond.renumber(number)
     elements = np.flatnonzero(inside)
-    return part, Cut(selected, np.unique(conn[elements]), elements, _ledgers(part))
+    return part, Cut(selected, occurring(conn[elements], len(x)), elements, _ledgers(part))
 
 
 def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:

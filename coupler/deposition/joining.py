@@ -11,7 +11,7 @@ from ..errors import SolverError
 from ..fe.assemble import BodyState, Point
 from ..fe.explicit import Target
 from ..files.summary import Values
-from ..impact.bodies import Bodies, level_under
+from ..impact.bodies import Bodies, heights_at
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
 from ..physics.constitutive import sound_speed, von_mises
@@ -120,12 +120,19 @@ def point_of_impact(bodies: Bodies, offset: tuple[float, float], domains: Domain
 
     domains: of the impact whose particle is about to join, and lies there too.
     """
-    axis, t = np.array([[*offset, 0.0]]), bodies.target
-    z = level_under(axis, t.x, t.mesh.facets[bodies.reachable()], 0.0)
+    return points_of_impact(bodies, [offset], domains)[0]
+
+
+def points_of_impact(
+    bodies: Bodies, offsets: Sequence[tuple[float, float]], domains: Domains | None = None
+) -> list[Point]:
+    """`point_of_impact` of several particles."""
+    axes, t = np.array(offsets), bodies.target
+    z = heights_at(axes, t.x, t.mesh.facets[bodies.reachable()])
     if domains is not None:
         surface = domains.surface
-        z = max(z, level_under(axis, surface.positions(domains.particle.x), surface.triangles, 0.0))
-    return (*offset, z if np.isfinite(z) else 0.0)
+        z = np.maximum(z, heights_at(axes, surface.positions(domains.particle.x), surface.triangles))
+    return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
 
 
 def _way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:

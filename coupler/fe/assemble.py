@@ -13,6 +13,7 @@ import numpy as np
 from ..geometry.points import morton
 from ..geometry.tetrahedra import boundary_faces, lumped
 from ..physics.constitutive import pressures, yield_stresses
+from ..state.arrays import occurring
 from ..state.records import collect, concatenate, new_rows, take
 from .explicit import Target
 from .mesh import TetMesh, prepare_ordered
@@ -174,7 +175,7 @@ def select(domain: Domain, chosen: np.ndarray) -> Selection:
     """
     mesh, body = domain.mesh, domain.body
     elements, facets = np.flatnonzero(chosen), np.flatnonzero(chosen[mesh.facet_element])
-    nodes, bodies = np.unique(mesh.conn[elements]), np.unique(body[elements])
+    nodes, bodies = occurring(mesh.conn[elements], len(mesh.points)), occurring(body[elements], len(domain.laws))
 
     node, element = _new_numbers(nodes, len(mesh.points)), _new_numbers(elements, len(mesh.conn))
     facet, of_body = _new_numbers(facets, len(mesh.facets)), _new_numbers(bodies, len(domain.laws))

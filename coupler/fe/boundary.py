@@ -15,15 +15,15 @@ def nodes_of(mesh: TetMesh, names: tuple[str, ...]) -> np.ndarray:
 
 
 def dashpots(
-    mesh: TetMesh, laws: np.ndarray, names: tuple[str, ...], fixed: np.ndarray
+    mesh: TetMesh, laws: np.ndarray, law_of: np.ndarray, names: tuple[str, ...], fixed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lysmer & Kuhlemeyer (1969): nodes (k,) of facet sets that are not fixed, and a matrix (k,3,3) kg/s of each, of every facet
-    rho (c_p n n^T + c_s (1 - n n^T)) area / 3. laws (m,): the LAW record of each element."""
+    rho (c_p n n^T + c_s (1 - n n^T)) area / 3. laws: LAW records; law_of (m,): that of each element."""
     nodes = np.setdiff1d(nodes_of(mesh, names), fixed)
     matrix = np.zeros((len(mesh.points), 3, 3))
     for name in names:
         ids = mesh.sets[name]
-        law = laws[mesh.facet_element[ids]]
+        law = laws[law_of[mesh.facet_element[ids]]]
         cp = np.sqrt((law["K"] + 4.0 / 3.0 * law["G"]) / law["rho"])
         cs = np.sqrt(law["G"] / law["rho"])
         _add(mesh, ids, law["rho"] * cp, law["rho"] * cs, matrix)

@@ -111,11 +111,10 @@ class Target:
         self.horizon = np.inf
         self.edge: Edge | None = None
         self._weigh()
-        own = self.laws[self.law_of]
         self.dashpot_nodes, self.dashpot = dashpots(
-            mesh, own, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
+            mesh, self.laws, self.law_of, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
         )
-        self.spring_nodes, self.springs = foundation(mesh, own["G"])
+        self.spring_nodes, self.springs = foundation(mesh, self.laws["G"][self.law_of])
         self.rest_scale = 1.0
         self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0

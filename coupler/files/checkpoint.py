@@ -27,6 +27,8 @@ FORMAT = 17
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _HEADER = 65536  # bytes at most of the first line
+_CHECKSUM = 65  # bytes of the first line as it is written
+_OF_AN_ARRAY = 600  # bytes beside its numbers, at most
 
 
 R = TypeVar("R")
@@ -47,16 +49,19 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     arrays: dict[str, np.ndarray] = {}
     tree = _flatten(state, "", arrays)
     try:
-        payload = io.BytesIO()
-        np.savez(payload, **arrays)  # type: ignore[arg-type]
-        content = payload.getbuffer()
-        header = {"format": FORMAT, "sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content)}
-        line = json.dumps(header | {"about": dict(about), "tree": tree}).encode() + b"\n"
-        if shutil.disk_usage(directory).free < len(content) + len(line):
+        header = {"format": FORMAT, "sha256": "", "bytes": 0, "about": dict(about), "tree": tree}
+        room = len(json.dumps(header)) + 100  # with the checksum and the length that are not known yet
+        size = room + sum(array.nbytes + _OF_AN_ARRAY for array in arrays.values())
+        if shutil.disk_usage(directory).free < size:
             raise OSError(28, "no space left on the disk")
         with open(temporary, "wb") as stream:
+            stream.write(bytes(_CHECKSUM + room))
+            content = _Hashed(stream)
+            np.savez(content, **arrays)  # type: ignore[arg-type]
+            header |= {"sha256": content.sha256.hexdigest(), "bytes": content.length}
+            line = json.dumps(header).ljust(room - 1).encode() + b"\n"
+            stream.seek(0)
             stream.write(hashlib.sha256(line).hexdigest().encode() + b"\n" + line)
-            stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
@@ -69,6 +74,23 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     for _, old in stored(directory)[:-KEPT]:
         old.unlink(missing_ok=True)
     return path
+
+
+class _Hashed(io.RawIOBase):
+    """A stream that tells what has gone through it: its checksum and its length. Nothing is kept in memory."""
+
+    def __init__(self, stream: BinaryIO):
+        self._stream, self.sha256, self.length = stream, hashlib.sha256(), 0
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: bytes | memoryview) -> int:  # type: ignore[override]
+        """Pass bytes on."""
+        self.sha256.update(data)
+        count = self._stream.write(data)
+        self.length += count
+        return count
 
 
 def stored(directory: Path) -> list[tuple[int, Path]]:

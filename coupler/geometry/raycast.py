@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SplatError
+from ..state.arrays import occurring
 from .library import open3d
 from .triangles import open_or_double
 
@@ -29,10 +30,14 @@ class RaySurface:
         if closed and (problem := open_or_double(np.asarray(triangles, np.int64))):
             raise SplatError(f"the surface is not closed: {problem}")
         self._tensor: Callable[[NDArray], Tensor] = o3d.core.Tensor.from_numpy
-        low, high = points[triangles].min(axis=(0, 1)), points[triangles].max(axis=(0, 1))
+        used = occurring(triangles, len(points))  # a surface can have a few of many points
+        number = np.zeros(len(points), np.uint32)
+        number[used] = np.arange(len(used))
+        points, triangles = points[used], number[triangles]
+        low, high = points.min(axis=0), points.max(axis=0)
         self.middle, self.unit = 0.5 * (low + high), float((high - low).max()) / 100.0
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles, np.uint32)))
+        self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
         """Places as open3d takes them."""

@@ -13,9 +13,8 @@ def area_vectors(points: NDArray, triangles: NDArray) -> NDArray[np.float64]:
 
 def _normals(points: NDArray, triangles: NDArray) -> list[NDArray[np.float64]]:
     """The components of (b - a) x (c - a) of each triangle a, b, c, each (m,). By components: a tenth of the time of `numpy.cross`."""
-    x, y, z = np.ascontiguousarray(points.T)
-    a, b, c = triangles.T
-    (ux, uy, uz), (vx, vy, vz) = ([axis[end] - axis[a] for axis in (x, y, z)] for end in (b, c))
+    corners = points[triangles]  # of these triangles alone: they can be a few of many
+    (ux, uy, uz), (vx, vy, vz) = (np.ascontiguousarray((corners[:, k] - corners[:, 0]).T) for k in (1, 2))
     return [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
 
 

@@ -21,7 +21,7 @@ from ..fe.state import TargetState
 from ..geometry.raycast import RaySurface
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
-from ..state.arrays import SpringTable
+from ..state.arrays import SpringTable, occurring
 from ..state.records import Shape, check_indices
 from .placing import NEAR, placed_on
 
@@ -81,7 +81,7 @@ class Bodies:
         ids = np.concatenate(
             [sets["top"], sets["sides"], *(sets[name] for name in sorted(sets) if name.startswith(SPLAT))]
         )
-        return np.setdiff1d(ids, self.buried)
+        return np.setdiff1d(occurring(ids, len(self.target.mesh.facets)), self.buried, assume_unique=True)
 
     # ---- in the loop ---------------------------------------------------------------------------------------------
 
@@ -334,8 +334,15 @@ def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: fl
 
     vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
     """
-    line, z, _ = RaySurface(x, facets, closed=False).on_verticals(vertices[:, 0], vertices[:, 1])
-    return float(np.max(z - vertices[line, 2], initial=-np.inf)) + gap
+    return float(np.max(heights_at(vertices[:, :2], x, facets) - vertices[:, 2], initial=-np.inf)) + gap
+
+
+def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Highest place (k,) m at which each of the vertical lines axes (k,2) m meets facets (f,3) of x (n,3) m; -inf where none does."""
+    line, z, _ = RaySurface(x, facets, closed=False).on_verticals(axes[:, 0], axes[:, 1])
+    height = np.full(len(axes), -np.inf)
+    np.maximum.at(height, line, z)
+    return height
 
 
 def _bonded(
