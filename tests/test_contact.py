@@ -148,6 +148,20 @@ def test_search_finds_every_pair_that_brute_force_finds(rng: np.random.Generator
     assert broad.candidates(xp, low, high, 0.13, 10)[2] == found  # too little room asks for more
 
 
+def test_what_lies_in_a_box(rng: np.random.Generator) -> None:
+    x, facets = sheet(rng, bumps=0.05)
+    least, most = np.array([-0.4, -0.2, -0.03]), np.array([0.3, 0.5, 0.02])
+    ids = np.flatnonzero(rng.random(len(facets)) < 0.7)
+    low, high = x[facets[ids]].min(axis=1), x[facets[ids]].max(axis=1)
+    overlapping = ids[((low <= most) & (high >= least)).all(axis=1)]
+    assert 0 < len(overlapping) < len(ids)
+    np.testing.assert_array_equal(broad.facets_within(x, facets, ids, least, most), overlapping)
+    nodes = np.unique(facets[ids])
+    inside = nodes[((x[nodes] > least) & (x[nodes] < most)).all(axis=1)]
+    assert 0 < len(inside) < len(nodes)
+    np.testing.assert_array_equal(broad.nodes_within(x, nodes, least, most), inside)
+
+
 @pytest.mark.parametrize("shift", [0.0, 0.2])
 def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator, shift: float) -> None:
     """Also with boxes of a search from which the sheet has moved since."""

@@ -63,3 +63,18 @@ def test_what_bounds_no_solid_is_refused() -> None:
     joined = np.concatenate([triangles, np.where(triangles + len(vertices) == lowest, pole, triangles + len(vertices))])
     with pytest.raises(SplatError, match="1 corners"):
         check_solid(two, joined)
+
+
+def test_points_that_no_triangle_has_change_nothing(rng: np.random.Generator) -> None:
+    """A body's surface has a few of the points of all bodies: not even its scale, which bounds the precision, knows of the others."""
+    vertices, triangles = packing.surface(20.0 * UM, 1.0 * UM)
+    others = 5e-3 * rng.normal(size=(5000, 3))
+    place = np.sort(rng.choice(len(vertices) + len(others), len(vertices), replace=False))
+    many = np.zeros((len(vertices) + len(others), 3))
+    many[place] = vertices
+    many[np.setdiff1d(np.arange(len(many)), place)] = others
+    x = 12.0 * UM * rng.normal(size=(500, 3))
+    alone, among = RaySurface(vertices, triangles), RaySurface(many, place[triangles])
+    for found, wanted in zip(among.feet(x), alone.feet(x), strict=True):
+        np.testing.assert_array_equal(found, wanted)
+    np.testing.assert_array_equal(among.inside(x), alone.inside(x))
