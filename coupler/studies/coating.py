@@ -154,12 +154,17 @@ class Columns:
 
     def _cross(self, points: NDArray, faces: NDArray, count: NDArray) -> None:
         """Note where columns enter (+1) and leave (-1) a closed surface of triangles that turn outwards."""
-        h, (x0, y0) = self.step, self._origin
-        i, j = (axis.ravel() for axis in np.indices((self._side, self._side)))
-        # a little aside, so that no column runs along an edge, which two triangles share
-        column, z, face = RaySurface(points, faces, closed=False).on_verticals(
-            x0 + (i + 0.5011) * h, y0 + (j + 0.5007) * h
-        )
+        h, aside = self.step, (0.5011, 0.5007)  # so that no column runs along an edge, which two triangles share
+        corners = points[faces][..., :2]
+        low, high = (extreme(axis=(0, 1)) for extreme in (corners.min, corners.max))
+        # those that may pass through the body, and one more on each side
+        first, stop = ((ends - self._origin) / h - aside for ends in (low, high))
+        first, stop = (np.clip(ends, 0, self._side).astype(int) for ends in (np.floor(first), np.ceil(stop) + 1))
+        if (first >= stop).any():
+            return
+        i, j = (axis.ravel() for axis in np.mgrid[first[0] : stop[0], first[1] : stop[1]])
+        x, y = ((axis + part) * h + start for axis, part, start in zip((i, j), aside, self._origin, strict=True))
+        column, z, face = RaySurface(points, faces, closed=False).on_verticals(x, y)
         k = np.ceil((z - self.low) / h - 0.5).astype(int).clip(0, self.layers)
         downward = area_vectors(points, faces)[face, 2] < 0.0  # is entered
         np.add.at(count, (i[column], j[column], k), np.where(downward, 1, -1).astype(np.int16))
