@@ -127,10 +127,10 @@ class Columns:
         axis = (np.arange(-n, n) + 0.5) * step
         self.inside = np.hypot(*np.meshgrid(axis, axis, indexing="ij")) <= radius
         self._origin, self._side = (centre[0] - n * step, centre[1] - n * step), 2 * n
-        skins = [
-            (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0], b > 0)
-            for b in range(len(splats.impact))
-        ]
+        faces, behind = boundary_faces(splats.mesh.cells)  # bodies share no nodes
+        body = splats.body[behind]
+        of_each = np.split(faces[np.argsort(body, kind="stable")], np.cumsum(np.bincount(body))[:-1])
+        skins = [(splats.mesh.points, own, b > 0) for b, own in enumerate(of_each)]
         if splats.last is not None:
             skins.append((*splats.last, True))
         points, faces, _ = skins[0]
