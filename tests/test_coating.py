@@ -162,6 +162,16 @@ def test_columns_know_thickness_and_voids(built: Splats) -> None:
     assert sum(part.sum() for part in c.voids(3.5e-6)) == 0
 
 
+def test_a_body_beside_the_window_is_not_in_it(built: Splats) -> None:
+    """Between the bridge, which ends at x = 0, and the rim of all others."""
+    c = Columns(built, (12e-6, 0.0), 5e-6, 0.5e-6)
+    np.testing.assert_allclose(c.top(), 10e-6, atol=0.26e-6)
+    assert sum(part.sum() for part in c.voids(0.0)) == 0
+    at_the_end = Columns(built, (0.0, 0.0), 5e-6, 0.5e-6)
+    assert at_the_end.voids(0.0)[1].any(axis=1)[at_the_end.x < 0.0].all()
+    assert not at_the_end.voids(0.0)[1][at_the_end.x > 0.0].any()
+
+
 def test_an_opening_makes_voids_open(built: Splats) -> None:
     below = built.mesh.points[built.mesh.cells].mean(axis=1)
     holed = ~((built.body == 3) & (np.hypot(below[:, 0] + 6e-6, below[:, 1]) < 4e-6))
