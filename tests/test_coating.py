@@ -190,6 +190,11 @@ def test_overlap_says_how_far_porosity_is_off(built: Splats) -> None:
     c = Columns(replace(built, mesh=replace(built.mesh, points=x)), (6e-6, 0.0), 5e-6, 0.25e-6)
     assert c.double.sum() * 0.25e-6 / len(c.x) == pytest.approx(1e-6, rel=0.02)
     assert Columns(built, (6e-6, 0.0), 5e-6, 0.25e-6).double.sum() == 0
+    body = (built.body == 3).astype(
+        np.int64
+    )  # the first three are a substrate that lies in itself, as a crater that folds
+    alone = replace(built, mesh=replace(built.mesh, points=x), body=body, impact=np.array([0, 4]))
+    assert Columns(alone, (6e-6, 0.0), 5e-6, 0.25e-6).double.sum() == 0
 
 
 def test_roughness_of_a_wave() -> None:

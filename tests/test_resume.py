@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -192,6 +193,22 @@ def test_an_older_format_is_refused_by_name(tmp_path: Path, monkeypatch: pytest.
         CheckpointError, match=rf"by coldspray 0\.1\.0 in format 4, this version reads format {checkpoint.FORMAT}"
     ):
         checkpoint.latest(tmp_path, Kept, {"version": "0.2.0"})
+
+
+def test_a_checkpoint_that_breaks_off_keeps_what_is_there(tmp_path: Path) -> None:
+    """A disk that fills while the arrays are written is not seen before: nothing but the last whole checkpoint is left."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    checkpoint.write(tmp_path, kept(1), {})
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[1]))
+    try:
+        with pytest.raises(StoreError, match="File too large; make room"):
+            checkpoint.write(tmp_path, {"x": np.zeros(100_000)}, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    found = checkpoint.latest(tmp_path, Kept, {})
+    assert found is not None
+    assert found.parts[0].n == 1
+    assert not list(tmp_path.glob("*.part"))
 
 
 def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -373,7 +373,8 @@ def _taken_over(
 def _covered(
     contact_pairs: Interface, surfaces: Surfaces, x: np.ndarray, body: int, near: tuple[int, ...], tolerance: float
 ) -> np.ndarray:
-    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Body and those near it.
+    """Facets in full contact: every node of the facet and of its neighbours touches the other body. Of a body, and of those before
+    it that are near (`earlier_neighbours`).
 
     Facets at the rim stay in the contact search: near the edge of a removed patch a point could be assigned to the wrong facet
     and get a false penetration.

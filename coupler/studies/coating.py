@@ -145,7 +145,7 @@ class Columns:
             self._cross(points, faces, count[int(splat)])
         layered = np.cumsum(count[..., :-1], axis=-1, dtype=np.int16)
         solid = layered > 0
-        self.double = (layered.sum(axis=0) > 1)[self.inside]
+        self.double = ((layered.sum(axis=0) > 1) & solid[1])[self.inside]  # where a crater folds no splat overlaps
         self.splat = solid[1][self.inside]
         self.substrate = solid[0][self.inside]
         self.matter = self.splat | self.substrate
