@@ -290,7 +290,7 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
         scale = np.abs(forces[0]).max()
         np.testing.assert_allclose(forces[1][:active], forces[0][:active], atol=1e-12 * scale)
         assert contacts[1].penalty_energy == pytest.approx(contacts[0].penalty_energy, rel=1e-12)
-        np.testing.assert_allclose(contacts[1].history(), contacts[0].history(), rtol=1e-9, atol=1e-9 * scale)
+        np.testing.assert_allclose(contacts[1].past().nodes, contacts[0].past().nodes, rtol=1e-9, atol=1e-9 * scale)
         looked.append(sum(len(side.contact.rows) for side in contacts[1]._sides))
     every = sum(len(side.contact.rows) for side in contacts[0]._sides)
     assert 0 < looked[0] < 0.6 * every
@@ -359,7 +359,7 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
             gap[b.body_of_node != body] = 1.0
             node[int(gap.argmin())] = new
     later = more.touch(friction=0.3)
-    later.follow(contact, node)
+    later.go_on(contact.past().on(node, len(more.target.x)))
     x, v = more.target.x.copy(), np.zeros_like(more.target.x)
     x[node], v[node] = t.x, t.v
     f, g = np.zeros_like(t.x), np.zeros_like(x)
@@ -451,7 +451,7 @@ def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
         f = np.zeros_like(t.x)
         contact.forces(0.0, t.x, t.v, f)
     bottom = above[t.mesh.points[above, 2] < 0.4 + 1e-9]
-    np.testing.assert_allclose(contact.history()[bottom, 3], depth, rtol=1e-6)
+    np.testing.assert_allclose(contact.past().nodes[bottom, 3], depth, rtol=1e-6)
     inner = bottom[np.abs(t.x[bottom, 0] - 0.5) < 2.0 * gap]
     assert len(inner) >= 8
     assert (f[inner, 2] > 0.0).all()
@@ -476,11 +476,11 @@ def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
             contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
             t.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
         t.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
-        depths.append(contact.history()[:, 3])
+        depths.append(contact.past().nodes[:, 3])
     again = b.touch()  # as after another body has joined: what bonded nodes remember of the others stays
-    again.follow(contact, np.arange(len(t.x)))
+    again.go_on(contact.past())
     again.search(t.x, 0.01, b.bond)
-    np.testing.assert_array_equal(again.history()[:, 3], depths[1])
+    np.testing.assert_array_equal(again.past().nodes[:, 3], depths[1])
     side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]
     inside = side[(np.abs(start[side, 1] - 0.4) < 0.1)]
     assert 2 <= np.count_nonzero(held[inside]) < len(inside)

@@ -5,6 +5,7 @@ import pytest
 from blocks import Blocks, cubes, touching
 from scipy.spatial.transform import Rotation
 
+from coupler.contact.bodies import ContactPast
 from coupler.contact.bond import Bond
 from coupler.contact.bond_kernels import yielding
 from coupler.contact.overlap import overlaps
@@ -402,9 +403,9 @@ def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once
     bond, contact = cohesive(pair), pair.touch(friction=0.4)
     # a contact takes over what bonds hold at its first search: here they come after it
     contact.search(pair.target.x, 0.0)
-    history = contact.history()
-    history[:, :3] = [0.3, 0.4, 0.0]  # N
-    contact.begin(history, 0.0, 0.0, 0.0, 0)
+    springs = contact.past().nodes
+    springs[:, :3] = [0.3, 0.4, 0.0]  # N
+    contact.go_on(ContactPast(springs))
     stored = contact.penalty_energy
     assert stored > 0.0
     contact.search(shifted(pair, np.array([0.0, 0.0, 0.01 * SIDE])), 0.0, bond)

@@ -16,8 +16,8 @@ from runs import SharedRuns, assert_same_files, assert_same_numbers, break_off
 from test_sequence import block, substrate
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from coupler import Scene
-from coupler.contact.bodies import new_history
+from coupler import Result, Scene
+from coupler.contact.bodies import ContactPast, new_history
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
 from coupler.deposition.cut import cut_out, put_back
@@ -50,9 +50,9 @@ def whole() -> Bodies:
     cubes = [block((-25e-6 + 30e-6 * i, -10e-6, 0.0), 1e8, 1.0, law) for i in range(2)]
     bodies = substrate().joined(cubes, Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), None, 1)
     assert bodies.contact is not None
-    springs = bodies.contact.history()
+    springs = bodies.contact.past().nodes
     springs[:, :3] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
-    bodies.contact.begin(springs, 0.0, 2e-9, 0.0, 0)
+    bodies.contact.go_on(ContactPast(springs, friction_heat=2e-9))
     return bodies
 
 
@@ -73,7 +73,7 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     assert {(a, *b) for a, b in zip(same.bond.nodes, same.bond.triangles.tolist(), strict=True)} == {
         (a, *b) for a, b in zip(whole.bond.nodes, whole.bond.triangles.tolist(), strict=True)
     }
-    np.testing.assert_array_equal(same.contact.history(), whole.contact.history())
+    np.testing.assert_array_equal(same.contact.past().nodes, whole.contact.past().nodes)
     np.testing.assert_array_equal(same.buried, whole.buried)
     assert same.energy == pytest.approx(whole.energy, rel=1e-12)
 
@@ -84,9 +84,9 @@ def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     contact, x = part.contact, part.target.x
     assert contact is not None
     moving = int(np.count_nonzero(np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 10e-6))
-    springs = contact.history()
+    springs = contact.past().nodes
     springs[np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 20e-6] = new_history(1)
-    contact.begin(springs, 0.0, 0.0, 0.0, 0)
+    contact.go_on(ContactPast(springs))
     held = contact.penalty_energy
     contact.search(x, 1e-7, part.bond, moving)
     contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
@@ -279,6 +279,30 @@ def test_one_process_and_two_make_the_same_coating_over_a_stop(
     own = peak_memory()
     result = resume(tmp_path / "out", jobs=jobs)
     assert result.summary["run"]["memory_peak_bytes"] >= own  # of this process, too, where others compute the impacts
+    assert_same_numbers(whole.summary, result.summary, rel=0.0)
+    assert_same_files(whole, result)
+
+
+@pytest.mark.parametrize("where", ["pause", "files"])
+def test_a_run_that_ends_after_a_batch_goes_on_from_the_results_of_its_tasks(
+    shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
+) -> None:
+    """In the pause, before files and checkpoint of the batch are written, or while its files are: equal to the last bit."""
+
+    def ended(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        if where == "pause":
+            patched.setattr("coupler.deposition.run.rest", ended)
+        else:
+            patched.setattr(deposition_batches.BatchReplay, "_go_on", ended)
+        with pytest.raises(KeyboardInterrupt):
+            run(Scene.from_text(SIDE, "shared"), tmp_path / "out", quiet=True)
+    seen = set(Result(tmp_path / "out").history()["impact"].tolist())
+    assert seen == ({1.0, 2.0} if where == "pause" else {1.0})  # what was computed can be read
+    result = resume(tmp_path / "out", quiet=True)
+    whole = shared_run(SIDE)
     assert_same_numbers(whole.summary, result.summary, rel=0.0)
     assert_same_files(whole, result)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,23 @@ def new_history(nodes: int) -> np.ndarray:
     history = np.zeros((nodes, 7))
     history[:, 4] = UNKNOWN
     return history
+
+
+class ContactPast(NamedTuple):
+    """What a contact between bodies leaves to that between others. nodes (N,7): what each node remembers, see `PointContact.history`;
+    lost, friction_heat, dropped_energy (J), dropped: see `BodyContact`."""
+
+    nodes: np.ndarray
+    lost: float = 0.0
+    friction_heat: float = 0.0
+    dropped_energy: float = 0.0
+    dropped: int = 0
+
+    def on(self, node: np.ndarray, count: int) -> "ContactPast":
+        """The same for `count` other nodes, of which node (N,) is each of these, -1 of one that is not there."""
+        nodes, kept = new_history(count), node >= 0
+        nodes[node[kept]] = self.nodes[kept]
+        return self._replace(nodes=nodes)
 
 
 @dataclass
@@ -342,30 +359,20 @@ class BodyContact:
             side.contact.restore(kept)
             side.reach = -np.inf
 
-    def history(self) -> np.ndarray:
-        """What all nodes remember, (N,7): see `PointContact.history`."""
-        history = new_history(len(self._held))
+    def past(self) -> ContactPast:
+        """What the contact of other bodies goes on from. Heat must have been fetched before."""
+        nodes = new_history(len(self._held))
         for side in self._sides:
-            history[side.nodes] = side.contact.history()
-        return history
+            nodes[side.nodes] = side.contact.history()
+        return ContactPast(nodes, self.lost, self.friction_heat, self.dropped_energy, self.dropped)
 
-    def follow(self, before: "BodyContact", node: np.ndarray) -> None:
-        """Take over the history of the contact of other bodies. node (N before,): new number of each of its nodes, -1 of one that is
-        not here. Friction springs and ledger continue. Heat must have been fetched before.
-        """
-        history, kept = new_history(len(self._held)), node >= 0
-        history[node[kept]] = before.history()[kept]
-        self.begin(history, before.lost, before.friction_heat, before.dropped_energy, before.dropped)
-
-    def begin(
-        self, history: np.ndarray, lost: float, friction_heat: float, dropped_energy: float, dropped: int
-    ) -> None:
-        """Go on from a `history` and a ledger, J."""
+    def go_on(self, past: ContactPast) -> None:
+        """Take over what the contact of other bodies has left, for the nodes of these: friction springs and ledger continue."""
         for side in self._sides:
-            side.contact.remember(history[side.nodes])
+            side.contact.remember(past.nodes[side.nodes])
             side.contact.friction_heat = side.contact.dropped_energy = 0.0
             side.contact.dropped, side.reach = 0, -np.inf
+        self.lost = past.lost
         if self._sides:
             first = self._sides[0].contact
-            first.friction_heat, first.dropped_energy, first.dropped = friction_heat, dropped_energy, dropped
-        self.lost = lost
+            first.friction_heat, first.dropped_energy, first.dropped = past[2:]

@@ -2,8 +2,8 @@
 
 import contextlib
 import shutil
-from collections.abc import Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, wait
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,9 +68,11 @@ class Batches:
             own = {**self.about, "impact": str(i + 1)}
             yield Task(self.plan, i, part.state(), place, self.folder / TASKS / f"{i + 1:05d}", own), cut
 
-    def compute(self, first: int, whole: Bodies) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
-        """The tasks of the batch that begins with an impact, with their cuts, and their results, in order; the error in the place of
-        one that fails. whole: the bodies before the batch.
+    def compute(
+        self, first: int, whole: Bodies, meanwhile: Callable[[], None]
+    ) -> Iterator[tuple[Task, Cut, TaskResult | ColdsprayError]]:
+        """The tasks of the batch that begins with an impact, in order, each with its cut and its result as soon as it is there; the
+        error in the place of one that fails. whole: the bodies before the batch; meanwhile(): called once, while workers compute.
 
         Raises Stopped after a signal, WorkerError where a process is ended from outside."""
         stop = self.folder / TASKS / STOP
@@ -78,59 +80,73 @@ class Batches:
         stop.unlink(missing_ok=True)
         count = len(batch(self.plan.impacts, first))
         if self.pool is not None and count > 1:
-            return self._side_by_side(self.pool, first, count, whole, stop)
-        tasks: list[tuple[Task, Cut]] = []
-        results: list[TaskResult | ColdsprayError] = []
+            yield from self._side_by_side(self.pool, first, count, whole, meanwhile, stop)
+            return
+        meanwhile()
         for task, cut in self.tasks(first, whole):
-            tasks.append((task, cut))
-            results.append(attempt(task, self.options))
-        return tasks, results
+            yield task, cut, attempt(task, self.options)
 
     def _side_by_side(
-        self, pool: Executor, first: int, count: int, whole: Bodies, stop: Path
-    ) -> tuple[list[tuple[Task, Cut]], list[TaskResult | ColdsprayError]]:
+        self, pool: Executor, first: int, count: int, whole: Bodies, meanwhile: Callable[[], None], stop: Path
+    ) -> Iterator[tuple[Task, Cut, TaskResult | ColdsprayError]]:
         """`compute` of a batch of `count` impacts in processes, which the file `stop` ends. Each task begins as soon as its cut is
         made: workers do not wait for the cuts of others."""
-        options, tasks, futures = self.options, [], []
+        options, tasks = self.options, list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
         with StopSignals() as signals:
             try:
                 for place, (task, cut) in enumerate(self.tasks(first, whole)):
-                    tasks.append((task, cut))
                     threads = threads_of(place, count, options)
-                    futures.append(
-                        pool.submit(
-                            run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
-                        )
+                    future = pool.submit(
+                        run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
                     )
+                    tasks.append((task, cut, future))
                 words = f"impacts {first + 1} to {first + len(tasks)} side by side"
                 options.progress.stage(words, of_impact=False, done=self.plan.shares[first][0])
-                left = set(futures)
-                while left:
-                    left = wait(left, _LOOK).not_done
-                    if signals.number and not stop.exists():
-                        stop.touch()
+                meanwhile()
+                for task, cut, future in tasks:
+                    while not future.done():
+                        wait([future], _LOOK)
+                        if signals.number and not stop.exists():
+                            stop.touch()
+                    if not signals.number:
+                        yield task, cut, future.result()
                 if signals.number:
                     raise Stopped(signals.number)
-                return tasks, [future.result() for future in futures]
             except BrokenExecutor as error:
                 which = f"impacts {first + 1} to {first + len(tasks)}"
                 raise WorkerError(
                     f"a process that computed one of the {which} was ended from outside, perhaps for want of memory. What was computed"
                     f" is kept: go on with coldspray resume {self.folder}, with fewer --jobs where memory is short"
                 ) from error
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    stop.touch()  # workers end with a checkpoint
+                raise
 
 
 class BatchReplay:
     """What is written of the whole where the impacts of a batch are written one after another, each on the bodies as those before it
-    have left them. before, after: the bodies before and after the batch."""
+    have left them. It may be written later: it does not follow what becomes of the bodies."""
 
     def __init__(self, before: Bodies, after: Bodies):
-        self.points, self.cells, self.fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
-        self._after, self._fields_after = after.target, cell_fields(after)
+        """before, after: the bodies before and after the batch."""
+        self._points, self._cells, self._fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
+        self._x_after, self._cells_after = after.target.x.copy(), after.target.mesh.conn
+        self._fields_after = cell_fields(after)
+        self._impacts: list[tuple[Task, Cut, TaskResult, float]] = []
 
-    def replay(self, store: Store, task: Task, result: TaskResult, before: float) -> None:
-        """Append what a task has written to the files of the run, its target as a part of the whole. before: simulated time (s) of the
-        impacts before it."""
+    def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> int:
+        """The next impact. before: simulated time (s) of the impacts before it. Returns the elements of the whole after it."""
+        self._impacts.append((task, cut, result, before))
+        return len(self._cells) + sum(more_of(task, result)[1] for task, _, result, _ in self._impacts)
+
+    def write(self, store: Store) -> None:
+        """Append what the tasks have written to the files of the run, their targets as parts of the whole."""
+        for task, cut, result, before in self._impacts:
+            self._write(store, task, result, before)
+            self._go_on(task, cut, result)
+
+    def _write(self, store: Store, task: Task, result: TaskResult, before: float) -> None:
         own, nodes = Result(task.folder), task.bodies.target.nodes.node_number
         elements = task.bodies.target.elements.element_number
         for row in result.store.history:
@@ -141,33 +157,47 @@ class BatchReplay:
                 fields = own.fields(step, domain)
                 points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
                 if domain == "target":
-                    points, cells = self.points.copy(), self.cells
+                    points, cells = self._points.copy(), self._cells
                     points[nodes] = fields.points
                     velocity = np.zeros_like(points)
                     velocity[nodes] = at_points["velocity"]
-                    whole = {name: values.copy() for name, values in self.fields.items()}
+                    whole = {name: values.copy() for name, values in self._fields.items()}
                     for name in inside.keys() - {"body"}:
                         whole[name][elements] = inside[name]
                     at_points, inside = {"velocity": velocity}, whole
                 store.write(domain, before + fields.time, points, cells, at_points, inside)
 
-    def go_on(self, task: Task, cut: Cut, result: TaskResult) -> None:
+    def _go_on(self, task: Task, cut: Cut, result: TaskResult) -> None:
         """Go on to the next impact: a task has changed its cut, and its splat is the next one of the bodies after the batch."""
-        more = len(result.bodies.target.nodes.x) - len(task.bodies.target.nodes.x)
-        n, m = len(self.points), len(self.cells)
+        more_nodes, more_elements = more_of(task, result)
+        n, m = len(self._points), len(self._cells)
         changed = np.zeros(n, bool)
         changed[cut.nodes] = True
-        near = changed[self.cells].any(axis=1)  # pressures are of nodes
-        self.points[cut.nodes] = self._after.x[cut.nodes]
-        self.points = np.concatenate([self.points, self._after.x[n : n + more]])
-        more = len(result.bodies.target.elements.T) - len(task.bodies.target.elements.T)
-        self.cells = self._after.mesh.conn[: m + more]
-        for name, values in self.fields.items():
-            now = self._fields_after[name][: m + more]
-            self.fields[name] = np.concatenate([values, now[m:]])
-            self.fields[name][:m][near] = now[:m][near]
+        near = changed[self._cells].any(axis=1)  # pressures are of nodes
+        self._points[cut.nodes] = self._x_after[cut.nodes]
+        self._points = np.concatenate([self._points, self._x_after[n : n + more_nodes]])
+        self._cells = self._cells_after[: m + more_elements]
+        for name, values in self._fields.items():
+            now = self._fields_after[name][: m + more_elements]
+            self._fields[name] = np.concatenate([values, now[m:]])
+            self._fields[name][:m][near] = now[:m][near]
 
 
-def clear(folder: Path) -> None:
-    """Remove the folders of all tasks of a run."""
-    shutil.rmtree(folder / TASKS, ignore_errors=True)
+def more_of(task: Task, result: TaskResult) -> tuple[int, int]:
+    """How many nodes and elements the splat of a task has."""
+    before, after = task.bodies.target, result.bodies.target
+    return len(after.nodes.x) - len(before.nodes.x), len(after.elements.T) - len(before.elements.T)
+
+
+def clear(folder: Path, impacts: int | None = None) -> None:
+    """Remove the folders of the tasks of a run: of its first so many impacts, or all."""
+    if impacts is None:
+        shutil.rmtree(folder / TASKS, ignore_errors=True)
+        return
+    for own in (folder / TASKS).glob("[0-9]*"):
+        if int(own.stem) > impacts:
+            continue
+        if own.is_dir():
+            shutil.rmtree(own, ignore_errors=True)
+        else:
+            own.unlink(missing_ok=True)

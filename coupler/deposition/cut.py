@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.bodies import new_history
+from ..contact.bodies import ContactPast, new_history
 from ..contact.bond import Bond, BondRows, BondState
 from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
 from ..fe.state import ElementState, NodeState
@@ -23,7 +23,7 @@ from ..state.records import collect, concatenate, rows_of, take
 
 ROUNDS = 20  # at most, to make the surface of a cut sound
 Ledgers = dict[str, Any]
-# of target, contact (in the order of `BodyContact.begin`) and bonds
+# ledgers of target, contact and bonds
 _SUMS = ("sums", "impulse", "internal_work", "absorbed", "time")
 _OF_CONTACT = ("lost", "friction_heat", "dropped_energy", "dropped")
 _OF_BOND = ("stored", "dissipated")
@@ -67,8 +67,8 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     part.buried = np.flatnonzero(np.isin(selected.facets, whole.buried))
     number = np.full(len(x), -1)
     number[selected.nodes] = rank
-    if whole.contact is not None and part.count > 1:
-        part.touch(whole.contact, number)
+    if (past := whole.past()) is not None and part.count > 1:
+        part.touch(past.on(number, len(part.target.x)))
     if whole.bond is not None:
         state = whole.bond.state()
         held = ((number[state.rows.nodes] >= 0) & (number[state.rows.triangles] >= 0).all(axis=1)).nonzero()[0]
@@ -133,18 +133,13 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
         whole, [(*part, node, mine) for part, (node, _), mine in zip(parts, places, own, strict=True)], gain
     )
     if new.count > 1:
-        history = new_history(len(new.target.x))
-        if whole.contact is not None:
-            history[: len(whole.target.x)] = whole.contact.history()
+        past = ContactPast(new_history(len(new.target.x)))
+        if (before := whole.past()) is not None:
+            past = before.on(np.arange(len(whole.target.x)), len(new.target.x))
         for (_, part), (node, _), mine in zip(parts, places, own, strict=True):
-            if part.contact is not None:
-                history[node[mine]] = part.contact.history()[mine]
-        before = whole.contact
-        new.touch()
-        if new.contact is not None:
-            new.contact.begin(history, *(
-                gain[name] + (getattr(before, name) if before is not None else 0) for name in _OF_CONTACT
-            ))  # fmt: skip
+            if (of_part := part.past()) is not None:
+                past.nodes[node[mine]] = of_part.nodes[mine]
+        new.touch(past._replace(**{name: getattr(past, name) + gain[name] for name in _OF_CONTACT}))
     return new
 
 
@@ -197,7 +192,7 @@ def _replace(
 
 
 def _ledgers(bodies: Bodies) -> Ledgers:
-    t, c, b = bodies.target, bodies.contact, bodies.bond
+    t, c, b = bodies.target, bodies.past(), bodies.bond
     sums: Ledgers = {name: np.copy(getattr(t, name)) for name in _SUMS}
     sums |= {name: getattr(c, name) if c is not None else 0 for name in _OF_CONTACT}
     return sums | {name: getattr(b, name) if b is not None else 0.0 for name in _OF_BOND}

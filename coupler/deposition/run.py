@@ -4,7 +4,7 @@ import hashlib
 import math
 import time as clock
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from .. import __version__, report
@@ -13,7 +13,7 @@ from ..files import checkpoint
 from ..files.outputs import write_text
 from ..files.provenance import command, provenance
 from ..files.result import COLD, Result
-from ..files.store import PICTURE, PLAN, Store, StoreState
+from ..files.store import PICTURE, PLAN, Store
 from ..files.summary import Summary, Values, problem_of
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
@@ -31,13 +31,14 @@ from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import cores, second_thread
 from .batches import Batches, BatchReplay, clear, workers
-from .cut import put_back
+from .cut import Cut, put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
 from .log import logged
 from .pause import cool_to_ambient
+from .state import DepositionState, Pristine
 from .summary import simulated, summary, unsettled
-from .task import TaskResult
+from .task import Task, TaskResult
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
 
@@ -165,28 +166,6 @@ def _options(
     )
 
 
-@dataclass(frozen=True)
-class Pristine:
-    """What an impact meets: the bodies, and how much of the files is written then."""
-
-    bodies: BodiesState
-    store: StoreState
-
-
-@dataclass(frozen=True)
-class DepositionState:
-    """What a checkpoint holds: an impact on its way or, between two of them, the bodies; how much of the files is written; records and
-    reports of the finished impacts; wall time so far, s; pristine: what an impact on its way has met."""
-
-    running: RunningState | None
-    bodies: BodiesState | None
-    store: StoreState
-    records: list[ImpactRecord]
-    joins: list[Values]
-    wall: float
-    pristine: Pristine | None
-
-
 class Deposition:
     """Impacts one after another: each takes a target and leaves one with a splat more. All ranks make one and run it."""
 
@@ -197,6 +176,7 @@ class Deposition:
         self.joins: list[Values] = []  # reports of the joining of their splats
         self.closing: Values | None = None  # report of the closing stage
         self._pristine: Pristine | None = None
+        self._unwritten: BatchReplay | None = None  # files of the last batch
 
     @property
     def wall(self) -> float:
@@ -239,8 +219,11 @@ class Deposition:
             bodies, running = (build_target(plan), None) if create is not None else self._restored()
             while len(self.records) < len(self.plan.impacts):
                 if math.isfinite(self.plan.impacts[len(self.records)].window):
-                    self._save(None, bodies.state())
-                    bodies = self._batch(bodies, batches)
+                    try:
+                        bodies = self._batch(bodies, batches)
+                    except (SolverError, KeyboardInterrupt):
+                        self._write_batch()  # what was computed is there to be looked at
+                        raise
                     if self.undecided:
                         break
                     continue
@@ -255,6 +238,7 @@ class Deposition:
                     break  # what comes next has no target at rest; the checkpoint stays, and a resumption goes on
                 if len(self.records) < len(self.plan.impacts):
                     self._save(None, bodies.state())
+            self._write_batch()
             if plan.ambient is not None and not self.undecided:
                 if self.records[-1].values["verdict"] != UNDECIDED:  # such an impact can go on
                     self._save(None, bodies.state())
@@ -298,34 +282,33 @@ class Deposition:
             if outcome is not None:
                 outcome.domains.particle.close()
 
-    def _batch(self, whole: Bodies, batches: Batches) -> Bodies:
-        """Compute the next impacts side by side, each on its own cut of the bodies; returns these with all splats that stay."""
+    def _batch(self, met: Bodies, batches: Batches) -> Bodies:
+        """Compute the next impacts side by side, each on its own cut of the bodies that they meet; returns these with all splats that
+        stay. What the batch writes is written beside the next one, see `_catch_up`."""
         plan, options, first = self.plan, self.options, len(self.records)
-        tasks, results = batches.compute(first, whole)
-        for i, result in enumerate(results, first):
-            error = result if isinstance(result, ColdsprayError) else None
-            if (
-                isinstance(result, TaskResult)
-                and self._may_skip
-                and (text := result.record.values["undecided"]) is not None
-            ):
-                error = SolverError(str(text))
+        tasks: list[tuple[Task, Cut]] = []
+        results: list[TaskResult] = []  # up to one that is undecided: what comes next has no target at rest
+        parts: list[tuple[Cut, Bodies]] = []
+        failed: tuple[int, ColdsprayError] | None = None
+        for task, cut, result in batches.compute(first, met, lambda: self._catch_up(met)):
+            if failed is not None or (results and results[-1].record.values["undecided"] is not None):
+                continue
+            tasks.append((task, cut))
+            error = result if isinstance(result, ColdsprayError) else self._failure(result)
             if error is not None:
-                self._skip(i, error)
-                self._save(None, whole.state())
-                clear(self.folder)
-                return whole
-        done: list[TaskResult] = []  # up to one that is undecided: what comes next has no target at rest
-        for result in results:
-            assert isinstance(result, TaskResult)
-            done.append(result)
-            if result.record.values["undecided"] is not None:
-                break
-        parts = [(cut, restored_target(plan, result.bodies)) for (_, cut), result in zip(tasks, done, strict=False)]
-        before, whole = whole, put_back(whole, parts)
-        written = BatchReplay(before, whole)
-        for (task, cut), result in zip(tasks, done, strict=False):
-            written.replay(self.store, task, result, simulated(self.records))
+                failed = task.i, error
+            elif isinstance(result, TaskResult):
+                results.append(result)
+                parts.append((cut, restored_target(plan, result.bodies)))
+        if failed is not None:
+            self._skip(*failed)
+            self._save(None, met.state())
+            clear(self.folder)
+            return met
+        whole = put_back(met, parts)
+        self._unwritten = BatchReplay(met, whole)
+        for (task, cut), result in zip(tasks, results, strict=True):
+            elements = self._unwritten.add(task, cut, result, simulated(self.records))
             self.records.append(result.record)
             if self.undecided:
                 return whole
@@ -333,20 +316,34 @@ class Deposition:
                 left, gone = without_detached(plan, whole, len(self.records), "impact")
                 self.joins += [{"impact": len(self.records), "detached": gone}] if gone else []
                 return left
-            written.go_on(task, cut, result)
-            joined = {**result.joined, "elements": len(written.cells), "mass_scaling": result.prepared}
-            self.joins.append(joined)
+            self.joins.append({**result.joined, "elements": elements, "mass_scaling": result.prepared})
         options.progress.stage("cooling, and preparing the next impact")
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [task.place for task, _ in tasks]
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
         for text in unsettled(self.joins[-1]):
             options.progress.log(text)
-        if self.records[-1].values["verdict"] != UNDECIDED:
-            clear(self.folder)
         if len(self.records) < len(self.plan.impacts):
             options.progress.batch_ended(self.plan.shares[len(self.records)][0])
         return whole
+
+    def _failure(self, result: TaskResult) -> ColdsprayError | None:
+        """The error of an impact that is left out because it has ended undecided; None of all others."""
+        undecided = result.record.values["undecided"]
+        return SolverError(str(undecided)) if undecided is not None and self._may_skip else None
+
+    def _catch_up(self, bodies: Bodies) -> None:
+        """Write the files of the last batch and a checkpoint of the bodies after it, while workers compute the next one: until then
+        a run that is ended goes on from the results that the tasks of that batch have left in their folders."""
+        self._write_batch()
+        self._save(None, bodies.state())
+        clear(self.folder, len(self.records))
+
+    def _write_batch(self) -> None:
+        """Write what the last batch has left to be written."""
+        unwritten, self._unwritten = self._unwritten, None
+        if unwritten is not None:
+            unwritten.write(self.store)
 
     def _without_impact(self, error: ColdsprayError) -> Bodies:
         """The bodies as the impact that has failed met them, where it is left out of the plan; raises the error otherwise."""

@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ..state.arrays import Floats, Ints, Laws, SpringTable
+from ..state.threads import share
 from .blocks import edge_cofactors
 from .explicit import Target
 from .products import times_rows
@@ -34,9 +35,19 @@ ALONE = 1e-9  # of the largest mass, for points of the grid that no free node de
 
 @njit(cache=True, nogil=True)
 def _stiffness(
-    m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats
+    low: int,
+    high: int,
+    m: int,
+    x: Floats,
+    conn: Ints,
+    laws: Laws,
+    law_of: Ints,
+    points: Ints,
+    weights: Floats,
+    A: Floats,
 ) -> None:
-    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T (3g,3g) is it then.
+    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T (3g,3g) is it then. Only the rows of the
+    points [low, high) of the grid are written.
 
     points, weights (n,8): of the grid, for each node; weight 0 where it is held.
     """
@@ -68,6 +79,8 @@ def _stiffness(
                     gradients[place, d] += w * shape[corner, d]
         law = laws[law_of[e]]
         for i in range(count):
+            if not low <= own[i] < high:
+                continue
             g = gradients[i]
             for j in range(i, count):
                 h, V = gradients[j], det / 6.0 if i < j else det / 12.0
@@ -94,7 +107,11 @@ class CoarseGrid:
         )
         self._P, self._PT = P, P.T.tocsr()
         A = np.zeros((3 * len(used), 3 * len(used)))
-        _stiffness(m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
+
+        def add(low: int, high: int) -> None:
+            _stiffness(low, high, m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
+
+        share(add, len(used), max(len(used) // 2, 1))  # halves: each range looks at all elements
         stiff = sparse.csr_array(A)
         stiff = stiff + stiff.T + _of_half_space(P, t)
         if links:

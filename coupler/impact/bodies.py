@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ..contact.bodies import BodyContact, BodyContactState
+from ..contact.bodies import BodyContact, BodyContactState, ContactPast, new_history
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
 from ..contact.overlap import lying_inside
@@ -56,11 +56,25 @@ class Bodies:
     fixed: tuple[str, ...]
     absorbing: tuple[str, ...]
     friction: float
-    contact: BodyContact | None = None
     bond: Bond | None = None
     buried: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))  # facets that nothing can reach
     placed: np.ndarray | None = None  # positions (n,3) m at which the contact was set up
     impact: np.ndarray = field(default_factory=lambda: np.zeros(1, np.int64))
+    _contact: BodyContact | None = None
+    _past: ContactPast | None = None  # what the contact goes on from, where it has not been asked for
+
+    @property
+    def contact(self) -> BodyContact | None:
+        """The contact between the bodies; it is set up when it is first asked for."""
+        if self._contact is None and self._past is not None and self.placed is not None:
+            K = [float(K) for K in self.target.laws["K"]]
+            self._contact = BodyContact(self.surfaces, self.placed, K, self.friction)
+            self._contact.go_on(self._past)
+        return self._contact
+
+    def past(self) -> ContactPast | None:
+        """What the contact between other bodies goes on from."""
+        return self._past if self._contact is None else self._contact.past()
 
     @property
     def count(self) -> int:
@@ -100,8 +114,8 @@ class Bodies:
             if heat.any():
                 self.target.warm_around(self.bond.nodes, heat)
                 self.target.warm_around(self.bond.triangles, np.repeat(heat / 3.0, 3))
-        if self.contact is not None:
-            self.target.warm(*self.contact.heat())
+        if self._contact is not None:
+            self.target.warm(*self._contact.heat())
 
     def forces(self, dt: float) -> None:
         """Add what bodies do to each other at this instant to the target's outer forces."""
@@ -151,8 +165,8 @@ class Bodies:
             target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed, impact=state.impact
         )  # fmt: skip
         if state.placed is not None and state.contact is not None:
-            bodies.contact = BodyContact(bodies.surfaces, state.placed, [float(K) for K in target.laws["K"]], friction)
-            bodies.contact.restore(state.contact)
+            bodies._contact = BodyContact(bodies.surfaces, state.placed, [float(K) for K in target.laws["K"]], friction)
+            bodies._contact.restore(state.contact)
         if state.bond is not None:
             bodies.bond = Bond.from_state(state.bond)
         return bodies
@@ -240,7 +254,8 @@ class Bodies:
                     bonds.append(_taken_over(held, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
-        new.touch(self.contact, rank[: len(self.target.x)])
+        past = self.past()
+        new.touch(past and past.on(rank[: len(self.target.x)], len(new.target.x)))
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
@@ -257,8 +272,8 @@ class Bodies:
         if self.bond is not None:
             self.bond.renumber(rank)
         new.bond, new.buried = self.bond, buried
-        if self.contact is not None:
-            new.touch(self.contact, rank)
+        if (past := self.past()) is not None:
+            new.touch(past.on(rank, len(new.target.x)))
         return new
 
     def held(self) -> np.ndarray:
@@ -304,12 +319,10 @@ class Bodies:
         target.take(domain.nodes, domain.elements, self.target)
         return Bodies(target, domain.body, self.fixed, self.absorbing, self.friction, impact=self.impact)
 
-    def touch(self, before: BodyContact | None = None, rank: np.ndarray | None = None) -> None:
-        """Set the contact between bodies up where they are now; it goes on from that of `before`, whose node i is rank[i] here."""
+    def touch(self, past: ContactPast | None = None) -> None:
+        """Let the contact between bodies begin where they are now; it goes on from the `past` of another, for the nodes of these."""
         self.placed = self.target.x.copy()
-        self.contact = BodyContact(self.surfaces, self.placed, [float(K) for K in self.target.laws["K"]], self.friction)
-        if before is not None and rank is not None:
-            self.contact.follow(before, rank)
+        self._contact, self._past = None, past or ContactPast(new_history(len(self.placed)))
 
 
 def _check(state: BodiesState) -> None:
