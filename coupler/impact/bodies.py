@@ -72,6 +72,10 @@ class Bodies:
             self._contact.go_on(self._past)
         return self._contact
 
+    @contact.setter
+    def contact(self, contact: BodyContact | None) -> None:
+        self._contact = contact
+
     def past(self) -> ContactPast | None:
         """What the contact between other bodies goes on from."""
         return self._past if self._contact is None else self._contact.past()
