@@ -10,6 +10,7 @@ from test_sequence import assert_goes_on, block, substrate
 
 from coupler import Result, Scene
 from coupler.deposition import detaching
+from coupler.errors import StoreError
 from coupler.impact.bodies import Bodies
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
@@ -151,6 +152,8 @@ def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
     assert int(knocked_off.fields(-1, "cold").data["body"].max()) == 0
     built = coating.read(knocked_off)
     np.testing.assert_array_equal(built.stayed, [0.0, 0.0])
+    with pytest.raises(StoreError, match="no splat is left of 2 impacts"):
+        coating.measure(built)
 
 
 def test_it_is_off_after_a_resumption_too(knocked_off: Result, tmp_path: Path) -> None:

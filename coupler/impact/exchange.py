@@ -137,10 +137,10 @@ class Impact:
 
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
-        time = 3.0 * WINDOW * self.particle.totals.dt
+        time = WINDOW * self.particle.totals.dt  # no step of the window is longer
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.v, self.target.v))))
         # in a window the particle makes no two surfaces faster against each other than it is
-        travel = min(max(2.0 * fastest * time, self.particle.totals.fastest * time / 3.0), self._fastest() * time)
+        travel = min(max(2.0 * fastest, self.particle.totals.fastest), self._fastest()) * time
         self.bodies.search(travel, by_speed=True, time=time)
 
     def search_contacts(self, time: float) -> None:
