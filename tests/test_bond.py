@@ -279,6 +279,23 @@ def test_force_and_moment_cancel_in_any_shape_with_gaps_and_damage(pair: Blocks,
     assert 0.1 < bond.damage.mean() <= 1.0
 
 
+def test_bonds_between_nodes_that_do_not_move_keep_their_state(pair: Blocks, rng: np.random.Generator) -> None:
+    """Of the first nodes that move, the forces are those of all bonds, and so are the energies."""
+    every, some, x = cohesive(pair), cohesive(pair), pair.target.x + 3e-6 * rng.standard_normal(pair.target.x.shape)
+    for bond in (every, some):
+        bond.forces(x, np.zeros_like(x))
+    active = int(np.median(np.minimum(every.nodes, every.triangles.min(axis=1))))
+    x[:active] += 3e-6 * rng.standard_normal((active, 3))
+    f, g = np.zeros_like(x), np.zeros_like(x)
+    every.forces(x, f)
+    some.forces(x, g, active=active)
+    np.testing.assert_allclose(g[:active], f[:active], rtol=1e-9, atol=1e-9 * np.abs(f).max())
+    np.testing.assert_allclose(some.damage, every.damage, rtol=1e-9)
+    assert np.abs(g[active:]).sum() < 0.9 * np.abs(f[active:]).sum()  # some are left out
+    assert some.stored == pytest.approx(every.stored, rel=1e-12)
+    assert some.dissipated == pytest.approx(every.dissipated, rel=1e-12)
+
+
 def test_the_forces_are_the_gradient_of_the_stored_energy(pair: Blocks, rng: np.random.Generator) -> None:
     t = pair.target
     t.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]

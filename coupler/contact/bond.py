@@ -144,15 +144,16 @@ class Bond:
         """Mask (n,) of the bonds that carry neither tension nor shear."""
         return self.damage >= 1.0
 
-    def forces(self, x: np.ndarray, f: np.ndarray, depth: np.ndarray | None = None) -> None:
+    def forces(self, x: np.ndarray, f: np.ndarray, depth: np.ndarray | None = None, active: int | None = None) -> None:
         """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. depth (n,) m: of a contact
-        that presses the nodes, for bonds that leave compression to it (`bond_kernels.bond_forces`; default: all are free)."""
+        that presses the nodes, for bonds that leave compression to it (`bond_kernels.bond_forces`; default: all are free). active:
+        number of active nodes (default: all); what does not move keeps its forces."""
         if len(self) == 0:
             return
         k.bond_forces(
             x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
             self.rewelds, self.exponent, self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
-            self._free if depth is None else depth, f, self._sums,
+            self._free if depth is None else depth, len(x) if active is None else active, f, self._sums,
         )  # fmt: skip
         self.stored = float(self._sums[0])
         self.dissipated += float(self._sums[1])

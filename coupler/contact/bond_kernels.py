@@ -134,7 +134,7 @@ def yielding(
 def bond_forces(
     x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
     ease: Floats, rewelds: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, slid: Floats,
-    spent: Floats, depth: Floats, f: Floats, sums: Floats,
+    spent: Floats, depth: Floats, active: int, f: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
 
@@ -152,12 +152,16 @@ def bond_forces(
     compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go; slip then
     takes no more than the share 1 - rewelds (n,) of the strength.
     damage D (n,), opening <delta> n + s (n,3) m, elastic, traction (n,2) Pa, normal and shear, slid (n,) m, the permanent slip,
-    and spent (n,) J, the energy that each bond has dissipated, move on in place. sums: [energy stored, dissipated by this
-    call], J.
+    and spent (n,) J, the energy that each bond has dissipated, move on in place. active: nodes that move, the first ones; bonds
+    between others stay as they are, and add no forces. sums: [energy stored, dissipated by this call], J.
     """
     stored = lost = 0.0
     for i in range(len(nodes)):
         a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
+        k = stiffness[i]
+        if min(nodes[i], a, b, c) >= active:
+            stored += 0.5 * area[i] * (traction[i, 0] ** 2 + traction[i, 1] ** 2) / k
+            continue
         A, B, C, p = x[a], x[b], x[c], x[nodes[i]]
         wa, wb, wc = weights[i, 0], weights[i, 1], weights[i, 2]
         n0, n1, n2 = area_vector(A, B, C)
@@ -167,7 +171,6 @@ def bond_forces(
         v0, v1, v2 = C[0] - A[0], C[1] - A[1], C[2] - A[2]
         d0, d1, d2 = from_foot(p, A, B, C, wa, wb, wc)
         h = d0 * n0 + d1 * n1 + d2 * n2
-        k = stiffness[i]
         loss, most = 0.0, 1.0
         if depth[i] > 0.0 or (depth[i] == 0.0 and traction[i, 0] <= 0.0):
             gap[i] = h + depth[i]

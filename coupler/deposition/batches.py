@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import ColdsprayError, WorkerError
 from ..files.result import Result
-from ..files.store import Store
+from ..files.store import Store, StoreState
 from ..impact.bodies import Bodies
 from ..impact.recorder import cell_fields
 from ..impact.run import RunOptions
@@ -124,6 +124,20 @@ class Batches:
                 raise
 
 
+@dataclass(frozen=True)
+class _Written:
+    """What a task has written, as a part of the whole. folder, store: of its files; nodes, elements: numbers of its cut in the whole;
+    changed: nodes that it can change; more: nodes and elements of its splat; before: simulated time of the impacts before it, s."""
+
+    folder: Path
+    store: StoreState
+    nodes: np.ndarray
+    elements: np.ndarray
+    changed: np.ndarray
+    more: tuple[int, int]
+    before: float
+
+
 class BatchReplay:
     """What is written of the whole where the impacts of a batch are written one after another, each on the bodies as those before it
     have left them. It may be written later: it does not follow what becomes of the bodies."""
@@ -133,60 +147,55 @@ class BatchReplay:
         self._points, self._cells, self._fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
         self._x_after, self._cells_after = after.target.x.copy(), after.target.mesh.conn
         self._fields_after = cell_fields(after)
-        self._impacts: list[tuple[Task, Cut, TaskResult, float]] = []
+        self._impacts: list[_Written] = []
 
     def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> int:
         """The next impact. before: simulated time (s) of the impacts before it. Returns the elements of the whole after it."""
-        self._impacts.append((task, cut, result, before))
-        return len(self._cells) + sum(more_of(task, result)[1] for task, _, result, _ in self._impacts)
+        met, left = task.bodies.target, result.bodies.target
+        more = len(left.nodes.x) - len(met.nodes.x), len(left.elements.T) - len(met.elements.T)
+        numbers = met.nodes.node_number, met.elements.element_number
+        self._impacts.append(_Written(task.folder, result.store, *numbers, cut.nodes, more, before))
+        return len(self._cells) + sum(each.more[1] for each in self._impacts)
 
     def write(self, store: Store) -> None:
         """Append what the tasks have written to the files of the run, their targets as parts of the whole."""
-        for task, cut, result, before in self._impacts:
-            self._write(store, task, result, before)
-            self._go_on(task, cut, result)
+        for each in self._impacts:
+            self._append(store, each)
+            self._go_on(each)
 
-    def _write(self, store: Store, task: Task, result: TaskResult, before: float) -> None:
-        own, nodes = Result(task.folder), task.bodies.target.nodes.node_number
-        elements = task.bodies.target.elements.element_number
-        for row in result.store.history:
-            values = dict(zip(result.store.columns, row.tolist(), strict=True))
-            store.record({**values, "time": before + values["time"]})
-        for domain, steps in result.store.steps.items():
+    def _append(self, store: Store, part: _Written) -> None:
+        own = Result(part.folder)
+        for row in part.store.history:
+            values = dict(zip(part.store.columns, row.tolist(), strict=True))
+            store.record({**values, "time": part.before + values["time"]})
+        for domain, steps in part.store.steps.items():
             for step in range(steps):
                 fields = own.fields(step, domain)
                 points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
                 if domain == "target":
                     points, cells = self._points.copy(), self._cells
-                    points[nodes] = fields.points
+                    points[part.nodes] = fields.points
                     velocity = np.zeros_like(points)
-                    velocity[nodes] = at_points["velocity"]
+                    velocity[part.nodes] = at_points["velocity"]
                     whole = {name: values.copy() for name, values in self._fields.items()}
                     for name in inside.keys() - {"body"}:
-                        whole[name][elements] = inside[name]
+                        whole[name][part.elements] = inside[name]
                     at_points, inside = {"velocity": velocity}, whole
-                store.write(domain, before + fields.time, points, cells, at_points, inside)
+                store.write(domain, part.before + fields.time, points, cells, at_points, inside)
 
-    def _go_on(self, task: Task, cut: Cut, result: TaskResult) -> None:
+    def _go_on(self, part: _Written) -> None:
         """Go on to the next impact: a task has changed its cut, and its splat is the next one of the bodies after the batch."""
-        more_nodes, more_elements = more_of(task, result)
         n, m = len(self._points), len(self._cells)
         changed = np.zeros(n, bool)
-        changed[cut.nodes] = True
+        changed[part.changed] = True
         near = changed[self._cells].any(axis=1)  # pressures are of nodes
-        self._points[cut.nodes] = self._x_after[cut.nodes]
-        self._points = np.concatenate([self._points, self._x_after[n : n + more_nodes]])
-        self._cells = self._cells_after[: m + more_elements]
+        self._points[part.changed] = self._x_after[part.changed]
+        self._points = np.concatenate([self._points, self._x_after[n : n + part.more[0]]])
+        self._cells = self._cells_after[: m + part.more[1]]
         for name, values in self._fields.items():
-            now = self._fields_after[name][: m + more_elements]
+            now = self._fields_after[name][: m + part.more[1]]
             self._fields[name] = np.concatenate([values, now[m:]])
             self._fields[name][:m][near] = now[:m][near]
-
-
-def more_of(task: Task, result: TaskResult) -> tuple[int, int]:
-    """How many nodes and elements the splat of a task has."""
-    before, after = task.bodies.target, result.bodies.target
-    return len(after.nodes.x) - len(before.nodes.x), len(after.elements.T) - len(before.elements.T)
 
 
 def clear(folder: Path, impacts: int | None = None) -> None:

@@ -127,7 +127,7 @@ class Bodies:
         if self.contact is not None:
             self.contact.forces(dt, t.x, t.v, t.f_ext, t.active_nodes)
         if self.bond is not None:
-            self.bond.forces(t.x, t.f_ext)
+            self.bond.forces(t.x, t.f_ext, active=t.active_nodes)
 
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
