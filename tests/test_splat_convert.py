@@ -191,6 +191,19 @@ def test_bad_tasks_are_refused(size: float, method: str, told: str) -> None:
         convert(bad(), size, method)
 
 
+def test_an_interrupt_while_open3d_is_loaded_is_no_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its compiled part turns Ctrl-C into an ImportError."""
+
+    class Interrupted(ModuleType):
+        @property
+        def utility(self) -> None:
+            raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setitem(sys.modules, "open3d", Interrupted("open3d"))
+    with pytest.raises(KeyboardInterrupt):
+        convert(bad(), 3.4e-6, "density")
+
+
 @pytest.mark.parametrize("package", [None, ModuleType("open3d")], ids=["missing", "incomplete"])
 @pytest.mark.parametrize("method", ["auto", "density"])
 def test_a_conversion_needs_open3d(method: str, package: ModuleType | None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,8 @@ class _Unused(ModuleType):
 
 
 def open3d() -> ModuleType:
-    """open3d without UNUSED, silent but for errors. Raises DependencyError where it is missing or incomplete."""
+    """open3d without UNUSED, silent but for errors. Raises DependencyError where it is missing or incomplete, KeyboardInterrupt where
+    its loading is interrupted."""
     if "open3d" not in sys.modules:
         for name in UNUSED:
             sys.modules.setdefault(name, _Unused(name))
@@ -27,6 +28,8 @@ def open3d() -> ModuleType:
 
         package.utility.set_verbosity_level(package.utility.VerbosityLevel.Error)
     except (ImportError, AttributeError, OSError) as problem:
+        if isinstance(problem.__cause__, KeyboardInterrupt):  # Ctrl-C while its compiled part starts
+            raise problem.__cause__ from None
         raise DependencyError(
             f"open3d cannot be loaded ({problem}): install it again. The packages open3d-cpu and open3d (with CUDA) have the same"
             " files, so that removing one breaks the other: remove both, then install one"
