@@ -240,6 +240,30 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
         np.testing.assert_array_equal(on_cut, on_whole)
 
 
+def test_bodies_are_searched_as_far_as_their_surfaces_move_in_a_window_of_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two surfaces move against each other by twice the way of the fastest node at most, from the first touch on."""
+    planned, searched, shares = plan(Scene.from_text(SIDE, "x")), list[float](), list[float]()
+    search = Bodies.search
+
+    def note(self: Bodies, travel: float, by_speed: bool = False, time: float = 0.0) -> None:
+        searched.append(travel)
+        search(self, travel, by_speed, time)
+
+    monkeypatch.setattr(Bodies, "search", note)
+    domains = build_domains(planned, 0, build_target(planned).renumbered((0.0, 0.0, 0.0)))
+    impact = Impact(domains)
+    try:
+        while impact.time < 15e-9:
+            before = impact.target.x.copy()
+            advance_window(impact)
+            shares.append(2.0 * float(np.linalg.norm(impact.target.x - before, axis=1).max()) / searched[-1])
+    finally:
+        domains.particle.close()
+    assert 0.5 < max(shares) <= 1.0  # not much farther than it must
+
+
 def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Path) -> None:
     """What lies beyond has not moved: so the cut can be put back."""
     planned = plan(Scene.from_text(SIDE, "x"))

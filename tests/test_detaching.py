@@ -152,7 +152,7 @@ def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
     assert int(knocked_off.fields(-1, "cold").data["body"].max()) == 0
     built = coating.read(knocked_off)
     np.testing.assert_array_equal(built.stayed, [0.0, 0.0])
-    with pytest.raises(StoreError, match="no splat is left of 2 impacts"):
+    with pytest.raises(StoreError, match="no particle has stayed"):
         coating.measure(built)
 
 

@@ -35,17 +35,8 @@ ALONE = 1e-9  # of the largest mass, for points of the grid that no free node de
 
 @njit(cache=True, nogil=True)
 def _stiffness(
-    low: int,
-    high: int,
-    m: int,
-    x: Floats,
-    conn: Ints,
-    laws: Laws,
-    law_of: Ints,
-    points: Ints,
-    weights: Floats,
-    A: Floats,
-) -> None:
+    low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats
+) -> None:  # fmt: skip
     """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T (3g,3g) is it then. Only the rows of the
     points [low, high) of the grid are written.
 

@@ -67,14 +67,17 @@ class Bodies:
     def contact(self) -> BodyContact | None:
         """The contact between the bodies; it is set up when it is first asked for."""
         if self._contact is None and self._past is not None and self.placed is not None:
-            K = [float(K) for K in self.target.laws["K"]]
-            self._contact = BodyContact(self.surfaces, self.placed, K, self.friction)
+            self._contact = self._new_contact(self.placed)
             self._contact.go_on(self._past)
         return self._contact
 
     @contact.setter
     def contact(self, contact: BodyContact | None) -> None:
-        self._contact = contact
+        self._contact, self._past = contact, None
+
+    def _new_contact(self, placed: np.ndarray) -> BodyContact:
+        """Contact between the bodies that is set up at positions placed (n,3), m."""
+        return BodyContact(self.surfaces, placed, [float(K) for K in self.target.laws["K"]], self.friction)
 
     def past(self) -> ContactPast | None:
         """What the contact between other bodies goes on from."""
@@ -169,8 +172,8 @@ class Bodies:
             target, state.body.copy(), fixed, absorbing, friction, buried=state.buried, placed=state.placed, impact=state.impact
         )  # fmt: skip
         if state.placed is not None and state.contact is not None:
-            bodies._contact = BodyContact(bodies.surfaces, state.placed, [float(K) for K in target.laws["K"]], friction)
-            bodies._contact.restore(state.contact)
+            bodies.contact = bodies._new_contact(state.placed)
+            bodies.contact.restore(state.contact)
         if state.bond is not None:
             bodies.bond = Bond.from_state(state.bond)
         return bodies

@@ -249,7 +249,7 @@ class CoatingMeasures:
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default. Raises StoreError where there is none."""
     if not splats.stayed.any():
-        raise StoreError(f"no splat is left of {splats.finished} impacts: there is no coating to measure")
+        raise StoreError("no particle has stayed on the target: there is no coating to measure")
     size, planned = splats.element_size, splats.planned
     radius = radius or window_radius(splats)
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
