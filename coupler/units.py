@@ -9,6 +9,7 @@ import difflib
 import math
 import re
 from fractions import Fraction
+from functools import lru_cache
 
 _MICRO_SIGNS = str.maketrans({"µ": "u", "μ": "u", "°": "deg"})
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,2})?)\s*(\S.*?)?\s*", re.ASCII)
@@ -61,7 +62,12 @@ def parse(value: object, dimension: str) -> float:
     units = _DIMENSIONS[dimension][1]
     if unit not in units:
         raise UnitError(f"{_wrong_unit(unit, units)}: needs {wanted}")
-    return float(Fraction(number) * Fraction(units[unit]) + _OFFSETS.get(unit, 0))
+    return _in_si(number, unit, dimension)
+
+
+@lru_cache(4096)  # a catalogue of materials has the same hundreds of values for each scene
+def _in_si(number: str, unit: str, dimension: str) -> float:
+    return float(Fraction(number) * Fraction(_DIMENSIONS[dimension][1][unit]) + _OFFSETS.get(unit, 0))
 
 
 def show(value: float, unit: str) -> str:

@@ -35,7 +35,7 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
     The machine's pace is known: `check` neither measures it nor touches the user's cache. Programs that tests start may keep
     their byte code: it costs half a second each to compile. Runs draw no section unless a test asks for it: it costs as
-    much as the run.
+    much as the run. Nothing waits until the disk has what was written: no test takes the power away.
     """
     from coupler.studies import pace
 
@@ -45,6 +45,7 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("COLDSPRAY_CACHE", str(folder))
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
         patch.setattr("coupler.report.section_picture", lambda result, file=None: None)
+        patch.setattr("os.fsync", lambda descriptor: None)
         yield
 
 

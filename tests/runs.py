@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -112,10 +113,26 @@ def assert_same_numbers(one: dict[str, Any], other: dict[str, Any], rel: float, 
     assert different == {}
 
 
+def data_sets(path: Path) -> dict[str, bytes]:
+    """Names, types, shapes and values of all data sets of a file."""
+    found: dict[str, bytes] = {}
+
+    def keep(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        if isinstance(item, h5py.Dataset):
+            found[f"{name} {item.dtype} {item.shape}"] = item[()].tobytes()
+
+    with h5py.File(path) as file:
+        file.visititems(keep)
+    return found
+
+
 def assert_same_files(one: Result, other: Result) -> None:
     """History and all stored steps of two runs are equal to the last bit."""
     assert (one.directory / "history.csv").read_text() == (other.directory / "history.csv").read_text()
     for domain in ("particle", "surface", "target"):
+        left_file, right_file = (run.directory / f"{domain}.vtkhdf" for run in (one, other))
+        if data_sets(left_file) == data_sets(right_file):
+            continue
         np.testing.assert_array_equal(one.times(domain), other.times(domain))
         for step in range(len(one.times(domain))):
             left, right = one.fields(step, domain), other.fields(step, domain)

@@ -247,6 +247,7 @@ def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest
         critical.search(nickel, tmp_path, StudyTable(tmp_path / "other.csv", critical.COLUMNS, critical.KEY, "remake"))
 
 
+@pytest.mark.slow
 def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
     """Bonds of one energy hold slow particles: bracketed to 1 % of velocity, and 1 % beyond on each side, with one change."""
 

@@ -156,6 +156,7 @@ def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
         coating.measure(built)
 
 
+@pytest.mark.slow
 def test_it_is_off_after_a_resumption_too(knocked_off: Result, tmp_path: Path) -> None:
     """Of its bodies as they are after the first impact."""
     assert_goes_on(KNOCKED_OFF, knocked_off, tmp_path / "out", None, every=1e9)

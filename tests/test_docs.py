@@ -66,6 +66,35 @@ def test_formulas_can_be_drawn() -> None:
         drawn(r"\nosuchthing", 12)
 
 
+def slugs(page: Path) -> set[str]:
+    """Anchors of the headings of a page."""
+    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.M | re.S), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    text = re.sub(r"^```.*?^```$|`[^`\n]+`", "", page.read_text(), flags=re.M | re.S)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if not link.startswith(("http:", "https:", "mailto:")):
+            name, _, anchor = link.partition("#")
+            there = page.parent / name if name else page
+            assert there.exists(), link
+            assert not anchor or anchor in slugs(there), link
+
+
+def test_every_page_is_in_a_list_of_pages() -> None:
+    listed = {DOCS / "index.md"}
+    for page in DOCS.rglob("*.md"):
+        for names in re.findall(r"^```{toctree}\n(?::[^\n]*\n)*(.*?)^```$", page.read_text(), re.M | re.S):
+            listed |= {page.parent / f"{name}.md" for name in names.split()}
+    assert listed == set(DOCS.rglob("*.md"))
+
+
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*is deprecated:PendingDeprecationWarning")  # between sphinx and myst_parser
 def test_every_page_is_in_the_site_and_every_link_leads_somewhere(tmp_path, capsys) -> None:
     """The whole site but for the writing of HTML; with warnings as errors, as `make docs`."""

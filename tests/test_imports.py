@@ -48,25 +48,35 @@ FILES = sorted(ROOT.rglob("*.py"))
 
 
 @cache
-def imports(path: Path, top_level_only: bool = False, inner_only: bool = False) -> set[str]:
-    """Modules a file imports: dotted within the package ('coupler.fe.mesh'), bare names outside. Imports under
-    TYPE_CHECKING are not at the top level: a run does not execute them."""
+def parsed(path: Path) -> tuple[list[ast.AST], set[int], set[int]]:
+    """All nodes of a file; ids of those in functions, and of those under TYPE_CHECKING, which a run does not execute."""
     tree = ast.parse(path.read_text())
-    inside = ["coupler", *path.relative_to(ROOT).parent.parts]
-    inner = {
-        id(node)
-        for function in ast.walk(tree)
-        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
-        for node in ast.walk(function)
-    }
+    inner: set[int] = set()
+
+    def visit(node: ast.AST, is_inner: bool) -> None:
+        if is_inner:
+            inner.add(id(node))
+        for child in ast.iter_child_nodes(node):
+            visit(child, is_inner or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+
+    visit(tree, False)
     unexecuted = {
         id(node)
         for block in tree.body
         if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
         for node in ast.walk(block)
     }
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)], inner, unexecuted
+
+
+@cache
+def imports(path: Path, top_level_only: bool = False, inner_only: bool = False) -> set[str]:
+    """Modules a file imports: dotted within the package ('coupler.fe.mesh'), bare names outside. Imports under
+    TYPE_CHECKING are not at the top level."""
+    nodes, inner, unexecuted = parsed(path)
+    inside = ["coupler", *path.relative_to(ROOT).parent.parts]
     modules: set[str] = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if (top_level_only and id(node) in inner | unexecuted) or (inner_only and id(node) not in inner):
             continue
         if isinstance(node, ast.Import):

@@ -52,8 +52,23 @@ report.section_picture = lambda result, file=None: None  # it costs as much as t
 domains.apart = SharedMeshes(Path({meshes!r}))  # so does gmsh
 retry.KEEP_EVERY = 1  # so that so short a run has a state to go back to
 out, options = {out!r}, dict(progress=Progress(quiet=True))
-assert main(["run", {bad!r}]) == 2
 short = Scene.from_text({short!r}, "shared")
+"""
+USUAL = """
+assert main(["run", out + "/bad.toml"]) == 2
+assert main(["run", out + "/short.toml", "--out", out + "/split"]) == 0
+run(short, out + "/spread", placement="spread", **options)
+resume(out + "/resumed", **options)
+run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
+if MPI.COMM_WORLD.rank == 0:
+    {fails}
+assert main(["run", out + "/short.toml", "--out", out + "/failed", "--quiet"]) == 3
+Path(out, "said all").touch()
+if MPI.COMM_WORLD.rank == 1:
+    {dies}
+main(["run", out + "/short.toml", "--out", out + "/dead", "--quiet"])
+"""
+RARE = """
 broken = []
 
 def break_once(impact):
@@ -61,15 +76,8 @@ def break_once(impact):
         broken.append(impact.time)
         raise SolverError("made to fail")
 
-assert main(["run", {scene!r}, "--out", out + "/split"]) == 0
-run(short, out + "/spread", placement="spread", **options)
-resume(out + "/resumed", **options)
 run(short, out + "/retried", probe=break_once, **options)
-run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
 run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", numerics={inertia!r}, **options)
-if MPI.COMM_WORLD.rank == 0:
-    {patch}
-sys.exit(main(["run", {scene!r}, "--out", out + "/failed", "--quiet"]))
 """
 INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
 ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
@@ -77,23 +85,39 @@ ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
 )
 
 
+def run_on_two(runs: str, out: Path, of_all_workers: Path) -> tuple[int, str, str]:
+    """These runs on two ranks, in a folder: exit code, stdout and stderr."""
+    program = (PROGRAM + runs).format(
+        out=str(out), short=SHORT, double=SHORT_DOUBLE, enriched=ENRICHED, inertia=INERTIA,
+        tests=str(Path(__file__).parent), meshes=str(of_all_workers / "shared_meshes"),
+        fails=LAW_FAILS.format(error='SolverError("point 7 is gone")').strip(), dies=RANK_DIES.strip(),
+    )  # fmt: skip
+    return finish(start(2, code=program))
+
+
 @pytest.fixture(scope="module")
-def on_two(scene: Path, of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scene that is refused, six runs on two ranks: split (by the command), spread, resumed, retried, double, enriched; and one,
-    failed, in which a rank raises an error of ours. What they say is in `said`."""
+def on_two(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene that is refused, four runs on two ranks: split (by the command), spread, resumed, double; one, failed, in which a rank
+    raises an error of ours; and one, dead, in which a rank is killed. What they say is in `said`, what MPI says in `end`."""
     out = tmp_path_factory.mktemp("two")
     break_off(Scene.from_text(SHORT, "shared"), out / "resumed", 5e-9)
-    bad = out / "bad.toml"
-    bad.write_text(SHORT.replace('"500 m/s"', '"fast"'))
-    program = PROGRAM.format(
-        out=str(out), scene=str(scene), bad=str(bad), short=SHORT, double=SHORT_DOUBLE, enriched=ENRICHED, inertia=INERTIA,
-        tests=str(Path(__file__).parent), meshes=str(of_all_workers / "shared_meshes"),
-        patch=LAW_FAILS.format(error='SolverError("point 7 is gone")').strip(),
-    )  # fmt: skip
-    code, text, err = finish(start(2, code=program))
-    assert code == 3, err
+    (out / "short.toml").write_text(SHORT)
+    (out / "bad.toml").write_text(SHORT.replace('"500 m/s"', '"fast"'))
+    code, text, err = run_on_two(USUAL, out, of_all_workers)
+    assert (out / "said all").exists(), err
+    assert code != 0
     (out / "said").write_text(err)
+    (out / "end").write_text(text)
     assert text.count("results in") == 1  # only the first rank writes to the terminal
+    return out
+
+
+@pytest.fixture(scope="module")
+def rare_on_two(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs on two ranks: retried and enriched."""
+    out = tmp_path_factory.mktemp("rare")
+    code, _, err = run_on_two(RARE, out, of_all_workers)
+    assert code == 0, err
     return out
 
 
@@ -111,10 +135,11 @@ def test_a_particle_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
     assert_same_impact(shared_run(SHORT).values, summary)
 
 
-def test_residuals_of_points_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
+@pytest.mark.slow
+def test_residuals_of_points_on_two_ranks(rare_on_two: Path, shared_run: SharedRuns) -> None:
     """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point, inertia of cells from all,
     plastic strain, whose gradients harden the metal, from the ranks of the neighbours."""
-    assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(on_two / "enriched").values)
+    assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(rare_on_two / "enriched").values)
 
 
 def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
@@ -124,9 +149,10 @@ def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: Sha
     assert_same_files(alone, resumed)
 
 
-def test_ranks_go_back_together(on_two: Path, shared_run: SharedRuns) -> None:
+@pytest.mark.slow
+def test_ranks_go_back_together(rare_on_two: Path, shared_run: SharedRuns) -> None:
     """Half the step from 6 ns on changes the splat by the error of time integration, far below 1 %."""
-    summary, alone = Result(on_two / "retried").values, shared_run(SHORT).values
+    summary, alone = Result(rare_on_two / "retried").values, shared_run(SHORT).values
     (retry,) = summary["retries"]
     assert 0.0 < retry["back_to_s"] < 6e-9
     assert summary["ranks"] == 2
@@ -197,6 +223,18 @@ TARGET_FAILS = """
 """
 
 
+RANK_DIES = """
+    import os, signal
+    from coupler.fe.explicit import Target
+    good = Target.advance
+    def bad(self, dt):
+        good(self, dt)
+        if self.time > 1e-9:
+            os.kill(os.getpid(), signal.SIGKILL)
+    Target.advance = bad
+"""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("rank", "patch", "error", "code", "message"),
@@ -242,12 +280,20 @@ def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) 
     assert "was distorted beyond what the kernel can follow" in err
 
 
-@pytest.mark.parametrize("victim", [pytest.param(0, marks=pytest.mark.slow), 1])
-def test_a_rank_that_dies_takes_the_others_along(tmp_path: Path, victim: int) -> None:
+def test_a_rank_that_dies_takes_the_others_along(on_two: Path) -> None:
+    """A rank that waits for the dead one would wait for ever."""
+    assert "Killed (signal 9)" in (on_two / "end").read_text()  # MPI's own launcher says it
+    assert (on_two / "dead" / "scene.toml").exists()
+    assert not (on_two / "dead" / "summary.json").exists()
+
+
+@pytest.mark.slow
+def test_a_rank_that_dies_from_outside_takes_the_others_along(tmp_path: Path) -> None:
+    """The rank without the target, in a whole run."""
     scene = tmp_path / "ni.toml"
     scene.write_text(NI)
     program = PATCHED.format(
-        rank=victim, patch=f"import os; open(r'{tmp_path / 'pid'}', 'w').write(str(os.getpid()) + '\\n')"
+        rank=0, patch=f"import os; open(r'{tmp_path / 'pid'}', 'w').write(str(os.getpid()) + '\\n')"
     )
     started = start(2, "run", str(scene), "--out", str(tmp_path / "out"), code=program)
     history = tmp_path / "out" / "history.csv"
@@ -256,9 +302,9 @@ def test_a_rank_that_dies_takes_the_others_along(tmp_path: Path, victim: int) ->
         assert time.monotonic() < deadline, "the run did not begin"
         time.sleep(0.02)
     os.kill(int((tmp_path / "pid").read_text()), signal.SIGKILL)
-    code, out, _ = finish(started, timeout=60)  # a rank that waits for the dead one would wait for ever
+    code, out, _ = finish(started, timeout=60)
     assert code != 0
-    assert "Killed (signal 9)" in out  # MPI's own launcher says it
+    assert "Killed (signal 9)" in out
     assert not (tmp_path / "out" / "summary.json").exists()
 
 

@@ -222,7 +222,11 @@ def test_a_full_disk_keeps_what_is_there(tmp_path: Path, monkeypatch: pytest.Mon
     assert not list(tmp_path.glob("*.part"))
 
 
-@pytest.mark.parametrize(("text", "at"), [(SHORT, 5e-9), (WHOLE, 32e-9)], ids=["going down", "rebounding"])
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [(SHORT, 5e-9), pytest.param(WHOLE, 32e-9, marks=pytest.mark.slow)],
+    ids=["going down", "rebounding"],
+)
 def test_a_run_goes_on_to_the_same_end(shared_run: SharedRuns, tmp_path: Path, text: str, at: float) -> None:
     out = tmp_path / "out"
     break_off(Scene.from_text(text, "shared"), out, at)

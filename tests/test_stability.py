@@ -157,6 +157,7 @@ def test_a_ledger_that_opens_on_the_way_is_reported(tmp_path: Path) -> None:
     assert abs(result.energy_drift) < 0.01
 
 
+@pytest.mark.slow
 def test_a_checkpoint_keeps_the_retries(tmp_path: Path) -> None:
     class Both(Trouble):
         def __call__(self, impact: Any) -> None:

@@ -71,12 +71,12 @@ def read_number(value: object, unit: str, low: float, high: float) -> float:
     """A number with a unit, or a plain one with unit "". Raises ValueError where it is none, or outside low to high (SI)."""
     if unit:
         number = units.parse(value, units.dimension_of(unit))
-        limits = f"{units.rounded(low, unit)} to {units.rounded(high, unit)}"
     elif isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError("must be a plain number")
     else:
-        number, limits = value, f"{low:g} to {high:g}"
+        number = value
     if not low <= number <= high:
+        limits = f"{units.rounded(low, unit)} to {units.rounded(high, unit)}" if unit else f"{low:g} to {high:g}"
         raise ValueError(f"is outside {limits}")
     return float(number)
 
