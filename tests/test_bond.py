@@ -12,7 +12,7 @@ from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit, stability
-from coupler.impact.bodies import Bodies
+from coupler.impact.bodies import FOLDED, Bodies
 
 N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
 SIDE = 1e-3
@@ -204,6 +204,32 @@ def test_bonds_that_hold_a_body_on_a_node_begin_anew() -> None:
     assert np.abs(bond.traction[pinned]).max() < 1e-9 * np.abs(before).max()
     assert bond.traction[~pinned] == pytest.approx(before[~pinned])
     assert bond.dissipated == pytest.approx(held)
+
+
+def test_a_bond_too_soft_for_its_node_holds_it_out() -> None:
+    """A node of the upper body is pressed into the triangle that it is bonded to: without a force first, and stiffer where it is led
+    out; what presses it then presses it FOLDED spacings deep."""
+    b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
+    bond, t = b.tie(), b.target
+    b.touch()
+    row = int(np.argmin(np.hypot(*(t.x[bond.nodes, :2] - 0.5).T)))
+    bond.area[row] *= 0.1
+    t.x[bond.nodes[row], 2] -= 0.04
+    spacing = b.surfaces.spacing(t.x, 1)
+    assert overlaps(b.surfaces, t.x, [1])[bond.nodes[row]] == pytest.approx(0.04, rel=0.2)
+    f = np.zeros_like(t.x)
+    bond.forces(t.x, f)
+    pressing, held, soft = -bond.traction[row, 0] * bond.area[row], bond.stored_by_each[row], bond.stiffness.copy()
+    Bodies.separate(b, [1])
+    bond.forces(t.x, f)
+    assert abs(bond.traction[row, 0] * bond.area[row]) < 1e-9 * pressing
+    assert bond.dissipated == pytest.approx(held)
+    others = np.arange(len(bond)) != row
+    np.testing.assert_array_equal(bond.stiffness[others], soft[others])
+    Bodies.ease(b, 0.0)
+    t.x[bond.nodes[row], 2] += bond.compression(t.x, np.array([row]))[0] - FOLDED * spacing
+    bond.forces(t.x, f)
+    assert -bond.traction[row, 0] * bond.area[row] == pytest.approx(pressing, rel=1e-6)
 
 
 def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None:

@@ -41,6 +41,7 @@ def test_who_is_held_in_the_impact() -> None:
     assert plan(Scene.from_text(ONE + STRONG, "one")).adhesion.kind == "cohesive"
 
 
+@pytest.mark.slow
 def test_springs_of_the_contact_hold_little_of_the_rebound(tmp_path: Path) -> None:
     """Energy of the penalty springs at the greatest deformation over that of the rebound: more than all of it at the stiffness of an
     impact without bonds and 200 points, less than half at the stiffness with bonds. Brittle bonds, which take up next to nothing."""

@@ -27,6 +27,7 @@ def study() -> ModuleType:
     return module
 
 
+@pytest.mark.slow
 def test_points_and_elements_agree(study: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nickel at 300 m/s on steel: two discretisations of one problem, with nothing in common but law, substrate and contact kernels."""
     monkeypatch.chdir(tmp_path)

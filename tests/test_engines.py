@@ -302,7 +302,7 @@ def test_compiled_loops_are_gone_through_once_and_end_with_an_error(threads: int
                 together(_count, 20, seen)
 
 
-@pytest.mark.parametrize("metal", ["Ni", "Ti"])
+@pytest.mark.parametrize("metal", ["Ni", pytest.param("Ti", marks=pytest.mark.slow)])
 def test_a_whole_impact_has_the_same_summary(tmp_path: Path, metal: str) -> None:
     """To what rounding becomes in it, past the greatest deformation: a velocity larger by 2e-13 moves MACHDYN's own flattening of Ti
     by 5e-6."""

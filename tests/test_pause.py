@@ -168,7 +168,7 @@ def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize(
-    "text", [COLD, pytest.param(COLD_AT_LIMIT, marks=pytest.mark.slow)], ids=["at rest", "at a time limit"]
+    "text", [pytest.param(COLD, marks=pytest.mark.slow), COLD_AT_LIMIT], ids=["at rest", "at a time limit"]
 )
 def test_a_signal_between_impacts_ends_a_run_that_can_go_on(
     shared_run: SharedRuns,

@@ -236,6 +236,11 @@ class Bond:
         self.opening[rows], self.traction[rows] = 0.0, 0.0
         self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
 
+    def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
+        """`move` bonds `rows` (k,) to their own triangles, and make them stiffer by factors (k,). x (N,3) m."""
+        self.move(x, rows, self.triangles[rows])
+        self.stiffness[rows] *= factors
+
     def ease(self, share: float) -> None:
         """Leave this share of the depths at which the bonds that were moved are at rest behind their triangles."""
         self.gap[self._moved] *= share

@@ -186,7 +186,9 @@ class Bodies:
         Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
         by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
         Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can hold
-        the body on it, with more than the theoretical strength of the metal: they begin anew, without a force.
+        the body on it, with more than the theoretical strength of the metal: they begin anew, without a force. A bond of a small area,
+        as of a node between crushed facets, can be too soft to hold its node out: it becomes so stiff that what presses the node now
+        presses it FOLDED spacings deep.
         """
         if self.contact is None:
             return
@@ -205,8 +207,11 @@ class Bodies:
             rows = np.flatnonzero(np.isin(bond.nodes, folded) & ~bond.loose)
             rows = rows[np.isin(bond.triangles[rows, 0], own)]
             place = np.searchsorted(nodes, bond.nodes[rows])
-            outside = bond.compression(x, rows) < 0.5 * deep[place]
+            squeezed = bond.compression(x, rows)
+            outside = squeezed < 0.5 * deep[place]
             bond.move(x, rows[outside], surfaces.facets[facets[place[outside]]])
+            soft = ~outside & (deep[place] > PRESSED * spacing) & (bond.damage[rows] == 0.0)
+            bond.stiffen(x, rows[soft], squeezed[soft] / (FOLDED * spacing))
         self.contact.meet(depth)
 
     def ease(self, share: float) -> None:
