@@ -159,6 +159,7 @@ def test_places_bond_where_the_crater_runs_away_from_a_particle_that_still_sinks
     assert 0 < exposed[1]["sinking"] < 500.0
 
 
+@pytest.mark.slow
 def test_it_goes_on_from_a_checkpoint(exposed: tuple[Result, dict[str, np.ndarray]], tmp_path: Path) -> None:
     def stop(impact: Impact) -> None:
         if impact.hold is not None and impact.time > 20e-9:

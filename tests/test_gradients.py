@@ -177,6 +177,7 @@ def test_gradients_harden_an_impact(hardened: Result, tmp_path: Path) -> None:
     assert abs(hard["energy_drift"]) < 5e-3
 
 
+@pytest.mark.slow
 def test_it_goes_on_as_if_nothing_had_happened(hardened: Result, tmp_path: Path) -> None:
     text = HARDENED + WHOLE
     break_off(Scene.from_text(text, "shared"), tmp_path / "out", at=15e-9)

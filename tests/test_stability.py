@@ -69,7 +69,7 @@ def assert_same(one: Result, other: Result) -> None:
     assert_same_files(one, other)
 
 
-@pytest.mark.parametrize("how", ["error", "nan"])
+@pytest.mark.parametrize("how", ["error", pytest.param("nan", marks=pytest.mark.slow)])
 def test_going_back_is_exact(shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     same_step(monkeypatch)
     monkeypatch.setattr(retry, "KEEP_EVERY", 2)  # so that so short a run has states to go back to
@@ -175,6 +175,7 @@ def test_a_checkpoint_keeps_the_retries(tmp_path: Path) -> None:
     assert_same(result, through)
 
 
+@pytest.mark.slow
 def test_the_second_impact_of_a_sequence_is_retried(
     shared_run: SharedRuns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,14 +255,14 @@ def test_volumes_and_depths_of_a_cube() -> None:
     assert depth == pytest.approx([0.49, 0.1, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
         "Ni elements smaller than the spacing",
-        *(
-            pytest.param(name, marks=pytest.mark.slow)
-            for name in ("Ni 1000 m/s", "Ni flake, tilt 90, on SS304, 500 m/s", "Ni on the rim of a Ni splat")
-        ),
+        "Ni 1000 m/s",
+        "Ni flake, tilt 90, on SS304, 500 m/s",
+        "Ni on the rim of a Ni splat",
     ],
 )
 def test_hard_scenes_of_the_battery(name: str, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from coupler import Result, Scene
 from coupler.files.fields import Fields
 from coupler.files.result import COLD, DOMAINS
+from coupler.impact.summary import STUCK
 from coupler.physics.materials import Material
 from coupler.plan.planning import plan
 
@@ -231,7 +232,8 @@ def check(result: Result) -> Findings:
     found.warned = [text for text in warnings if "melting" in text or "of the kinetic energy" in text]
     records, history = result.summary["impacts"], result.history()
     for i, record in enumerate(records if found.undecided is None else records[:-1]):
-        found.warned += [f"impact {i + 1}: no {key}, {reason}" for key, reason in record.get("refused", {}).items()]
+        refused = {key: reason for key, reason in record.get("refused", {}).items() if reason != STUCK}
+        found.warned += [f"impact {i + 1}: no {key}, {reason}" for key, reason in refused.items()]
     instants = [{domain: result.fields(k, domain) for domain in DOMAINS} for k in range(len(result.times("target")))]
     for name, column in history.items():
         found.fault(not np.all(np.isfinite(column)), f"history: {name} is not a number")
