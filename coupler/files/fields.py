@@ -65,7 +65,7 @@ class Root:
     """The VTKHDF group of a file. What a data set claims is held against what is stored of it, and against the free memory.
 
     Data sets are read by h5py's functions of HDF5 itself: a step has some twenty numbers and tables, and those of h5py's own classes
-    take four times as long for them.
+    take twice as long for them.
     """
 
     group: h5g.GroupID
