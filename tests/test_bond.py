@@ -213,7 +213,7 @@ def test_a_bond_too_soft_for_its_node_holds_it_out() -> None:
     bond, t = b.tie(), b.target
     b.touch()
     row = int(np.argmin(np.hypot(*(t.x[bond.nodes, :2] - 0.5).T)))
-    bond.area[row] *= 0.1
+    bond.area[row] *= 0.02
     t.x[bond.nodes[row], 2] -= 0.04
     spacing = b.surfaces.spacing(t.x, 1)
     assert overlaps(b.surfaces, t.x, [1])[bond.nodes[row]] == pytest.approx(0.04, rel=0.2)
@@ -226,10 +226,24 @@ def test_a_bond_too_soft_for_its_node_holds_it_out() -> None:
     assert bond.dissipated == pytest.approx(held)
     others = np.arange(len(bond)) != row
     np.testing.assert_array_equal(bond.stiffness[others], soft[others])
+    assert bond.stiffness[row] * bond.area[row] < np.median(bond.stiffness * bond.area)
     Bodies.ease(b, 0.0)
     t.x[bond.nodes[row], 2] += bond.compression(t.x, np.array([row]))[0] - FOLDED * spacing
     bond.forces(t.x, f)
     assert -bond.traction[row, 0] * bond.area[row] == pytest.approx(pressing, rel=1e-6)
+
+
+def test_a_bond_becomes_no_stiffer_than_others_are() -> None:
+    b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
+    bond, x = b.tie(), b.target.x
+    springs = bond.stiffness * bond.area
+    order = np.argsort(springs)
+    least, most = order[[0]], order[[-1]]
+    for _ in range(3):
+        bond.stiffen(x, np.concatenate([least, most]), np.full(2, 50.0))
+    now = bond.stiffness * bond.area
+    assert np.median(springs) <= now[least] <= np.median(now) * (1.0 + 1e-12)
+    np.testing.assert_array_equal((bond.stiffness * bond.area)[most], springs[most])
 
 
 def test_compression_is_resisted_in_full_by_a_damaged_bond(pair: Blocks) -> None:

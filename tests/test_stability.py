@@ -255,14 +255,14 @@ def test_volumes_and_depths_of_a_cube() -> None:
     assert depth == pytest.approx([0.49, 0.1, 0.0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
         "Ni elements smaller than the spacing",
-        "Ni 1000 m/s",
-        "Ni flake, tilt 90, on SS304, 500 m/s",
-        "Ni on the rim of a Ni splat",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("Ni 1000 m/s", "Ni flake, tilt 90, on SS304, 500 m/s", "Ni on the rim of a Ni splat")
+        ),
     ],
 )
 def test_hard_scenes_of_the_battery(name: str, tmp_path: Path) -> None:

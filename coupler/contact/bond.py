@@ -237,7 +237,13 @@ class Bond:
         self._moved = np.union1d(self._moved, rows[self.gap[rows] < 0.0]).astype(np.int64)
 
     def stiffen(self, x: np.ndarray, rows: np.ndarray, factors: np.ndarray) -> None:
-        """`move` bonds `rows` (k,) to their own triangles, and make them stiffer by factors (k,). x (N,3) m."""
+        """`move` bonds `rows` (k,) to their own triangles, and make them stiffer by factors (k,), but no stiffer (N/m) than the median
+        of all bonds: what is as stiff stays as it is. x (N,3) m."""
+        if len(rows) == 0:
+            return
+        springs = self.stiffness * self.area
+        factors = np.minimum(factors, np.median(springs) / springs[rows])
+        rows, factors = rows[factors > 1.0], factors[factors > 1.0]
         self.move(x, rows, self.triangles[rows])
         self.stiffness[rows] *= factors
 

@@ -188,7 +188,7 @@ class Bodies:
         Where the contact presses a node out of a body, whose own nodes are tied to the triangles round this node, these bonds can hold
         the body on it, with more than the theoretical strength of the metal: they begin anew, without a force. A bond of a small area,
         as of a node between crushed facets, can be too soft to hold its node out: it becomes so stiff that what presses the node now
-        presses it FOLDED spacings deep.
+        presses it FOLDED spacings deep, or as stiff as bonds usually are.
         """
         if self.contact is None:
             return
