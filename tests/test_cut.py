@@ -56,6 +56,19 @@ def whole() -> Bodies:
     return bodies
 
 
+def test_nodes_of_the_mass_for_a_step_bear_it(whole: Bodies) -> None:
+    contact = whole.contact
+    assert contact is not None
+    mass = np.full(len(whole.target.x), contact.mass_for(1e-9))
+    assert contact.stable_dt(mass) == pytest.approx(1e-9)
+    moving = int(contact.surfaces.facets.max()) // 2
+    lighter = np.where(np.arange(len(mass)) < moving, 1.0, 0.01) * mass  # of nodes that never move
+    assert contact.stable_dt(lighter, moving=moving) == pytest.approx(1e-9)
+    assert contact.stable_dt(lighter) == pytest.approx(1e-10)
+    assert contact.stable_dt(mass, 1e-9) == pytest.approx(1e-9 / np.sqrt(2.0))
+    assert contact.stable_dt(mass, 1e-9, 0) == 1e-9  # nothing moves
+
+
 def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     part, cut = cut_out(whole, (-24e-6, 0.0, 10e-6), 10e-6)
     assert part.count == 2

@@ -124,6 +124,8 @@ class BodyContact:
             self._sides.append(self._side(body, x, factor, partners, np.sort(np.concatenate(near or [self._all[:0]]))))
         self._step = SideBySide([side.contact for side in self._sides], [side.nodes for side in self._sides])
         self._way, self._before = np.zeros(len(self._sides)), x[self._step.node_of]
+        #: Step (s) of the penalty springs, and the masses and the number of moving nodes that it is of.
+        self._stable_dt, self._weighed, self._moving = np.inf, np.zeros(0), 0
         elements = int(surfaces.element.max(initial=0)) + 1
         pairs = np.sort(surfaces.facets.ravel() * elements + np.repeat(surfaces.element, 3))
         self._behind = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], elements)  # pairs of surface node and element
@@ -175,19 +177,27 @@ class BodyContact:
         """Energy (J) that the springs of these held."""
         return sum(side.contact.dropped_energy for side in self._sides)
 
-    def stable_dt(self, mass: np.ndarray, alone: float = np.inf) -> float:
-        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg.
+    def mass_for(self, step: float) -> float:
+        """The mass (kg) that nodes need so that the penalty springs bear a step (s), see `stable_dt`."""
+        return max(side.contact.mass_for(step) for side in self._sides)
+
+    def stable_dt(self, mass: np.ndarray, alone: float = np.inf, moving: int | None = None) -> float:
+        """Stable time step (s) of the penalty springs between nodes of mass (N,) kg, of which only the first `moving` ever move
+        (default: all).
 
         alone: the step (s) the bodies can take without them; frequencies of systems that act in parallel add up in squares at most, so
         that the step of both together is the shorter.
         """
-        step = alone
-        for side in self._sides:  # not only what the last search has seen: a resumed run searches at other times
-            if len(side.facets):
-                softness = 1.0 / float(mass[side.nodes].min())
-                springs = side.contact.stable_dt(softness, mass[side.partner_nodes])
-                step = min(step, float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / alone**2)))
-        return step
+        moving = len(mass) if moving is None else moving
+        if mass is not self._weighed or moving != self._moving:
+            # not only what the last search has seen: a resumed run searches at other times
+            self._weighed, self._moving, self._stable_dt = mass, moving, np.inf
+            for side in self._sides:
+                own, others = (nodes[nodes < moving] for nodes in (side.nodes, side.partner_nodes))
+                if len(side.facets) and len(own) + len(others) > 0:
+                    softness = 1.0 / float(mass[own].min(initial=np.inf))
+                    self._stable_dt = min(self._stable_dt, side.contact.stable_dt(softness, mass[others]))
+        return alone if self._stable_dt == np.inf else float(1.0 / np.sqrt(1.0 / self._stable_dt**2 + 1.0 / alone**2))
 
     def load(self, size: int) -> np.ndarray:
         """What the springs of all that may touch can add to each of `size` nodes in the bound on omega^2, N/m; see `Bond.load`."""

@@ -185,9 +185,11 @@ class Bond:
         k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load)
         return load
 
-    def resist(self, w: np.ndarray, f: np.ndarray) -> None:
-        """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1."""
-        k.spring_forces(self.nodes, self.triangles, self.weights, self.stiffness * self.area, w, f)
+    def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
+        """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1. active: of
+        the first so many nodes (default: all)."""
+        strength = self.stiffness * self.area
+        k.spring_forces(self.nodes, self.triangles, self.weights, strength, w, len(w) if active is None else active, f)
 
     def springs(self) -> SpringTable:
         """Those that are not broken."""

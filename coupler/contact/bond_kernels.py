@@ -266,9 +266,14 @@ def spring_load(nodes: Ints, triangles: Ints, weights: Floats, strength: Floats,
 
 
 @njit(cache=True, nogil=True)
-def spring_forces(nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, f: Floats) -> None:
-    """The product of the springs' stiffness with w (N,3) m, added to f (N,3) N; the rest as in `spring_load`."""
+def spring_forces(
+    nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, w: Floats, active: int, f: Floats
+) -> None:
+    """The product of the springs' stiffness with w (N,3) m, which is zero from node `active` on, added to f (N,3) N; the rest as in
+    `spring_load`."""
     for i in range(len(nodes)):
+        if min(nodes[i], triangles[i, 0], triangles[i, 1], triangles[i, 2]) >= active:
+            continue
         for d in range(3):
             pull = w[nodes[i], d]
             for j in range(3):

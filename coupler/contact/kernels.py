@@ -221,10 +221,12 @@ def second_forces(
         if second[i] < 0:
             second_depth[i] = 0.0
             continue
+        pen = max(-second_gap[i] - second_ignored[i], 0.0)
+        if pen == second_depth[i] == 0.0:
+            continue
         t = facets[facet_ids[boxes[second[i]]]]
         if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
             continue
-        pen = max(-second_gap[i] - second_ignored[i], 0.0)
         second_depth[i] = pen
         if pen == 0.0:
             continue
@@ -261,12 +263,14 @@ def contact_forces(
             depth[i] = 0.0
             spring[i, 0] = spring[i, 1] = spring[i, 2] = 0.0
             continue
+        pen = -gaps[i] - ignored[i]
+        if pen <= 0.0 and depth[i] == 0.0 and spring[i, 0] == 0.0 and spring[i, 1] == 0.0 and spring[i, 2] == 0.0:
+            continue  # outside, as before
         fid = facet_ids[boxes[nearest[i]]]
         t = facets[fid]
         if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
             continue
         gap = gaps[i]
-        pen = -gap - ignored[i]
         if pen <= 0.0:
             depth[i] = 0.0
             lost = spring[i, 0] ** 2 + spring[i, 1] ** 2 + spring[i, 2] ** 2

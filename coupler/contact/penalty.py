@@ -16,6 +16,8 @@ from . import broad
 from . import kernels as k
 from .closest import ANY, narrow, reachable, several_bodies
 
+# Of a step: a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node.
+WITH_SECOND = 0.8
 JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
 
 
@@ -144,8 +146,11 @@ class PointContact:
     def stable_dt(self, softness: float, node_mass: np.ndarray) -> float:
         """Stable time step (s) of the penalty springs between points of inverse mass `softness` (1/kg) and nodes (kg)."""
         lightest = float(np.min(node_mass)) if len(node_mass) else np.inf
-        # with 0.8 a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node
-        return 0.8 * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
+        return WITH_SECOND * 2.0 / np.sqrt(self.stiffness * (softness + 1.0 / lightest))
+
+    def mass_for(self, step: float) -> float:
+        """The mass (kg) of points and nodes with which the springs bear a step (s)."""
+        return 2.0 * self.stiffness * (0.5 * step / WITH_SECOND) ** 2
 
     def search(
         self, xp: np.ndarray, x: np.ndarray, travel: float, among: np.ndarray | None = None, always: np.ndarray | None = None,

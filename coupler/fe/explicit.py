@@ -13,15 +13,16 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
-from ..geometry.tetrahedra import lumped
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
+from ..state.arrays import occurring
 from ..state.loops import PARTS
-from ..state.records import assign, collect, fill_rows
+from ..state.records import assign, check_indices, collect, fill_rows
 from ..state.threads import share, together
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
 from .heat import Conduction, take_heat
+from .inertia import ElementInertia
 from .mesh import TetMesh, inverted
 from .stability import HighestFrequency, Springs
 from .state import ElementState, NodeState, TargetState
@@ -40,9 +41,9 @@ class Target:
     Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx yy zz yz xz xy;
     sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the point of impact, or from the
     nearest of several, and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are computed; none
-    beyond the `horizon` (m, see `window`). inertia (m,): how many times its mass each element counts where it is accelerated (mass
-    scaling). force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how
-    much the half-space round the target has contracted, 1 at the start.
+    beyond the `horizon` (m, see `window`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
+    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how much the
+    half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
@@ -105,18 +106,19 @@ class Target:
         self.dt_of = np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(n, m) if conduction else None
-        self.inertia = np.ones(m)
+        self.inertia = ElementInertia()
         self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = nodes_of(mesh, fixed)
         self.horizon = np.inf
         self.edge: Edge | None = None
+        self.least_mass = 0.0
         self._weigh()
         self.dashpot_nodes, self.dashpot = dashpots(
             mesh, self.laws, self.law_of, (*absorbing, *({HALF_SPACE} & mesh.sets.keys())), self.fixed
         )
         self.spring_nodes, self.springs = foundation(mesh, self.laws["G"][self.law_of])
         self.rest_scale = 1.0
-        self.sums = np.zeros(3)  # plastic work, bulk viscosity's work and heat put into the nodes' energy, J
+        self.sums = np.zeros(3)  # plastic work, numerical dissipation and heat put into the nodes' energy, J
         self.internal_work = self.absorbed = 0.0
         self.drag = np.zeros((len(self.dashpot_nodes), 3))
         self.support, self.impulse = np.zeros(3), np.zeros(3)
@@ -145,16 +147,20 @@ class Target:
 
     def _weigh(self) -> None:
         """Masses (n,) kg of the nodes; those that are held count as infinite."""
-        added = self.laws["rho"][self.law_of] * self.mesh.V0 * (self.inertia - 1.0)
         self.mass = self.mesh.node_volume * self.laws["rho"][self.law_of_node]
-        self.mass += lumped(self.mesh.conn, added, len(self.mass))
+        if self.least_mass > 0.0:
+            surface = occurring(self.mesh.facets, len(self.mass))
+            self.mass[surface] = np.maximum(self.mass[surface], self.least_mass)
         self.inv_mass = 1.0 / self.mass
         self.inv_mass[self.fixed] = 0.0
 
-    def scale_masses(self, inertia: np.ndarray) -> None:
-        """Let each element count as inertia (m,) times as heavy where it is accelerated. At rest this changes no energy."""
-        self.inertia[:] = inertia
+    def weigh_surface(self, least: float) -> float:
+        """Let no node of the surface be lighter than `least` kg until the bodies rest again; they must be at rest now, where this
+        changes no energy and no momentum. Returns the mass that this adds, kg."""
+        before = float(self.mass.sum())
+        self.least_mass = least
         self._weigh()
+        return float(self.mass.sum()) - before
 
     def window(self, radius: float, origin: np.ndarray | None = None, rest: np.ndarray | None = None) -> int:
         """Compute nothing farther than `radius` m from the point of impact (`fe.window`). origin (3,) m: that point, for an edge that
@@ -192,6 +198,11 @@ class Target:
         elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
+    @property
+    def most_nodes(self) -> int:
+        """How many nodes are ever active within the window."""
+        return self._active_counts(np.inf)[0]
+
     def active_after(self, time: float) -> int:
         """How many nodes are active at the end of the next `time` s."""
         return self._active_counts(self.reach + self.wave_speed * time)[0]
@@ -217,8 +228,8 @@ class Target:
 
         share(bound_of, e, LEAST_ELEMENTS)
         bound, where = min(bounds)
-        if self.inertia.max() > 1.0:
-            self.dt_of[:e] *= np.sqrt(self.inertia[:e])
+        if self.inertia.most > 0.0:
+            self.inertia.choose(self, self.dt_of[:e], enough)
             where = int(np.argmin(self.dt_of[:e]))
             bound = float(self.dt_of[where])
         if springs is not None:
@@ -228,7 +239,7 @@ class Target:
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
                 self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
-            dt = max(dt, self._highest.longest_step(self, bound, n, e, springs))
+            dt = max(dt, self._highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
     def advance(self, dt: float) -> None:
@@ -284,6 +295,10 @@ class Target:
             self.support += pull.sum(axis=0)
         if len(self.fixed):
             self.support -= motion.sum_at(self.fixed, self.total)
+        if self.inertia.most > 0.0:
+            lost, held = self.inertia.advance(self, self.total, n, dt)
+            self.sums[1] += lost
+            self.support -= held
 
     def external_impulse(self) -> np.ndarray:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
@@ -300,16 +315,18 @@ class Target:
     def restore(self, state: TargetState) -> None:
         """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
         n, m = len(self.x), len(self.mesh.conn)
-        if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m and len(state.inertia) == m):
+        if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
             raise CheckpointError("a state does not fit: the target has another number of nodes or elements")
-        self.scale_masses(state.inertia)
+        self.least_mass = state.least_mass
+        self._weigh()
         if state.horizon != self.horizon:
             self.window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
         for record in (state, state.nodes, state.elements):
             assign(self, record)
-        self._weigh()
+        check_indices(state.inertia, nodes=n)
+        self.inertia.restore(state.inertia)
         if self.edge is not None:
             self.edge = self.edge.loaded(self, self._active_counts(np.inf)[1])
         if (self.conduction is None) != (state.conduction is None):
@@ -335,6 +352,9 @@ class Target:
         kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.v, self.v))
         self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
+        self.inertia = ElementInertia()
+        if self.least_mass > 0.0:
+            self.weigh_surface(0.0)
         return kinetic
 
     def activate_all(self) -> None:

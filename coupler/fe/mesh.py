@@ -45,6 +45,7 @@ class FiniteElements(Protocol):
     start: np.ndarray
     table: np.ndarray
     x: np.ndarray
+    v: np.ndarray
     J: np.ndarray
     volume: np.ndarray
     fe: np.ndarray

@@ -21,6 +21,7 @@ from ..state.loops import ranges
 from ..state.records import Shape
 from ..state.threads import together
 from .blocks import edge_cofactors
+from .inertia import ElementInertia
 from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
 from .mesh import FiniteElements
 
@@ -129,12 +130,12 @@ class FrequencyState:
 
 
 class Springs(Protocol):
-    """Springs between nodes. load(size): the row sums (size,) of their stiffness, N/m; resist(w, f): adds its product with the
-    motion w (n,3) to f (n,3)."""
+    """Springs between nodes. load(size): the row sums (size,) of their stiffness, N/m; resist(w, f, active): adds its product with
+    the motion w (n,3), of which the first `active` rows are not zero, to f (n,3)."""
 
     def load(self, size: int) -> np.ndarray: ...
 
-    def resist(self, w: np.ndarray, f: np.ndarray) -> None: ...
+    def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None: ...
 
 
 class HighestFrequency:
@@ -164,12 +165,14 @@ class HighestFrequency:
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
-    def longest_step(self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None) -> float:
+    def longest_step(
+        self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None, inertia: ElementInertia | None = None
+    ) -> float:  # fmt: skip
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
 
-        springs: between nodes, in the bound too.
+        springs: between nodes; inertia: of scaled elements; both are in the bound too.
         """
-        mesh = t.mesh
+        mesh, inertia = t.mesh, inertia or ElementInertia()
         w, f = self._w[:n], self._f
         for of_element in (self._dv, self._fe):  # those that are no longer active have no part in it
             of_element[m : self._elements] = 0.0
@@ -187,12 +190,13 @@ class HighestFrequency:
         omega2 = 0.0
         for _ in range(4 if self._warm else 25):
             w *= (t.inv_mass[:n] > 0)[:, None]
-            before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
+            before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             self._apply(t, n, m)
             if springs is not None:
-                springs.resist(self._w, f)
+                springs.resist(self._w, f, n)
+            inertia.slow(f)
             w[:] = f[:n] * t.inv_mass[:n, None]
-            after = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w))
+            after = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             omega2 = np.sqrt(after / before)
             w *= 1.0 / np.sqrt(after / t.mass[:n].sum())
         self._warm = True

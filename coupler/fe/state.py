@@ -7,6 +7,7 @@ import numpy as np
 
 from ..state.records import Rows, Shape
 from .heat import ConductionState
+from .inertia import InertiaState
 from .stability import FrequencyState
 
 
@@ -60,10 +61,10 @@ class EdgeState:
 class TargetState:
     """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
 
-    inertia (m,): factor on the mass of each element; force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at
-    the time they became inactive; drag (d,3) N: of the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work,
-    work of the bulk viscosity, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
-    active_nodes, active_elements: how many are computed. edge: of a window, where that is elastic.
+    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
+    the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work, work of the bulk viscosity with what the inertia
+    of scaled elements has taken, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
+    least_mass kg; active_nodes, active_elements: how many are computed. edge: of a window, where that is elastic.
     """
 
     nodes: NodeState
@@ -71,15 +72,16 @@ class TargetState:
     conduction: ConductionState | None
     highest: FrequencyState | None
     edge: EdgeState | None
+    inertia: InertiaState
     internal_work: float
     absorbed: float
     dt_last: float
     time: float
     reach: float
     horizon: float
+    least_mass: float
     active_nodes: int
     active_elements: int
-    inertia: Annotated[np.ndarray, Shape(-1)]
     force_suffix_sum: Annotated[np.ndarray, Shape(-1, 3)]
     drag: Annotated[np.ndarray, Shape(-1, 3)]
     support: Annotated[np.ndarray, Shape(3)]

@@ -136,7 +136,7 @@ class Bodies:
         """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
         t = self.target
         dt = t.stable_dt(enough, ahead, self.bond)[0]
-        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt)
+        return dt if self.contact is None else self.contact.stable_dt(t.mass, dt, t.most_nodes)
 
     def springs(self) -> list[SpringTable]:
         """Those of bonds and contact between the bodies; after a search."""

@@ -41,8 +41,8 @@ class Ledger:
     particle's internal forces, the part that is neither elastic nor plastic is the numerical dissipation of the SPH scheme:
     numerical_particle, the sum of viscosity_particle and hourglass_particle, measured from their own forces, and of
     unexplained_particle, the rest (with an engine that does not measure them: all of it). numerical_target is the work of the bulk
-    viscosity, the target's only dissipation. The target's elastic and plastic energies are functions of its state, so that the drift
-    measures its stress update and the contact as well.
+    viscosity, the target's only dissipation, and what the inertia of its scaled elements holds and has taken. The target's elastic and
+    plastic energies are functions of its state, so that the drift measures its stress update and the contact as well.
     """
 
     def __init__(self, domains: Domains):

@@ -25,7 +25,7 @@ LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("plastic_target",), "plastic work, target", "#e69f00"),
     (("friction",), "friction", "#f0e442"),
     (("numerical_particle",), "dissipated by the SPH scheme", "#cc79a7"),
-    (("numerical_target",), "bulk viscosity, target", "#e8c6d8"),
+    (("numerical_target",), "bulk viscosity and scaled inertia, target", "#e8c6d8"),
     (("boundary",), "absorbed at boundaries", "#999999"),
     (("contact",), "contact springs", "#444444"),
     (("elastic_particle", "elastic_target"), "elastic, both", "#009e73"),

@@ -27,7 +27,7 @@ from ..measures import WANTABLE
 from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
 
-MASS_SCALING = 0.02  # of the next particle's mass, that the elements with the shortest steps may be made heavier by
+MASS_SCALING = 0.05  # of the next particle's mass, by which short elements may be heavier (`fe.inertia`)
 GROWTH = 0.35  # element size gained per unit of distance outside the refined part of the target
 SHORTEST_GAP_MESSAGE = "would start the particle inside the target; give zero or more"
 
@@ -334,8 +334,8 @@ class AdhesionTable(Section):
 
 
 class SplatTable(Section):
-    """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the share of
-    the next particle's mass that the elements with the shortest steps may be made heavier by."""
+    """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the
+    share of the next particle's mass by which the elements with the shortest steps may be heavier against changes of their shape."""
 
     method: Literal["auto", "carried", "density", "paper"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
