@@ -71,9 +71,10 @@ def test_the_label_of_a_colour_bar_is_no_longer_than_the_bar(length: float) -> N
     box = picture.axes_at(figure, 6.0, 0.3, 0.1, length)
     picture.colour_bar(box, "eps_p", picture.Range(0.0, 2.0), length)
     label = box.yaxis.label
-    assert label.get_text() == "equivalent plastic strain"
+    assert label.get_text().split() == ["equivalent", "plastic", "strain"]
     assert label.get_window_extent().height <= 100 * length
-    assert (label.get_fontsize() == 11.0) == (length > 2.0)
+    assert label.get_fontsize() >= picture.READABLE
+    assert ("\n" in label.get_text()) == (length < 2.0)
 
 
 def test_picture_shows_both_fields(folder, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,6 +38,7 @@ MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
 RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
 PIXELS = 500  # along the longer side of the particle
+READABLE = 8.0  # points
 LETTER = 0.6  # width of a letter over the size of its font, at most, in words
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
 
@@ -267,7 +269,19 @@ def colour_bar(box: Axes, name: str, ends: Range, length: float, across: bool = 
         ScalarMappable(Normalize(ends.low, ends.high), field.colours), cax=box,
         extend="max" if ends.exceeded else "neither", orientation="horizontal" if across else "vertical",
     )  # fmt: skip
-    bar.set_label(field.words, fontsize=min(11.0, 72.0 * length / (LETTER * len(field.words))))
+    label, size = fitted(field.words, length)
+    bar.set_label(label, fontsize=size)
+
+
+def fitted(words: str, length: float) -> tuple[str, float]:
+    """Words in as few lines as a length (inches) lets be readable, and the size of their font, points."""
+    label, size = words, 0.0
+    for width in sorted({len(words), *(i for i, letter in enumerate(words) if letter == " ")}, reverse=True):
+        lines = textwrap.wrap(words, width, break_long_words=False)
+        label, size = "\n".join(lines), min(11.0, 72.0 * length / (LETTER * max(map(len, lines))))
+        if size >= READABLE:
+            break
+    return label, size
 
 
 def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
