@@ -14,9 +14,7 @@ from ..impact.bodies import Bodies
 from ..plan.planning import Plan
 from ..sph.inertia import ENOUGH
 
-SPRINGS = (
-    2.5  # steps that are enough for a particle: one so long the springs of contact bear between the lightest nodes
-)
+SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs of contact bear
 
 
 def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> dict[str, float]:
@@ -24,10 +22,11 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> d
     report: dict[str, float] = {}
     if i and plan.mass_scaling:
         p = plan.impacts[i]
-        bodies.target.inertia.most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3
+        most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3
+        bodies.target.inertia.most = most
         if bodies.contact is not None and bodies.count > 1:
             step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
-            report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.mass_for(step))
+            report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.mass_for(step), most)
     radius = plan.impacts[i].window
     if math.isfinite(radius):
         report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius, place and np.array(place))}

@@ -154,11 +154,16 @@ class Target:
         self.inv_mass = 1.0 / self.mass
         self.inv_mass[self.fixed] = 0.0
 
-    def weigh_surface(self, least: float) -> float:
-        """Let no node of the surface be lighter than `least` kg until the bodies rest again; they must be at rest now, where this
-        changes no energy and no momentum. Returns the mass that this adds, kg."""
+    def weigh_surface(self, least: float, most: float) -> float:
+        """Let no node of the surface be lighter than `least` kg until the bodies rest again, or than what adding `most` kg in all
+        makes of the lightest; they must be at rest now, where this changes no energy and no momentum. Returns the mass added, kg."""
+        self.least_mass = 0.0
+        self._weigh()
+        lightest = np.sort(self.mass[occurring(self.mesh.facets, len(self.mass))])
+        level = (most + np.cumsum(lightest)) / np.arange(1, len(lightest) + 1)
+        fits = np.append(level[:-1] <= lightest[1:], True)  # the next node is no lighter
         before = float(self.mass.sum())
-        self.least_mass = least
+        self.least_mass = min(least, float(level[np.argmax(fits)]))
         self._weigh()
         return float(self.mass.sum()) - before
 
@@ -354,7 +359,8 @@ class Target:
         self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         self.inertia = ElementInertia()
         if self.least_mass > 0.0:
-            self.weigh_surface(0.0)
+            self.least_mass = 0.0
+            self._weigh()
         return kinetic
 
     def activate_all(self) -> None:

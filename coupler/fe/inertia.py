@@ -1,6 +1,6 @@
 """Selective mass scaling of the target: elements with the shortest steps resist changes of their shape with an added inertia.
 
-The masses of the nodes stay as they are. The element e adds to the mass matrix
+It leaves the masses of the nodes alone. The element e adds to the mass matrix
 
     M = m 1 + sum_e mu_e (1 - 1 1^T / 4),   mu_e = (m_e / 4) ((T / t_e)^2 - 1)
 
