@@ -111,8 +111,8 @@ def test_the_longer_step_is_stable_and_the_ledger_closes(fixed: tuple[str, ...])
         t.advance(t.stable_dt(1.0)[0])
         t.finish()
         taken.append(float(t.sums[1]))
-    assert t.kinetic() + t.elastic() + t.sums[1] == pytest.approx(start, rel=0.01)
-    assert 1e-3 < np.abs(taken).max() / start < 0.2
+    assert np.abs(taken).max() > 5e-3 * start
+    assert t.kinetic() + t.elastic() + t.sums[1] == pytest.approx(start, rel=3e-3)
     assert np.abs(t.momentum() - t.external_impulse() - momentum).max() < 1e-10 * t.mass.sum() * 0.01
 
 

@@ -179,7 +179,7 @@ class BodyContact:
 
     def mass_for(self, step: float) -> float:
         """The mass (kg) that nodes need so that the penalty springs bear a step (s), see `stable_dt`."""
-        return max(side.contact.mass_for(step) for side in self._sides)
+        return max((side.contact.mass_for(step) for side in self._sides), default=0.0)
 
     def stable_dt(self, mass: np.ndarray, alone: float = np.inf, moving: int | None = None) -> float:
         """Stable time step (s) of the penalty springs between nodes of mass (N,) kg, of which only the first `moving` ever move

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..fe.coarse import CoarseGrid
 from ..fe.explicit import Target
+from ..fe.relaxed import active_within, quasi_static
 from ..fe.stability import HighestFrequency, masses_for
 from ..impact.bodies import Bodies
 from ..physics import motion
@@ -86,8 +87,8 @@ def settle(
     t.rest()
     conduction, t.conduction = t.conduction, None
     try:
-        with t.active_within(radius, RELAX_STEP):
-            with t.quasi_static():
+        with active_within(t, radius, RELAX_STEP):
+            with quasi_static(t):
                 report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
             taken = held - _held(bodies)
             released = _run_for(bodies, release_time)

@@ -24,7 +24,7 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> d
         p = plan.impacts[i]
         most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3
         bodies.target.inertia.most = most
-        if bodies.contact is not None and bodies.count > 1:
+        if bodies.contact is not None:
             step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
             report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.mass_for(step), most)
     radius = plan.impacts[i].window

@@ -7,9 +7,6 @@ The step is that of LAMMPS (kick half, drift, forces, kick half), cut where cont
     target.finish()             boundary forces, work of all forces over the step
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
@@ -22,7 +19,7 @@ from ..state.threads import share, together
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
 from .heat import Conduction, take_heat
-from .inertia import ElementInertia
+from .inertia import ElementInertia, step_for
 from .mesh import TetMesh, inverted
 from .stability import HighestFrequency, Springs
 from .state import ElementState, NodeState, TargetState
@@ -159,11 +156,9 @@ class Target:
         makes of the lightest; they must be at rest now, where this changes no energy and no momentum. Returns the mass added, kg."""
         self.least_mass = 0.0
         self._weigh()
-        lightest = np.sort(self.mass[occurring(self.mesh.facets, len(self.mass))])
-        level = (most + np.cumsum(lightest)) / np.arange(1, len(lightest) + 1)
-        fits = np.append(level[:-1] <= lightest[1:], True)  # the next node is no lighter
-        before = float(self.mass.sum())
-        self.least_mass = min(least, float(level[np.argmax(fits)]))
+        surface, before = self.mass[occurring(self.mesh.facets, len(self.mass))], float(self.mass.sum())
+        # as for steps that go with the root of the masses
+        self.least_mass = min(least, step_for(surface, np.sqrt(surface), most, np.inf) ** 2)
         self._weigh()
         return float(self.mass.sum()) - before
 
@@ -374,44 +369,10 @@ class Target:
         self.reach, self.active_nodes, self.active_elements = reach, 0, 0
         self._activate(0.0)
 
-    @contextmanager
-    def active_within(self, radius: float, dt: float) -> Iterator[None]:
-        """While this lasts, all is active up to `radius` m from where the numbering begins, and what is beyond keeps still; its pending
-        heat becomes pressure there in a step of dt s, at rest."""
-        kept = self.horizon, self.fixed, self.inv_mass
-        self.activate_all()
-        m = int(np.searchsorted(self.mesh.reach_element, radius))
-        if self.heat[m:].any():
-            own = self.heat[:m].copy()
-            self.heat[:m] = 0.0
-            self.advance(dt)
-            self.heat[:m] = own
-        self.horizon, self.active_nodes, self.active_elements = min(radius, self.horizon), 0, 0
-        self.activate_all()
-        edge = outside(self.mesh, self.active_elements, self.active_nodes)
-        self.fixed, self.inv_mass = np.union1d(self.fixed, edge), self.inv_mass.copy()
-        self.inv_mass[self.fixed] = 0.0
-        try:
-            yield
-        finally:
-            self.horizon, self.fixed, self.inv_mass = kept
-
     def _store_inactive_forces(self) -> None:
         forces = np.zeros_like(self.force_suffix_sum)
         k.gather_forces(0, len(self.x), self.start, self.table, self.fe, forces)
         self.force_suffix_sum = np.cumsum(forces[::-1], axis=0)[::-1]
-
-    @contextmanager
-    def quasi_static(self) -> Iterator[None]:
-        """While this lasts nothing that depends on velocities acts: no bulk viscosity, no absorbing faces."""
-        kept = self.dashpot_nodes, self.dashpot
-        self.viscous, self.dashpot_nodes, self.dashpot = False, kept[0][:0], kept[1][:0]
-        self.drag = np.zeros((0, 3))
-        try:
-            yield
-        finally:
-            self.viscous, (self.dashpot_nodes, self.dashpot) = True, kept
-            self.drag = np.zeros((len(kept[0]), 3))
 
     def velocity(self) -> np.ndarray:
         """Velocities at the same instant as the positions, (n,3) m/s."""

@@ -46,7 +46,7 @@ class ElementInertia:
         self.taken = np.zeros((0, 3))
         self._last: np.ndarray = self.nodes  # those of `taken`
         self._corners: np.ndarray = np.zeros((0, 4), np.int64)
-        self._mu, self._share = np.zeros(0), np.zeros((0, 0))
+        self._mu, self._share = np.zeros(0), np.zeros((0, 0))  # kg; m M^-1 of the nodes that are not held
 
     def state(self) -> InertiaState:
         """What the next step needs: elements are chosen anew before it."""

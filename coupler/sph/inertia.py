@@ -22,7 +22,7 @@ from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from . import compiled_kernels as k
 
-ENOUGH = 0.25  # spacings over wave speed: cells and elements whose safe step is that long do not limit the particle
+ENOUGH = 0.25  # spacings over wave speed: cells whose safe step is that long do not limit the particle
 STIFFER = 2.0  # cells that swing together are faster than each of them alone
 
 
