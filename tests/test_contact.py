@@ -162,6 +162,14 @@ def test_what_lies_in_a_box(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(broad.nodes_within(x, nodes, least, most), inside)
 
 
+def boxed(x: np.ndarray, facets: np.ndarray, ids: np.ndarray, owner: np.ndarray) -> np.ndarray:
+    """The triangles `ids` of bodies, owner (facets,), with the boxes around them."""
+    faces = np.empty(len(ids), closest.FACE)
+    closest.faces_of(facets, ids, owner, faces)
+    closest.box_faces(x, faces)
+    return faces
+
+
 @pytest.mark.parametrize("shift", [0.0, 0.2])
 def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Generator, shift: float) -> None:
     """Also with boxes of a search from which the sheet has moved since."""
@@ -177,8 +185,10 @@ def test_the_closest_facet_is_the_closest_whatever_was_guessed(rng: np.random.Ge
     nearest, foot, gap = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     second = np.full(300, -1), np.zeros((300, 3)), np.zeros(300)
     everything = np.zeros(300, np.int64), np.full(300, -np.inf), np.zeros((300, 3))
-    searched = start, boxes, facets, ids, 0 * ids, np.full(300, -1), x, low, high, shift, np.full(300, np.inf)
-    searched += everything
+    faces = boxed(before, facets, ids, 0 * ids)
+    assert np.array_equal(faces["low"], low)
+    assert np.array_equal(faces["high"], high)
+    searched = start, boxes, faces, np.full(300, -1), x, shift, np.full(300, np.inf), *everything
     closest.closest_facets(xp, ids[:0], *searched, nearest, foot, gap, *second)
     assert np.all(nearest == -1)
     rows = np.arange(300)
@@ -204,15 +214,14 @@ def test_points_that_have_moved_find_what_they_find_among_all_candidates(rng: np
     facets, owner = np.concatenate([one, two + len(x)]), np.repeat([0, 1], [len(one), len(two)])
     x = np.concatenate([x, above + np.array([0.0, 0.0, 0.06])])
     ids, rows = np.arange(len(facets)), np.arange(300)
-    low, high = np.zeros((2, len(ids), 3))
-    broad.facet_boxes(x, facets, ids, low, high)
+    faces = boxed(x, facets, ids, owner)
     xp = rng.uniform(-0.9, 0.9, (300, 3)) * [1, 1, 0.15]
-    start, boxes, _ = broad.candidates(xp, low - 10, high + 10, 0.5, 300 * len(ids))
+    start, boxes, _ = broad.candidates(xp, faces["low"] - 10, faces["high"] + 10, 0.5, 300 * len(ids))
     limit, partner = np.full(300, 0.05), rng.integers(-1, 2, 300)
 
     def look(boxes: np.ndarray, shift: float, near: tuple, nearest: np.ndarray) -> list[np.ndarray]:
         first, second = [(place, np.zeros((300, 3)), np.zeros(300)) for place in (nearest, np.full(300, -1))]
-        where = start, boxes, facets, ids, owner, partner, x, low, high, shift, limit, *near
+        where = start, boxes, faces, partner, x, shift, limit, *near
         closest.closest_facets(xp, rows, *where, *first, *second)
         met = [np.where(p >= 0, boxes[p], -1) for p in (first[0], second[0])]
         return [*met, *first[1:], *second[1:], first[0], second[0]]
@@ -220,7 +229,7 @@ def test_points_that_have_moved_find_what_they_find_among_all_candidates(rng: np
     everything = np.zeros(300, np.int64), np.full(300, -np.inf), np.zeros((300, 3))
     at_first = look(boxes, 0.0, everything, np.full(300, -1))
     fewer, near, place = boxes.copy(), tuple(array.copy() for array in everything), at_first[-2].copy()
-    closest.narrow(rows, 0.05, xp, start, fewer, low, high, limit, at_first[3], place, at_first[-1], *near)
+    closest.narrow(rows, 0.05, xp, start, fewer, faces, limit, at_first[3], place, at_first[-1], *near)
     assert np.array_equal(fewer[place], boxes[at_first[-2]])
     assert np.array_equal(np.sort(fewer.reshape(300, -1)), np.sort(boxes.reshape(300, -1)))
     assert (near[0] - start[:-1]).mean() < 0.2 * len(ids)
@@ -252,7 +261,7 @@ def test_of_several_bodies_a_point_meets_the_two_in_which_it_lies_deepest(rng: n
     def gaps(chosen: np.ndarray, of: np.ndarray, partner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         start, near, _ = broad.candidates(xp, low[chosen] - 10, high[chosen] + 10, 0.5, 400 * len(ids))
         everything = np.zeros(400, np.int64), np.full(400, -np.inf), np.zeros((400, 3))
-        searched = start, near, facets, ids[chosen], of, partner, x, low[chosen], high[chosen], 0.0, limit, *everything
+        searched = start, near, boxed(x, facets, ids[chosen], of), partner, x, 0.0, limit, *everything
         first, second = [(np.full(400, -1), np.zeros((400, 3)), np.zeros(400)) for _ in range(2)]
         closest.closest_facets(xp, rows, *searched, *first, *second)
         for place, foot, gap in (first, second):

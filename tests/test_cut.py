@@ -41,6 +41,7 @@ from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.sph.inertia import ENOUGH
 from coupler.state.records import rows_of
+from coupler.state.threads import PARTS, share
 
 
 @pytest.fixture(scope="module")
@@ -355,18 +356,56 @@ def test_a_process_of_a_batch_lets_blas_have_one_thread(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(deposition_task, "attempt", threads)
     with threadpool_limits(2, "blas"):
-        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None, 2) == {1}
+        assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == {1}
 
 
-@pytest.mark.parametrize(
-    ("count", "jobs", "threads", "each"),
-    [(3, 2, 2, [1, 1, 2]), (4, 2, 2, [1] * 4), (3, 2, 1, [1] * 3), (5, 4, 2, [1] * 4 + [2]), (7, 4, 2, [1] * 7)],
-)
-def test_impacts_left_over_for_idle_cores_have_two_threads(
-    count: int, jobs: int, threads: int, each: list[int]
+@pytest.mark.parametrize(("jobs", "threads", "few"), [(2, 2, 1), (4, 2, 2), (2, 1, 0)])
+def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
+    jobs: int, threads: int, few: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """few: with how many of five tasks left that begins."""
+
+    class Waiting(Executor):
+        def submit(self, *arguments: object, **options: object) -> Future[Any]:  # type: ignore[override]
+            return Future()
+
+    spare, seen = tmp_path / deposition_batches.TASKS / deposition_task.SPARE, {}
+
+    def wait(left: list[Future[Any]], *_: object) -> None:
+        seen[len(left)] = spare.exists()
+        left[-1].set_result(None)
+
+    monkeypatch.setattr(deposition_batches, "wait", wait)
+    monkeypatch.setattr(deposition_batches, "batch", lambda *_: range(5))
+    monkeypatch.setattr(deposition_batches.Batches, "tasks", lambda *_: iter([(None, None)] * 5))
+    spare.parent.mkdir()
+    spare.touch()  # of a batch before
     options = RunOptions(Progress(True), Path("log"), threads=threads, jobs=jobs)
-    assert [deposition_batches.threads_of(place, count, options) for place in range(count)] == each
+    plan = SimpleNamespace(impacts=[], shares=[(0.0, 0.0)])
+    batches = deposition_batches.Batches(plan, tmp_path, {}, options, Waiting())
+    assert len(list(batches.compute(0, None, lambda: None))) == 5
+    assert seen == {left: left <= few for left in range(1, 6)}
+
+
+def test_a_task_is_given_a_second_thread_on_its_way_and_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def pieces(task: SimpleNamespace, options: RunOptions) -> list[int]:
+        """How many ranges work is divided into: before the first window, and after it."""
+        counts = []
+        for _ in range(2):
+            ranges: list[tuple[int, int]] = []
+            share(lambda lo, hi, ranges=ranges: ranges.append((lo, hi)), 100, 10)
+            counts.append(len(ranges))
+            (tmp_path / deposition_task.SPARE).touch()
+            options.probe(None)
+        return counts
+
+    monkeypatch.setattr(deposition_task, "attempt", pieces)
+    assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == [1, PARTS]
+    ranges: list[tuple[int, int]] = []
+    share(lambda lo, hi: ranges.append((lo, hi)), 100, 10)
+    assert len(ranges) == 1  # it is gone with the task
 
 
 def test_a_process_of_a_batch_that_is_ended_is_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

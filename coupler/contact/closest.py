@@ -6,9 +6,31 @@ import numpy as np
 from numba import njit
 
 from ..geometry.vector_kernels import area_vector, from_foot
-from ..state.arrays import Bools, Floats, Ints
+from ..state.arrays import Bools, Faces, Floats, Ints
 
 ANY = -1  # body
+#: A triangle that points may meet: the box around it (m), its nodes and its body, together in one line of the processor's cache.
+FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
+
+
+@njit(cache=True, nogil=True)
+def faces_of(facets: Ints, ids: Ints, owner: Ints, faces: Faces) -> None:
+    """The triangles `ids` of facets (k,3), each of a body, owner (k,), into faces (len(ids),); their boxes are not written."""
+    for r in range(len(ids)):
+        for d in range(3):
+            faces[r].nodes[d] = facets[ids[r], d]
+        faces[r].body = owner[ids[r]]
+
+
+@njit(cache=True, nogil=True)
+def box_faces(x: Floats, faces: Faces) -> None:
+    """Bring the boxes around triangles up to their nodes x (N,3), m."""
+    for r in range(len(faces)):
+        t = faces[r].nodes
+        for d in range(3):
+            u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
+            faces[r].low[d] = min(u, v, w)
+            faces[r].high[d] = max(u, v, w)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -58,8 +80,7 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 
 @njit(cache=True, nogil=True)
 def _closest_of(
-    p: Floats, body: int, but: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, facets: Ints, facet_ids: Ints, owner:
-    Ints, x: Floats, low: Floats, high: Floats, shift: float,
+    p: Floats, body: int, but: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, faces: Faces, x: Floats, shift: float,
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
     """The triangle of a body (ANY: of all but one, `but`) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1
     for none; the square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to
@@ -76,14 +97,15 @@ def _closest_of(
             r = first
         elif look == first:
             continue
-        if boxes[r] < 0 or (body != ANY and owner[facet_ids[boxes[r]]] != body):
+        if boxes[r] < 0:
             continue
-        if but != ANY and owner[facet_ids[boxes[r]]] == but:
+        candidate = faces[boxes[r]]
+        if (body != ANY and candidate.body != body) or (but != ANY and candidate.body == but):
             continue
         # no triangle is closer than the box around it: most are left out so, once one close by is known
-        if _box_distance2(p, low[boxes[r]], high[boxes[r]]) > reach:
+        if _box_distance2(p, candidate.low, candidate.high) > reach:
             continue
-        t = facets[facet_ids[boxes[r]]]
+        t = candidate.nodes
         A, B, C = x[t[0]], x[t[1]], x[t[2]]
         a, b, c = closest_on_triangle(p, A, B, C)
         d0, d1, d2 = from_foot(p, A, B, C, a, b, c)
@@ -102,29 +124,27 @@ def _closest_of(
 
 
 @njit(cache=True, nogil=True)
-def _next_body(
-    after: int, p: Floats, lo: int, hi: int, reach: float, boxes: Ints, facet_ids: Ints, owner: Ints, low: Floats, high: Floats
-) -> int:  # fmt: skip
+def _next_body(after: int, p: Floats, lo: int, hi: int, reach: float, boxes: Ints, faces: Faces) -> int:
     """The least number above `after` of a body that has one of the candidates [lo, hi) with its box within reach, m2; ANY for none."""
     found = ANY
     for r in range(lo, hi):
         if boxes[r] >= 0:
-            body = owner[facet_ids[boxes[r]]]
-            lower = body > after and (found == ANY or body < found)
-            if lower and _box_distance2(p, low[boxes[r]], high[boxes[r]]) <= reach:
-                found = body
+            candidate = faces[boxes[r]]
+            lower = candidate.body > after and (found == ANY or candidate.body < found)
+            if lower and _box_distance2(p, candidate.low, candidate.high) <= reach:
+                found = candidate.body
     return found
 
 
 @njit(cache=True, nogil=True)
-def several_bodies(rows: Ints, start: Ints, boxes: Ints, facet_ids: Ints, owner: Ints) -> Bools:
+def several_bodies(rows: Ints, start: Ints, boxes: Ints, faces: Faces) -> Bools:
     """Whether each of the points `rows` has candidates of more than one body. Arguments as in `closest_facets`."""
     several = np.zeros(len(rows), np.bool_)
     for q in range(len(rows)):
         one = ANY
         for r in range(start[rows[q]], start[rows[q] + 1]):
             if boxes[r] >= 0:
-                body = owner[facet_ids[boxes[r]]]
+                body = faces[boxes[r]].body
                 several[q] |= one != ANY and body != one
                 one = body
     return several
@@ -132,8 +152,8 @@ def several_bodies(rows: Ints, start: Ints, boxes: Ints, facet_ids: Ints, owner:
 
 @njit(cache=True, nogil=True)
 def narrow(
-    rows: Ints, more: float, xp: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, limit: Floats, gap: Floats, nearest:
-    Ints, second: Ints, inner: Ints, within: Floats, at: Floats,
+    rows: Ints, more: float, xp: Floats, start: Ints, boxes: Ints, faces: Faces, limit: Floats, gap: Floats, nearest: Ints, second:
+    Ints, inner: Ints, within: Floats, at: Floats,
 ) -> None:  # fmt: skip
     """Put those candidates of each of the points `rows` first whose boxes come within a distance of it that is `more` m beyond what it
     meets now: up to place inner (n,), within (n,) m of at (n,3), where it is. nearest and second (n,) move to their new places.
@@ -149,7 +169,7 @@ def narrow(
         count, apart, place, place_2 = lo, 0, -1, -1
         reach = within[i] ** 2 * (1.0 + 4e-9)
         for r in range(lo, hi):
-            near = boxes[r] >= 0 and _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach
+            near = boxes[r] >= 0 and _box_distance2(xp[i], faces[boxes[r]].low, faces[boxes[r]].high) <= reach
             if r == nearest[i] or r == second[i] or near:
                 if r == nearest[i]:
                     place = count
@@ -166,18 +186,17 @@ def narrow(
 
 @njit(cache=True, nogil=True)
 def closest_facets(
-    xp: Floats, rows: Ints, start: Ints, boxes: Ints, facets: Ints, facet_ids: Ints, owner: Ints, partner: Ints, x: Floats, low:
-    Floats, high: Floats, shift: float, limit: Floats, inner: Ints, within: Floats, at: Floats, nearest: Ints, foot: Floats, gap:
-    Floats, second: Ints, second_foot: Floats, second_gap: Floats,
+    xp: Floats, rows: Ints, start: Ints, boxes: Ints, faces: Faces, partner: Ints, x: Floats, shift: float, limit: Floats, inner: Ints,
+    within: Floats, at: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats,
 ) -> None:  # fmt: skip
     """Which of its candidate triangles each point of `rows` meets, where, and how far away it is: the closest one; of a point that
     lies in several bodies, or outside one and inside another, the closest ones of the two in which it lies deepest.
 
     A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
 
-    xp, start, boxes, facets, facet_ids, x as in `contact_forces`; owner (facets,): the body of each; partner (n,): the body that
-    each point does not meet because a bond holds it there, ANY for none; low, high (k,3): boxes around the
-    triangles `facet_ids` at the last search, from which these have moved by `shift` m at the most. limit (rows,) m: other bodies than
+    xp, x as in `contact_forces`; start (n+1,), boxes: candidates of each point, places in faces (k,), whose triangles have moved from
+    the boxes around them by `shift` m at the most; partner (n,): the body that each point does not meet because a bond holds it there,
+    ANY for none. limit (rows,) m: other bodies than
     that of the closest one are not met deeper than that. inner, within, at: of `narrow`. nearest (n,): place in `boxes`, -1 for none;
     what it holds is where to look first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed
     distance, negative inside, m. second, second_foot, second_gap: the same of the body in which it lies second deepest, -1 and 0 where
@@ -190,23 +209,23 @@ def closest_facets(
         moved = sqrt(u * u + v * v + w * w) + shift
         end = inner[i] if limit[q] + moved <= within[i] else hi
         face, best, side, a, b, c = _closest_of(
-            xp[i], ANY, partner[i], nearest[i], lo, end, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+            xp[i], ANY, partner[i], nearest[i], lo, end, 1e300, boxes, faces, x, shift
         )
         if end < hi and sqrt(best) + moved > within[i]:
             end = hi
             face, best, side, a, b, c = _closest_of(
-                xp[i], ANY, partner[i], face, lo, end, 1e300, boxes, facets, facet_ids, owner, x, low, high, shift
+                xp[i], ANY, partner[i], face, lo, end, 1e300, boxes, faces, x, shift
             )
         away = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
         face_2, away_2, a_2, b_2, c_2 = -1, 0.0, 0.0, 0.0, 0.0
         if face >= 0 and best <= limit[q] ** 2:
-            closest = owner[facet_ids[boxes[face]]]
+            closest = faces[boxes[face]].body
             reach = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
-            body = _next_body(ANY, xp[i], lo, end, reach, boxes, facet_ids, owner, low, high)
+            body = _next_body(ANY, xp[i], lo, end, reach, boxes, faces)
             while body != ANY:
                 if body != closest and body != partner[i]:
                     other, best, side, u, v, w = _closest_of(
-                        xp[i], body, ANY, -1, lo, end, reach, boxes, facets, facet_ids, owner, x, low, high, shift
+                        xp[i], body, ANY, -1, lo, end, reach, boxes, faces, x, shift
                     )
                     if other >= 0 and side < 0.0 and best <= limit[q] ** 2:
                         if -sqrt(best) < away:
@@ -215,7 +234,7 @@ def closest_facets(
                             face, away, a, b, c = other, -sqrt(best), u, v, w
                         elif -sqrt(best) < away_2:
                             face_2, away_2, a_2, b_2, c_2 = other, -sqrt(best), u, v, w
-                body = _next_body(body, xp[i], lo, end, reach, boxes, facet_ids, owner, low, high)
+                body = _next_body(body, xp[i], lo, end, reach, boxes, faces)
         nearest[i], gap[i] = face, away
         foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
         second[i], second_gap[i] = face_2, away_2
@@ -224,8 +243,8 @@ def closest_facets(
 
 @njit(cache=True, nogil=True)
 def reachable(
-    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, facet_ids: Ints, owner: Ints, low: Floats, high: Floats,
-    limit: Floats, gap: Floats, nearest: Ints, second: Ints,
+    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, faces: Faces, limit: Floats, gap: Floats, nearest: Ints, second:
+    Ints,
 ) -> tuple[Ints, Ints]:  # fmt: skip
     """The candidates (start, boxes) of the points `rows` that they can meet while point and facets come `travel` m closer or farther:
     no more than twice that farther away than the closest now or, where there are several bodies, than `limit` (rows,) m. nearest and
@@ -233,7 +252,7 @@ def reachable(
 
     A point without a closest facet keeps all of its candidates, others than `rows` keep none. Arrays as in `closest_facets`.
     """
-    several = several_bodies(rows, start, boxes, facet_ids, owner)
+    several = several_bodies(rows, start, boxes, faces)
     first = np.zeros(len(start), np.int64)
     kept = np.empty(len(boxes), np.int64)
     count = 0
@@ -251,7 +270,7 @@ def reachable(
                 place = count
             if r == second[i]:
                 place_2 = count
-            if r == nearest[i] or _box_distance2(xp[i], low[boxes[r]], high[boxes[r]]) <= reach:
+            if r == nearest[i] or _box_distance2(xp[i], faces[boxes[r]].low, faces[boxes[r]].high) <= reach:
                 kept[count] = boxes[r]
                 count += 1
         nearest[i], second[i] = place, place_2

@@ -6,10 +6,10 @@ import numpy as np
 from numba import njit
 
 from ..geometry.vector_kernels import add, area_vector, from_foot
-from ..state.arrays import Arrays, Floats, Ints
+from ..state.arrays import Arrays, Faces, Floats, Ints
 from ..state.loops import ranges
-from .broad import facet_boxes, farthest
-from .closest import ANY, closest_facets, narrow
+from .broad import farthest
+from .closest import ANY, box_faces, closest_facets, narrow
 
 FRESH = 0.3  # of what facets and points may move before all candidates are looked at: up to it boxes stay as they are
 LEAST_ROWS = 30  # points in a range of a loop that threads share
@@ -77,19 +77,25 @@ def follow(deep: float, before: float, moved: float, ignored: float) -> float:
 @njit(cache=True, nogil=True)
 def begin_look(
     rows: Ints, xp: Floats, x: Floats, nodes: Ints, places: Floats, last: Floats, way: Floats, seen: Floats, room: Floats, nearest:
-    Ints,
+    Ints, active: int,
 ) -> tuple[Ints, float]:  # fmt: skip
     """Those of the points `rows` that may touch, and how far the facets have gone since the last search, m.
 
-    nodes (k,): those of the facets; places, last (k,3): where they were at the last search and at the last look; way (1,) m: how far
-    they have gone since the search, step by step. The rest as in `due`.
+    nodes (k,): those of the facets, ascending, of which only those below `active` move; places, last (k,3): where they were at the
+    last search and at the last look; way (1,) m: how far they have gone since the search, step by step. The rest as in `due`.
     """
-    shift = farthest(x, nodes, places)
-    way[0] += farthest(x, nodes, last)
+    shift2 = step2 = 0.0
     for q in range(len(nodes)):
-        for d in range(3):
-            last[q, d] = x[nodes[q], d]
-    return due(rows, xp, seen, room, nearest, way[0]), shift
+        a = nodes[q]
+        if a >= active:
+            break
+        u, v, w = x[a, 0] - places[q, 0], x[a, 1] - places[q, 1], x[a, 2] - places[q, 2]
+        shift2 = max(shift2, u * u + v * v + w * w)
+        u, v, w = x[a, 0] - last[q, 0], x[a, 1] - last[q, 1], x[a, 2] - last[q, 2]
+        step2 = max(step2, u * u + v * v + w * w)
+        last[q, 0], last[q, 1], last[q, 2] = x[a, 0], x[a, 1], x[a, 2]
+    way[0] += sqrt(step2)
+    return due(rows, xp, seen, room, nearest, way[0]), sqrt(shift2)
 
 
 @njit(cache=True, nogil=True)
@@ -105,10 +111,10 @@ def deepest(rows: Ints, margin: float, jump: float, depth: Floats, ignored: Floa
 
 @njit(cache=True, nogil=True)
 def end_look(
-    rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, facets: Ints, facet_ids: Ints,
-    owner: Ints, partner: Ints, x: Floats, start: Ints, boxes: Ints, low: Floats, high: Floats, inner: Ints, within: Floats, at:
-    Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap:
-    Floats, body: Ints, second_body: Ints, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats,
+    rows: Ints, shift: float, lost: Floats, way: Floats, margin: float, jump: float, xp: Floats, faces: Faces, partner: Ints, x: Floats,
+    start: Ints, boxes: Ints, inner: Ints, within: Floats, at: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap:
+    Floats, second: Ints, second_foot: Floats, second_gap: Floats, body: Ints, second_body: Ints, depth: Floats, ignored: Floats,
+    second_depth: Floats, second_ignored: Floats, spring: Floats,
 ) -> None:  # fmt: skip
     """Find the facets that each of those points `rows` of `begin_look` meets; the others keep theirs, which they cannot touch.
 
@@ -121,8 +127,7 @@ def end_look(
     before = gap[rows]
     limit = deepest(rows, margin, jump, depth, ignored)
     closest_facets(
-        xp, rows, start, boxes, facets, facet_ids, owner, partner, x, low, high, shift, limit, inner, within, at, nearest, foot, gap,
-        second, second_foot, second_gap,
+        xp, rows, start, boxes, faces, partner, x, shift, limit, inner, within, at, nearest, foot, gap, second, second_foot, second_gap,
     )  # fmt: skip
     for q in range(len(rows)):
         i = rows[q]
@@ -144,9 +149,9 @@ def end_look(
                 lost[2] += stretch
             depth[i] = spring[i, 0] = spring[i, 1] = spring[i, 2] = second_depth[i] = second_ignored[i] = 0.0
             continue
-        first, other = owner[facet_ids[boxes[nearest[i]]]], ANY
+        first, other = faces[boxes[nearest[i]]].body, ANY
         if second[i] >= 0:
-            other = owner[facet_ids[boxes[second[i]]]]
+            other = faces[boxes[second[i]]].body
         # the two bodies change their order: else what is ignored changes its body, and the force jumps from step to step
         if body[i] != ANY and first == second_body[i]:
             before[q], was = -second_depth[i] - second_ignored[i], max(-before[q], 0.0)
@@ -210,9 +215,9 @@ def _add_pair(
 
 @njit(cache=True, nogil=True)
 def second_forces(
-    tiny: float, stiffness: float, xp: Floats, rows: Ints, boxes: Ints, facet_ids: Ints, second: Ints, second_foot: Floats,
-    second_gap: Floats, second_ignored: Floats, facets: Ints, x: Floats, f_point: Floats, f_node: Floats, node: Ints, active: int,
-    sums: Floats, second_depth: Floats,
+    tiny: float, stiffness: float, xp: Floats, rows: Ints, boxes: Ints, faces: Faces, second: Ints, second_foot: Floats, second_gap:
+    Floats, second_ignored: Floats, x: Floats, f_point: Floats, f_node: Floats, node: Ints, active: int, sums: Floats, second_depth:
+    Floats,
 ) -> None:  # fmt: skip
     """Penalty forces, without friction, between points and the bodies in which they lie second deepest; added to f_point, f_node and
     to sums[0]. Arguments as in `contact_forces` and `closest_facets`."""
@@ -224,7 +229,7 @@ def second_forces(
         pen = max(-second_gap[i] - second_ignored[i], 0.0)
         if pen == second_depth[i] == 0.0:
             continue
-        t = facets[facet_ids[boxes[second[i]]]]
+        t = faces[boxes[second[i]]].nodes
         if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
             continue
         second_depth[i] = pen
@@ -240,15 +245,15 @@ def second_forces(
 @njit(cache=True, nogil=True)
 def contact_forces(
     dt: float, tiny: float, stiffness: float, tangential: float, mu: float, xp: Floats, vp: Floats, rows: Ints, boxes: Ints,
-    facet_ids: Ints, nearest: Ints, foot: Floats, gaps: Floats, ignored: Floats, facets: Ints, x: Floats, v: Floats, f_point: Floats,
+    facet_ids: Ints, faces: Faces, nearest: Ints, foot: Floats, gaps: Floats, ignored: Floats, x: Floats, v: Floats, f_point: Floats,
     f_node: Floats, node: Ints, active: int, spring: Floats, heat_point: Floats, heat_facet: Floats, share: float, sums: Floats,
     depth: Floats,
 ) -> None:  # fmt: skip
     """Penalty and friction forces between points and triangles, equal and opposite in force and in moment.
 
-    xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (indices into facet_ids) with
-    nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; facets (k,3) nodes
-    with outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface, less what
+    xp, vp (n,3) points; rows: the points that may touch; boxes: candidate triangles (places in facet_ids, their numbers, and in faces)
+    with nearest (n,) the place in it of the closest one, foot (n,3) and gaps (n,) from `closest_facets`; the nodes of faces have
+    outward normals; x, v (N,3) nodes. penetration = minus the signed distance to the closest point of the surface, less what
     of it is ignored (n,) m, force stiffness x penetration along the line that joins them (below the distance `tiny`: the normal).
     spring (n,3): friction force of each point, updated. f_point (n,3), f_node (N,3) are added to. heat_point (n,), heat_facet (k,) J
     receive friction heat, `share` of it the point. sums: [penalty energy, spring energy, friction heat of the step, touching points].
@@ -266,8 +271,7 @@ def contact_forces(
         pen = -gaps[i] - ignored[i]
         if pen <= 0.0 and depth[i] == 0.0 and spring[i, 0] == 0.0 and spring[i, 1] == 0.0 and spring[i, 2] == 0.0:
             continue  # outside, as before
-        fid = facet_ids[boxes[nearest[i]]]
-        t = facets[fid]
+        fid, t = facet_ids[boxes[nearest[i]]], faces[boxes[nearest[i]]].nodes
         if len(node) and min(node[i], t[0], t[1], t[2]) >= active:
             continue
         gap = gaps[i]
@@ -341,14 +345,14 @@ def contact_forces(
 
 @njit(cache=True, nogil=True)
 def refresh_sides(
-    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
-    nodes: Ints, places: Floats, node_of: Ints, facets: Ints, x: Floats, xp: Floats, inner: Ints, within: Floats, at: Floats, nearest:
-    Ints, gap: Floats, second: Ints, depth: Floats, ignored: Floats,
+    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, faces: Faces, nodes: Ints, places: Floats,
+    node_of: Ints, x: Floats, xp: Floats, inner: Ints, within: Floats, at: Floats, nearest: Ints, gap: Floats, second: Ints, depth:
+    Floats, ignored: Floats,
 ) -> None:  # fmt: skip
-    """The boxes around the facets `ids` of the sides [lo, hi) and the places (m) of their nodes, brought up to now, and `narrow` by
+    """The boxes around the faces of the sides [lo, hi) and the places (m) of their nodes, brought up to now, and `narrow` by
     them; of a side that has hardly moved they stay."""
     for s in range(lo, hi):
-        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
+        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, _, _ = spans[s]
         most = 0.0
         for row in rows[r:r1]:
             way2 = 0.0
@@ -358,39 +362,51 @@ def refresh_sides(
             most = max(most, way2)
         if farthest(x, nodes[n:n1], places[n:n1]) + sqrt(most) < FRESH * numbers[s, 1]:
             continue
-        facet_boxes(x, facets[t:t1], ids[i:i1], low[i:i1], high[i:i1])
+        box_faces(x, faces[i:i1])
         for k in range(n, n1):
             for d in range(3):
                 places[k, d] = x[nodes[k], d]
         limit = deepest(rows[r:r1], numbers[s, 0], numbers[s, 1], depth[p:p1], ignored[p:p1])
         narrow(
-            rows[r:r1], numbers[s, 1], xp[p:p1], start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], limit, gap[p:p1], nearest[p:p1],
+            rows[r:r1], numbers[s, 1], xp[p:p1], start[q:q1], boxes[b:b1], faces[i:i1], limit, gap[p:p1], nearest[p:p1],
             second[p:p1], inner[p:p1], within[p:p1], at[p:p1],
         )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
 def look_of_sides(
-    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, ids: Ints, low: Floats, high: Floats,
-    nodes: Ints, places: Floats, last: Floats, way: Floats, node_of: Ints, facets: Ints, owner: Ints, partner: Ints, x: Floats, xp:
-    Floats, inner: Ints, within: Floats, at: Floats, seen: Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second:
-    Ints, second_foot: Floats, second_gap: Floats, body: Ints, second_body: Ints, depth: Floats, ignored: Floats, second_depth: Floats,
-    second_ignored: Floats, spring: Floats, lost: Floats,
+    lo: int, hi: int, spans: Ints, numbers: Floats, rows: Ints, start: Ints, boxes: Ints, faces: Faces, nodes: Ints, places: Floats,
+    last: Floats, way: Floats, node_of: Ints, partner: Ints, x: Floats, xp: Floats, inner: Ints, within: Floats, at: Floats, seen:
+    Floats, room: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats, body: Ints,
+    second_body: Ints, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored: Floats, spring: Floats, lost: Floats,
+    active: int, met: Ints, meeting: Ints,
 ) -> None:  # fmt: skip
     """`begin_look` and `end_look` for the sides [lo, hi), each on its part of the arrays (`penalty.SideBySide`); xp (n,3) is written
-    for their rows."""
+    for their rows. met: those of the rows of each side that may touch, in its part, meeting (sides,): how many they are."""
     for s in range(lo, hi):
-        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, t, t1 = spans[s]
+        r, r1, p, p1, q, q1, b, b1, i, i1, n, n1, _, _ = spans[s]
         for row in rows[r:r1]:
             for d in range(3):
                 xp[p + row, d] = x[node_of[p + row], d]
         own = way[s : s + 1]
         near, shift = begin_look(
-            rows[r:r1], xp[p:p1], x, nodes[n:n1], places[n:n1], last[n:n1], own, seen[p:p1], room[p:p1], nearest[p:p1]
+            rows[r:r1],
+            xp[p:p1],
+            x,
+            nodes[n:n1],
+            places[n:n1],
+            last[n:n1],
+            own,
+            seen[p:p1],
+            room[p:p1],
+            nearest[p:p1],
+            active,
         )
+        meeting[s] = len(near)
+        met[r : r + len(near)] = near
         end_look(
-            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], facets[t:t1], ids[i:i1], owner[t:t1], partner[p:p1], x,
-            start[q:q1], boxes[b:b1], low[i:i1], high[i:i1], inner[p:p1], within[p:p1], at[p:p1], seen[p:p1], room[p:p1],
+            near, shift, lost[s], own, numbers[s, 0], numbers[s, 1], xp[p:p1], faces[i:i1], partner[p:p1], x, start[q:q1], boxes[b:b1],
+            inner[p:p1], within[p:p1], at[p:p1], seen[p:p1], room[p:p1],
             nearest[p:p1], foot[p:p1], gap[p:p1], second[p:p1], second_foot[p:p1], second_gap[p:p1], body[p:p1], second_body[p:p1],
             depth[p:p1], ignored[p:p1], second_depth[p:p1], second_ignored[p:p1], spring[p:p1],
         )  # fmt: skip
@@ -398,26 +414,28 @@ def look_of_sides(
 
 @njit(cache=True, nogil=True)
 def forces_of_sides(
-    dt: float, mu: float, share: float, spans: Ints, numbers: Floats, rows: Ints, boxes: Ints, ids: Ints, node_of: Ints, facets:
-    Ints, x: Floats, v: Floats, f: Floats, active: int, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap: Floats,
-    second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats, second_ignored:
-    Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
+    dt: float, mu: float, share: float, spans: Ints, numbers: Floats, met: Ints, meeting: Ints, boxes: Ints, ids: Ints, faces: Faces,
+    node_of: Ints, x: Floats, v: Floats, f: Floats, active: int, xp: Floats, vp: Floats, fp: Floats, nearest: Ints, foot: Floats, gap:
+    Floats, second: Ints, second_foot: Floats, second_gap: Floats, depth: Floats, ignored: Floats, second_depth: Floats,
+    second_ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """`contact_forces` and `second_forces` of all sides, one after the other, added to f (N,3); sums (sides,4)."""
+    """`contact_forces` and `second_forces` of all sides, one after the other, added to f (N,3); sums (sides,4). Only the points that
+    `look_of_sides` has `met` matter: all others lie outside and hold nothing."""
     for s in range(len(spans)):
-        r, r1, p, p1, _, _, b, b1, i, i1, _, _, t, t1 = spans[s]
-        for row in rows[r:r1]:
+        r, _, p, p1, _, _, b, b1, i, i1, _, _, t, t1 = spans[s]
+        rows = met[r : r + meeting[s]]
+        for row in rows:
             for d in range(3):
                 vp[p + row, d] = v[node_of[p + row], d]
                 fp[p + row, d] = 0.0
         contact_forces(
-            dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1],
-            nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], facets[t:t1], x, v, fp[p:p1], f, node_of[p:p1], active, spring[p:p1],
+            dt, numbers[s, 2], numbers[s, 3], numbers[s, 4], mu, xp[p:p1], vp[p:p1], rows, boxes[b:b1], ids[i:i1],
+            faces[i:i1], nearest[p:p1], foot[p:p1], gap[p:p1], ignored[p:p1], x, v, fp[p:p1], f, node_of[p:p1], active, spring[p:p1],
             heat_point[p:p1], heat_facet[t:t1], share, sums[s], depth[p:p1],
         )  # fmt: skip
         second_forces(
-            numbers[s, 2], numbers[s, 3], xp[p:p1], rows[r:r1], boxes[b:b1], ids[i:i1], second[p:p1], second_foot[p:p1],
-            second_gap[p:p1], second_ignored[p:p1], facets[t:t1], x, fp[p:p1], f, node_of[p:p1], active, sums[s], second_depth[p:p1],
+            numbers[s, 2], numbers[s, 3], xp[p:p1], rows, boxes[b:b1], faces[i:i1], second[p:p1], second_foot[p:p1],
+            second_gap[p:p1], second_ignored[p:p1], x, fp[p:p1], f, node_of[p:p1], active, sums[s], second_depth[p:p1],
         )  # fmt: skip
-        for row in rows[r:r1]:
+        for row in rows:
             add(f, node_of[p + row], fp[p + row, 0], fp[p + row, 1], fp[p + row, 2])

@@ -14,7 +14,7 @@ from ..state.records import Shape, assign, collect
 from ..state.threads import share, together
 from . import broad
 from . import kernels as k
-from .closest import ANY, narrow, reachable, several_bodies
+from .closest import ANY, FACE, box_faces, faces_of, narrow, reachable, several_bodies
 
 # Of a step: a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node.
 WITH_SECOND = 0.8
@@ -93,7 +93,8 @@ class PointContact:
         self.dropped = 0
         #: The points that may touch before the next search, ascending: `forces` reads and writes only these. Some may be taken out.
         self.rows = np.zeros(0, np.int64)
-        self._ids = np.arange(len(facets))
+        #: The candidates of the last search: their numbers, and they with the boxes around them.
+        self._ids, self._faces = np.arange(len(facets)), np.zeros(0, FACE)
         self._start: Ints = np.zeros(points + 1, np.int64)
         self._boxes: Ints = np.zeros(0, np.int64)
         self._low, self._high = np.zeros((len(facets), 3)), np.zeros((len(facets), 3))
@@ -206,8 +207,8 @@ class PointContact:
         self._note_corners(x)
         limit = k.deepest(self.rows, self._margin, self._jump, self.depth, self.ignored)
         narrow(
-            self.rows, self._jump, xp, self._start, self._boxes, self._low, self._high, limit, self.gap, self._nearest, self._second,
-            self._inner, self._within, self._at,
+            self.rows, self._jump, xp, self._start, self._boxes, self._faces, limit, self.gap, self._nearest, self._second, self._inner,
+            self._within, self._at,
         )  # fmt: skip
         self.depth[away] = self.second_depth[away] = 0.0
         away[rows] = False  # what has no candidate is outside
@@ -225,13 +226,14 @@ class PointContact:
         """Of the candidates of `rows`, those that they can meet before the surfaces have moved `travel` m against each other."""
         limit = k.deepest(self.rows, self._margin, self._jump, self.depth, self.ignored)
         self._start, self._boxes = reachable(
-            self.rows, travel, xp, self._start, self._boxes, self._ids, self.owner, self._low, self._high, limit, self.gap,
-            self._nearest, self._second,
+            self.rows, travel, xp, self._start, self._boxes, self._faces, limit, self.gap, self._nearest, self._second
         )  # fmt: skip
 
     def _note_corners(self, x: np.ndarray) -> None:
         """Remember where the facets in question are at a search."""
-        broad.facet_boxes(x, self.facets, self._ids, self._low, self._high)
+        self._faces = np.empty(len(self._ids), FACE)
+        faces_of(self.facets, self._ids, self.owner, self._faces)
+        box_faces(x, self._faces)
         self._nodes = broad.corners(self.facets, self._ids, len(x))
         self._places = x[self._nodes]
         self._last, self._way[0] = self._places.copy(), 0.0
@@ -261,17 +263,17 @@ class PointContact:
 
     def between_bodies(self) -> np.ndarray:
         """Those of `rows` that may meet two bodies before the next search."""
-        return self.rows[several_bodies(self.rows, self._start, self._boxes, self._ids, self.owner)]
+        return self.rows[several_bodies(self.rows, self._start, self._boxes, self._faces)]
 
     def _look(self, xp: np.ndarray, x: np.ndarray, rows: np.ndarray) -> None:
         """Find the closest facet of those `rows` that may touch, and take the contact from those that lie too deep."""
         lost = np.zeros((PARTS, 3))
         together(
-            k.look, rows, (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest),
-            (self._way, self._margin, self._jump, xp, self.facets, self._ids, self.owner, self.partner, x, self._start, self._boxes,
-             self._low, self._high, self._inner, self._within, self._at, self._seen, self._room, self._nearest, self._foot, self.gap,
-             self._second, self._second_foot, self._second_gap, self.body, self.second_body, self.depth, self.ignored,
-             self.second_depth, self.second_ignored, self.spring),
+            k.look, rows,
+            (xp, x, self._nodes, self._places, self._last, self._way, self._seen, self._room, self._nearest, len(x)),
+            (self._way, self._margin, self._jump, xp, self._faces, self.partner, x, self._start, self._boxes, self._inner, self._within,
+             self._at, self._seen, self._room, self._nearest, self._foot, self.gap, self._second, self._second_foot, self._second_gap,
+             self.body, self.second_body, self.depth, self.ignored, self.second_depth, self.second_ignored, self.spring),
             np.empty(len(rows) + 1, np.int64), np.empty(1), lost,
         )  # fmt: skip
         self._drop(lost.sum(axis=0))
@@ -290,12 +292,12 @@ class PointContact:
         self._look(xp, x, self.rows)
         k.contact_forces(
             dt, 1e-6 * self.spacing, self.stiffness, self.tangential, self.friction, xp, vp, self.rows,
-            self._boxes, self._ids, self._nearest, self._foot, self.gap, self.ignored, self.facets, x, v, f_point, f_node,
+            self._boxes, self._ids, self._faces, self._nearest, self._foot, self.gap, self.ignored, x, v, f_point, f_node,
             _NO_NODES, 0, self.spring, self.heat_point, self.heat_facet, self.share, self.sums, self.depth,
         )  # fmt: skip
         k.second_forces(
-            1e-6 * self.spacing, self.stiffness, xp, self.rows, self._boxes, self._ids, self._second, self._second_foot,
-            self._second_gap, self.second_ignored, self.facets, x, f_point, f_node, _NO_NODES, 0, self.sums, self.second_depth,
+            1e-6 * self.spacing, self.stiffness, xp, self.rows, self._boxes, self._faces, self._second, self._second_foot,
+            self._second_gap, self.second_ignored, x, f_point, f_node, _NO_NODES, 0, self.sums, self.second_depth,
         )  # fmt: skip
         self.friction_heat += float(self.sums[2])
 
@@ -305,7 +307,7 @@ _OF_POINT = (
     "partner", "body", "second_body", "spring", "depth", "ignored", "second_depth", "second_ignored", "heat_point", "_inner",
     "_within", "_at", "_seen", "_room", "_nearest", "_foot", "gap", "_second", "_second_foot", "_second_gap",
 )  # fmt: skip
-_OF_FACET = ("facets", "owner", "heat_facet")
+_OF_FACET = ("heat_facet",)
 LEAST_SIDES = 3  # in a range of a shared loop
 
 
@@ -337,11 +339,8 @@ class SideBySide:
         """Note what the last searches of the contacts `active` have found: the others have no part in a step."""
         chosen = [self._contacts[s] for s in active]
         self._active = chosen
-        names = ("rows", "_start", "_boxes", "_ids", "_low", "_high", "_nodes", "_places", "_last", "_way")
+        names = ("rows", "_start", "_boxes", "_ids", "_faces", "_nodes", "_places", "_last", "_way")
         searched = {name: [getattr(c, name) for c in chosen] for name in names}
-        searched["_low"], searched["_high"] = (
-            [box[: len(c._ids)] for c, box in zip(chosen, searched[n], strict=True)] for n in ("_low", "_high")
-        )
         self._searched = {name: _joined(parts) for name, parts in searched.items()}
         rows, start, boxes, ids, nodes = (
             _bounds(searched[name]) for name in ("rows", "_start", "_boxes", "_ids", "_nodes")
@@ -355,6 +354,7 @@ class SideBySide:
             [(c._margin, c._jump, 1e-6 * c.spacing, c.stiffness, c.tangential) for c in chosen]
         ).reshape(-1, 5)
         self._sums, self._lost = np.zeros((len(chosen), 4)), np.zeros((len(chosen), 3))
+        self._met, self._meeting = np.zeros(rows[-1], np.int64), np.zeros(len(chosen), np.int64)
         for i, c in enumerate(chosen):  # what a step changes
             c._last, c._way = self._searched["_last"][nodes[i] : nodes[i + 1]], self._searched["_way"][i : i + 1]
             c._boxes = self._searched["_boxes"][boxes[i] : boxes[i + 1]]
@@ -369,9 +369,9 @@ class SideBySide:
 
         def bring_up(lo: int, hi: int) -> None:
             k.refresh_sides(
-                lo, hi, self._spans, self._numbers, near["rows"], near["_start"], near["_boxes"], near["_ids"], near["_low"],
-                near["_high"], near["_nodes"], near["_places"], self.node_of, w["facets"], x, self._x, w["_inner"], w["_within"],
-                w["_at"], w["_nearest"], w["gap"], w["_second"], w["depth"], w["ignored"],
+                lo, hi, self._spans, self._numbers, near["rows"], near["_start"], near["_boxes"], near["_faces"], near["_nodes"],
+                near["_places"], self.node_of, x, self._x, w["_inner"], w["_within"], w["_at"], w["_nearest"], w["gap"], w["_second"],
+                w["depth"], w["ignored"],
             )  # fmt: skip
 
         share(bring_up, len(self._active), LEAST_SIDES)
@@ -393,15 +393,15 @@ class SideBySide:
         if not self._active:
             return
         w, near, own = self._whole, self._searched, self._active[0]
-        rows, boxes, ids = near["rows"], near["_boxes"], near["_ids"]
+        rows, boxes, faces = near["rows"], near["_boxes"], near["_faces"]
 
         def look(lo: int, hi: int) -> None:
             k.look_of_sides(
-                lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, ids, near["_low"], near["_high"], near["_nodes"],
-                near["_places"], near["_last"], near["_way"], self.node_of, w["facets"], w["owner"], w["partner"], x, self._x,
-                w["_inner"], w["_within"], w["_at"], w["_seen"], w["_room"], w["_nearest"], w["_foot"], w["gap"], w["_second"],
-                w["_second_foot"], w["_second_gap"], w["body"], w["second_body"], w["depth"], w["ignored"], w["second_depth"],
-                w["second_ignored"], w["spring"], self._lost,
+                lo, hi, self._spans, self._numbers, rows, near["_start"], boxes, faces, near["_nodes"], near["_places"], near["_last"],
+                near["_way"], self.node_of, w["partner"], x, self._x, w["_inner"], w["_within"], w["_at"], w["_seen"], w["_room"],
+                w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"], w["_second_gap"], w["body"], w["second_body"],
+                w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"], self._lost, active, self._met,
+                self._meeting,
             )  # fmt: skip
 
         self._lost[:] = 0.0
@@ -409,10 +409,10 @@ class SideBySide:
         for i in np.flatnonzero(self._lost.any(axis=1)):
             self._active[i]._drop(self._lost[i])
         k.forces_of_sides(
-            dt, own.friction, own.share, self._spans, self._numbers, rows, boxes, ids, self.node_of, w["facets"], x, v, f,
-            active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"],
-            w["_second_gap"], w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"],
-            w["heat_point"], w["heat_facet"], self._sums,
+            dt, own.friction, own.share, self._spans, self._numbers, self._met, self._meeting, boxes, near["_ids"], faces, self.node_of,
+            x, v, f, active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"],
+            w["_second_gap"], w["depth"], w["ignored"], w["second_depth"], w["second_ignored"], w["spring"], w["heat_point"],
+            w["heat_facet"], self._sums,
         )  # fmt: skip
         for c, slip in zip(self._active, self._sums[:, 2].tolist(), strict=True):
             c.friction_heat += slip

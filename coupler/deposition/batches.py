@@ -3,7 +3,7 @@
 import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from ..plan.planning import Plan
 from ..ranks.executors import executor
 from .cut import Cut, cut_out
 from .joining import points_of_impact
-from .task import STOP, Task, TaskResult, attempt, run_alone
+from .task import SPARE, STOP, Task, TaskResult, attempt, run_alone
 
 TASKS = "impacts"  # folder of the tasks in that of the run
 _LOOK = 0.5  # s between two looks for a signal
@@ -36,13 +36,6 @@ def workers(plan: Plan, options: RunOptions, folder: Path) -> Iterator[Executor 
         return
     with executor("processes", min(options.jobs, widest), folder) as pool:
         yield pool
-
-
-def threads_of(place: int, count: int, options: RunOptions) -> int:
-    """Threads of the task at a place of a batch of `count`: two for the last ones, where so few are left over that cores are idle
-    beside them. They do not change the numbers."""
-    left = count % options.jobs
-    return 2 if options.threads > 1 and place >= count - left and 2 * left <= options.jobs else 1
 
 
 @dataclass(frozen=True)
@@ -75,29 +68,30 @@ class Batches:
         error in the place of one that fails. whole: the bodies before the batch; meanwhile(): called once, while workers compute.
 
         Raises Stopped after a signal, WorkerError where a process is ended from outside."""
-        stop = self.folder / TASKS / STOP
-        stop.parent.mkdir(exist_ok=True)
-        stop.unlink(missing_ok=True)
+        folder = self.folder / TASKS
+        folder.mkdir(exist_ok=True)
+        for name in (STOP, SPARE):
+            (folder / name).unlink(missing_ok=True)
         count = len(batch(self.plan.impacts, first))
         if self.pool is not None and count > 1:
-            yield from self._side_by_side(self.pool, first, count, whole, meanwhile, stop)
+            yield from self._side_by_side(self.pool, first, whole, meanwhile, folder)
             return
         meanwhile()
         for task, cut in self.tasks(first, whole):
             yield task, cut, attempt(task, self.options)
 
     def _side_by_side(
-        self, pool: Executor, first: int, count: int, whole: Bodies, meanwhile: Callable[[], None], stop: Path
+        self, pool: Executor, first: int, whole: Bodies, meanwhile: Callable[[], None], folder: Path
     ) -> Iterator[tuple[Task, Cut, TaskResult | ColdsprayError]]:
-        """`compute` of a batch of `count` impacts in processes, which the file `stop` ends. Each task begins as soon as its cut is
-        made: workers do not wait for the cuts of others."""
+        """`compute` in processes, which the file STOP in a folder ends. Each task begins as soon as its cut is made: workers do not
+        wait for the cuts of others. Where so few are left that cores are idle, the file SPARE gives each two threads."""
         options, tasks = self.options, list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
+        stop, spare = folder / STOP, folder / SPARE
         with StopSignals() as signals:
             try:
-                for place, (task, cut) in enumerate(self.tasks(first, whole)):
-                    threads = threads_of(place, count, options)
+                for task, cut in self.tasks(first, whole):
                     future = pool.submit(
-                        run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
+                        run_alone, task, dict(options.numerics), options.checkpoint_every, options.until
                     )
                     tasks.append((task, cut, future))
                 words = f"impacts {first + 1} to {first + len(tasks)} side by side"
@@ -105,7 +99,10 @@ class Batches:
                 meanwhile()
                 for task, cut, future in tasks:
                     while not future.done():
-                        wait([future], _LOOK)
+                        left = [each for _, _, each in tasks if not each.done()]
+                        if options.threads > 1 and 2 * len(left) <= options.jobs:
+                            spare.touch()
+                        wait(left, _LOOK, FIRST_COMPLETED)
                         if signals.number and not stop.exists():
                             stop.touch()
                     if not signals.number:

@@ -17,11 +17,13 @@ from ..impact.summary import ImpactRecord
 from ..measures import UNDECIDED
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..state.threads import second_thread
+from ..state.threads import add_second_thread, second_thread
 from .joining import join
 from .mass_scaling import prepare
 
-STOP = "stop"  # file beside the folders of tasks: those that run stop at their next window of steps
+# files beside the folders of tasks, which those that run look for at each window of steps
+STOP = "stop"  # they stop
+SPARE = "spare"  # cores are idle: each has a second thread from now on
 
 
 @dataclass(frozen=True)
@@ -106,18 +108,20 @@ def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
 
 
 def run_alone(
-    task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int
+    task: Task, numerics: Mapping[str, float], every: float, until: float | None
 ) -> TaskResult | ColdsprayError:
     """`run_task` in a process of an executor; the error of an impact that fails."""
-    stop = task.folder.parent / STOP
+    stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
     def look(_: object) -> None:
         if stop.exists():
             signal.raise_signal(signal.SIGTERM)  # the impact writes a checkpoint and ends with `Stopped`
+        if spare.exists():
+            add_second_thread()  # it does not change the numbers
 
     options = RunOptions(
         Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
-        until=until, threads=threads,
+        until=until, threads=1,
     )  # fmt: skip
     with second_thread(options.threads):
         return attempt(task, options)

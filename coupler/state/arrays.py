@@ -9,6 +9,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.integer]
 Bools: TypeAlias = NDArray[np.bool_]
 Laws: TypeAlias = NDArray[np.void]  # records of `physics.constitutive.LAW`
+Faces: TypeAlias = NDArray[np.void]  # records of `contact.closest.FACE`
 Arrays: TypeAlias = tuple[Any, ...]  # arguments of a kernel, as they follow each other
 Vector: TypeAlias = tuple[float, float, float]
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float]  # xx yy zz yz xz xy

@@ -1,8 +1,8 @@
 """A second thread on a second core, for work that releases Python's lock (compiled kernels).
 
-A process has one second thread or none (`second_thread`). Compiled functions whose loops are divided (`loops`) are called by
-both threads (`together`); loops over kernels in Python are divided into ranges (`share`). Either thread takes the next range as soon
-as it is free. A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
+A process has one second thread or none (`second_thread`, `add_second_thread`). Compiled functions whose loops are divided (`loops`)
+are called by both threads (`together`); loops over kernels in Python are divided into ranges (`share`). Either thread takes the next
+range as soon as it is free. A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
 """
 
 import os
@@ -106,6 +106,13 @@ def second_thread(threads: int) -> Iterator[None]:
         if _second is not None:
             _second.close()
         _second = before
+
+
+def add_second_thread() -> None:
+    """Give this process a second thread until the end of the `second_thread` that it is in, where it has none."""
+    global _second
+    if _second is None:
+        _second = SecondThread()
 
 
 def together(function: Callable[..., R], *arguments: object) -> R:
