@@ -72,8 +72,8 @@ def _in_box(surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int])
 def _inside(
     surfaces: Surfaces, x: np.ndarray, body: int, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Those (k,) of the nodes of others in the box round a body that lie inside it, the way (k,3) m out of it, the facet (k,) there, its
-    weights (k,3)."""
+    """Those (k,) of the nodes of others in the box round a body that lie inside it, the way (k,3) m out of it, the facet (k,) there,
+    its weights (k,3)."""
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
     own = surfaces.facets_of(body)

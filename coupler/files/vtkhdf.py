@@ -216,7 +216,7 @@ class VtkHdfWriter:
         def pack(lo: int, hi: int) -> None:
             for name, first in work[lo:hi]:
                 values = arrays[name][first : first + rows[name]]
-                digest = hashlib.sha256(values).digest()
+                digest = hashlib.sha256(values.data).digest()
                 if self._chunks.get((name, first), (b"",))[0] != digest:
                     self._chunks[name, first] = digest, _deflated(values, rows[name])
 
