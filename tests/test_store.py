@@ -98,6 +98,26 @@ def test_topology_and_number_of_points_may_change(tmp_path):
         assert len(file["VTKHDF/NumberOfCells"]) == 5  # the second step had the topology of the first
 
 
+def test_chunks_that_do_not_change_are_not_compressed_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(vtkhdf, "CHUNK", 8)
+    packed = []
+    deflated = vtkhdf._deflated
+    monkeypatch.setattr(vtkhdf, "_deflated", lambda *given: packed.append(given) or deflated(*given))
+    writer = VtkHdfWriter(tmp_path / "a.vtkhdf")
+    T = np.arange(20.0)
+    points, cells = np.ones((20, 3)), np.arange(20)[:, None]
+    steps = []
+    for changed in (3, 11, 11):
+        T[changed] += 1.0  # the caller's own array
+        before = len(packed)
+        writer.write(len(steps), points, cells, {"T": T})
+        steps.append(T.copy())
+        assert len(packed) - before == (9 if len(steps) == 1 else 1)
+    writer.close()
+    for found, expected in zip(read_with_vtk(tmp_path / "a.vtkhdf"), steps, strict=True):
+        np.testing.assert_array_equal(found["T"], expected)
+
+
 def test_bodies_that_grow_fill_chunks_of_their_own(tmp_path, rng, monkeypatch):
     """A step begins with a new chunk, so that none is ever written twice."""
     monkeypatch.setattr(vtkhdf, "CHUNK", 8)
@@ -108,10 +128,9 @@ def test_bodies_that_grow_fill_chunks_of_their_own(tmp_path, rng, monkeypatch):
     sizes = [5, 7, 8, 9, 17, 4, 40]
     points = [rng.normal(size=(n, 3)) for n in sizes]
     for step, x in enumerate(points):
-        cells = np.arange(4 * (len(x) - 3)).reshape(-1, 4) % len(x)
-        writer.write(
-            step, x, cells, {"T": x[:, 0]}, {"eps_p": np.arange(len(cells)), "stress": rng.normal(size=(len(cells), 6))}
-        )
+        cells = (step + np.arange(4 * (len(x) - 3)).reshape(-1, 4)) % len(x)
+        inside = {"eps_p": step + np.arange(len(cells)), "stress": rng.normal(size=(len(cells), 6))}
+        writer.write(step, x, cells, {"T": x[:, 0]}, inside)
     writer.close()
     with h5py.File(tmp_path / "a.vtkhdf") as file:
         long = [
@@ -120,10 +139,10 @@ def test_bodies_that_grow_fill_chunks_of_their_own(tmp_path, rng, monkeypatch):
         ]
         assert sum(data.id.get_num_chunks() for data in long) == len(written)
         assert len(file["VTKHDF/Points"]) > sum(sizes)
-    for x, found in zip(points, read_with_vtk(tmp_path / "a.vtkhdf"), strict=True):
+    for step, (x, found) in enumerate(zip(points, read_with_vtk(tmp_path / "a.vtkhdf"), strict=True)):
         np.testing.assert_array_equal(found["points"], x)
         np.testing.assert_array_equal(found["T"], x[:, 0].astype(np.float32))
-        np.testing.assert_array_equal(found["eps_p"], np.arange(len(x) - 3))
+        np.testing.assert_array_equal(found["eps_p"], step + np.arange(len(x) - 3))
 
 
 @pytest.mark.parametrize("kept", [1, 3, 5])

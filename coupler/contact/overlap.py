@@ -14,11 +14,22 @@ def lying_inside(
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
     """Of each body, the surface nodes (k,) of others that lie inside it, how deep (k,) m, and its facet (k,) closest to each, where one
     of both is in `bodies`. x (N,3) m."""
-    asked, boxes = set(bodies), surfaces.boxes(x)
+    asked = np.zeros(surfaces.bodies, bool)
+    asked[list(bodies)] = True
+    low, high = surfaces.boxes(x)
+    owner = surfaces.body_of_node
+    nodes = np.flatnonzero(owner >= 0)
+    # cells of the size of most bodies: a few can be tiny
+    cell = float(np.median((high - low).max(axis=1)))
+    start, box, _ = broad.pairs_within(x[nodes], low, high, cell, 8 * len(nodes))
+    node = np.repeat(nodes, np.diff(start))
+    within = ((x[node] > low[box]) & (x[node] < high[box])).all(axis=1)
+    within &= (owner[node] != box) & (asked[owner[node]] | asked[box])
+    node, box = node[within], box[within]
+    node, start = node[np.argsort(box, kind="stable")], np.cumsum([0, *np.bincount(box, minlength=surfaces.bodies)])
     for body in range(surfaces.bodies):
-        others = [other for other in neighbours(*boxes, body, 0.0) if body in asked or other in asked]
-        nodes, away, facets, _ = _inside(surfaces, x, body, others)
-        yield body, nodes, np.linalg.norm(away, axis=1), facets
+        inside, away, facets, _ = _inside(surfaces, x, body, node[start[body] : start[body + 1]])
+        yield body, inside, np.linalg.norm(away, axis=1), facets
 
 
 def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.ndarray:
@@ -44,24 +55,28 @@ def ways_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
                 way[node] = move
 
     for other in others:
-        nodes, out, *_ = _inside(surfaces, x, other, [body])
+        nodes, out, *_ = _inside(surfaces, x, other, _in_box(surfaces, x, other, [body]))
         take(nodes, out)
-    _, out, facets, weights = _inside(surfaces, x, body, others)
+    _, out, facets, weights = _inside(surfaces, x, body, _in_box(surfaces, x, body, others))
     share = weights / np.einsum("ij,ij->i", weights, weights)[:, None]
     take(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))
     return way
 
 
+def _in_box(surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int]) -> np.ndarray:
+    """Surface nodes (k,) of the others that lie inside the box round a body."""
+    corners = x[surfaces.facets[surfaces.facets_of(body)]]
+    return broad.nodes_within(x, surfaces.nodes_of(*others), corners.min(axis=(0, 1)), corners.max(axis=(0, 1)))
+
+
 def _inside(
-    surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int]
+    surfaces: Surfaces, x: np.ndarray, body: int, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Surface nodes (k,) of the others that lie inside a body, the way (k,3) m out of it, the facet (k,) there, its weights (k,3)."""
-    own = surfaces.facets_of(body)
-    corners = x[surfaces.facets[own]]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    nodes = broad.nodes_within(x, surfaces.nodes_of(*others), low, high)
+    """Those (k,) of the nodes of others in the box round a body that lie inside it, the way (k,3) m out of it, the facet (k,) there,
+    its weights (k,3)."""
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))
+    own = surfaces.facets_of(body)
     surface = RaySurface(x, surfaces.facets[own])
     nodes = nodes[surface.inside(x[nodes])]
     feet, triangle, weights = surface.feet(x[nodes])

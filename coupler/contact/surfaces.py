@@ -54,6 +54,13 @@ class Surfaces:
         )
 
     @cached_property
+    def body_of_node(self) -> np.ndarray:
+        """Whose each node is (n,), up to the last one of a surface; -1 of those inside."""
+        owner = np.full(self._nodes, -1)
+        owner[self.facets] = self.body[:, None]
+        return owner
+
+    @cached_property
     def _nodes(self) -> int:
         return int(self.facets.max(initial=-1)) + 1
 

@@ -14,8 +14,9 @@ import numpy as np
 from ..contact.bodies import ContactPast, new_history
 from ..contact.bond import Bond, BondRows, BondState
 from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
+from ..fe.explicit import Target
 from ..fe.state import ElementState, NodeState
-from ..geometry.tetrahedra import boundary_faces
+from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
 from ..impact.bodies import Bodies
 from ..state.arrays import occurring
@@ -46,7 +47,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.x
-    reach = np.linalg.norm(x - np.asarray(place), axis=1)[conn].min(axis=1)
+    reach = least_at_corners(np.linalg.norm(x - np.asarray(place), axis=1), conn)
     inside = reach < radius
     # an element, a bond or a contact that has a node inside has all others within the rim; elements grow outwards
     near = conn[inside]
@@ -57,10 +58,9 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     splats[0] = False
     chosen |= splats[whole.body]  # the stiffness of a splat's contact is that of its whole surface
     chosen = _without_pinches(conn, chosen)
-    domain = domain_now(t, whole.body)
-    domain.nodes.node_number[:] = np.arange(len(x))
-    domain.elements.element_number[:] = np.arange(len(conn))
-    selected = select(domain, chosen)
+    selected = select(domain_now(t, whole.body), chosen)
+    selected.domain.nodes.node_number[:] = selected.nodes
+    selected.domain.elements.element_number[:] = selected.elements
     numbered, rank = merge([selected.domain], place)
     part = whole.remade(numbered)
     part.impact = whole.impact[selected.bodies]
@@ -84,10 +84,10 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     what is inside."""
     n = int(conn.max()) + 1
     for _ in range(ROUNDS):
-        low, high = np.sort(edges(boundary_faces(conn[chosen])[0]).astype(np.int64), axis=1).T
-        key, count = np.unique(low * n + high, return_counts=True)
+        a, b = edges(boundary_faces(conn[chosen])[0]).astype(np.int64).T
+        key = np.sort(np.minimum(a, b) * n + np.maximum(a, b))
         pinched = np.zeros(n, bool)
-        pinched[np.concatenate(np.divmod(key[count > 2], n))] = True
+        pinched[np.concatenate(np.divmod(key[2:][key[2:] == key[:-2]], n))] = True
         if not pinched.any():
             break
         chosen = chosen | pinched[conn].any(axis=1)
@@ -97,15 +97,13 @@ def _without_pinches(conn: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     """The whole with parts in the place of their cuts, which share no node that they can change; new splats come after all others, in
     the order of the parts. Numbers of the whole do not change."""
-    domain = domain_now(whole.target, whole.body)
-    domains, count, n, facets = [domain], whole.count, len(domain.mesh.points), len(domain.mesh.facets)
+    mesh = whole.target.mesh
+    domains, count, n, facets = [domain_now(whole.target, whole.body)], whole.count, len(mesh.points), len(mesh.facets)
     places: list[tuple[np.ndarray, np.ndarray]] = []  # of each part's nodes and facets, in the new whole
     for cut, part in parts:
         part.release_heat()
         now = domain_now(part.target, part.body)
         node, facet = now.nodes.node_number.copy(), np.full(len(now.mesh.facets), -1)
-        _replace(domain.nodes, now.nodes, cut.nodes, node)
-        _replace(domain.elements, now.elements, cut.elements, now.elements.element_number)
         facet[: len(cut.part.facets)] = cut.part.facets
         first = len(cut.part.bodies)
         if part.count > first:
@@ -117,7 +115,11 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
             facet[splats.facets] = facets + np.arange(len(splats.facets))
             count, n, facets = count + part.count - first, n + len(splats.nodes), facets + len(splats.facets)
         places.append((node, facet))
-    new = whole.remade(merge(domains)[0])
+    domain = merge(domains)[0]
+    for (cut, part), (node, _) in zip(parts, places, strict=True):
+        _replace(domain.nodes, part.target, cut.nodes, node)
+        _replace(domain.elements, part.target, cut.elements, part.target.element_number)
+    new = whole.remade(domain)
     new.impact = np.concatenate([whole.impact, *(part.impact[len(cut.part.bodies) :] for cut, part in parts)])
     buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, places, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
@@ -180,15 +182,14 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
     return which[nodes] | which[triangles].any(axis=1)
 
 
-def _replace(
-    record: NodeState | ElementState, new: NodeState | ElementState, ids: np.ndarray, number: np.ndarray
-) -> None:
-    """Put into the rows `ids` of a record those rows of a new one that have these numbers."""
+def _replace(record: NodeState | ElementState, target: Target, ids: np.ndarray, number: np.ndarray) -> None:
+    """Put into the rows `ids` of a record those rows of a target that have these numbers."""
     row = np.full(int(number.max()) + 1, -1)
     kept = np.flatnonzero(number >= 0)
     row[number[kept]] = kept
+    rows = row[ids]
     for name in rows_of(record):
-        getattr(record, name)[ids] = getattr(new, name)[row[ids]]
+        getattr(record, name)[ids] = np.take(getattr(target, name), rows, axis=0)
 
 
 def _ledgers(bodies: Bodies) -> Ledgers:

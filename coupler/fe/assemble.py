@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.points import morton
-from ..geometry.tetrahedra import boundary_faces, lumped
+from ..geometry.tetrahedra import boundary_faces, least_at_corners, lumped
 from ..physics.constitutive import pressures, yield_stresses
 from ..state.arrays import occurring
-from ..state.records import collect, concatenate, new_rows, take
+from ..state.records import concatenate, new_rows, shared, take
 from .explicit import Target
 from .mesh import TetMesh, prepare_ordered
 from .state import ElementState, NodeState
@@ -95,7 +95,7 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
     bodies = np.cumsum([0, *(len(d.laws) for d in domains)])
 
     def put(arrays: list[np.ndarray], order: np.ndarray) -> np.ndarray:
-        return np.ascontiguousarray(np.concatenate(arrays)[order])
+        return np.take(arrays[0] if len(arrays) == 1 else np.concatenate(arrays), order, axis=0)
 
     x = np.concatenate([d.nodes.x for d in domains])
     distance = np.min([np.linalg.norm(x - np.asarray(o), axis=1) for o in origins] or np.zeros((1, len(x))), axis=0)
@@ -104,11 +104,11 @@ def merge(domains: Sequence[Domain], *origins: Point, shell: float = 0.0) -> tup
         by_node = np.lexsort([morton(x), distance])
     else:
         by_node = np.argsort(distance, kind="stable")
-    rank = np.argsort(by_node)
+    rank = _new_numbers(by_node, len(x))
     conn = np.concatenate([rank[d.mesh.conn + at] for d, at in zip(domains, nodes, strict=False)])
-    reach = distance[by_node][conn].min(axis=1)
-    by_element = np.argsort(conn.min(axis=1) if shell > 0.0 else reach, kind="stable")
-    element_rank = np.argsort(by_element)
+    reach = least_at_corners(distance[by_node], conn)
+    by_element = np.argsort(least_at_corners(np.arange(len(x)), conn) if shell > 0.0 else reach, kind="stable")
+    element_rank = _new_numbers(by_element, len(conn))
     facet_nodes = np.concatenate([rank[d.mesh.facets + at] for d, at in zip(domains, nodes, strict=False)])
     behind = np.concatenate([element_rank[d.mesh.facet_element + at] for d, at in zip(domains, elements, strict=False)])
 
@@ -152,8 +152,8 @@ def _new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
 
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
-    """A running target as a domain; body (m,) of each element."""
-    return Domain(target.mesh, collect(NodeState, target), collect(ElementState, target), body, target.laws)
+    """A running target as a domain, to be read before it goes on: it shares its arrays. body (m,) of each element."""
+    return Domain(target.mesh, shared(NodeState, target), shared(ElementState, target), body, target.laws)
 
 
 @dataclass(frozen=True)

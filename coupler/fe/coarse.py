@@ -37,8 +37,8 @@ ALONE = 1e-9  # of the largest mass, for points of the grid that no free node de
 def _stiffness(
     low: int, high: int, m: int, x: Floats, conn: Ints, laws: Laws, law_of: Ints, points: Ints, weights: Floats, A: Floats
 ) -> None:  # fmt: skip
-    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T (3g,3g) is it then. Only the rows of the
-    points [low, high) of the grid are written.
+    """Add the elastic stiffness of the first m elements for displacements of the grid: A + A^T is it then, A (g,g,3,3) by points and
+    directions. Only the rows of the points [low, high) of the grid are written.
 
     points, weights (n,8): of the grid, for each node; weight 0 where it is held.
     """
@@ -77,10 +77,11 @@ def _stiffness(
                 h, V = gradients[j], det / 6.0 if i < j else det / 12.0
                 G, lame = V * law.G, V * (law.K - 2.0 / 3.0 * law.G)
                 dot = G * (g[0] * h[0] + g[1] * h[1] + g[2] * h[2])
+                block = A[own[i], own[j]]  # together in memory
                 for d in range(3):
                     for k in range(3):
-                        A[3 * own[i] + d, 3 * own[j] + k] += lame * g[d] * h[k] + G * g[k] * h[d]
-                    A[3 * own[i] + d, 3 * own[j] + d] += dot
+                        block[d, k] += lame * g[d] * h[k] + G * g[k] * h[d]
+                    block[d, d] += dot
 
 
 class CoarseGrid:
@@ -97,19 +98,19 @@ class CoarseGrid:
             (weights.ravel(), points.ravel(), np.arange(0, weights.size + 1, CORNERS)), shape=(n, len(used))
         )
         self._P, self._PT = P, P.T.tocsr()
-        A = np.zeros((3 * len(used), 3 * len(used)))
+        A = np.zeros((len(used), len(used), 3, 3))
 
         def add(low: int, high: int) -> None:
             _stiffness(low, high, m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
 
         share(add, len(used), max(len(used) // 2, 1))  # halves: each range looks at all elements
-        stiff = sparse.csr_array(A)
+        stiff = sparse.csr_array(A.transpose(0, 2, 1, 3).reshape(3 * len(used), -1))
         stiff = stiff + stiff.T + _of_half_space(P, t)
         if links:
             springs = SpringTable(*map(np.concatenate, zip(*links, strict=True)))
             stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
         heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
-        alone = sparse.diags_array(np.full(len(A), ALONE * heavy.diagonal().max()))
+        alone = sparse.diags_array(np.full(3 * len(used), ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
         self._inertia = splu(
             inertia.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import math
 import os
 import resource
@@ -79,6 +80,8 @@ class VtkHdfWriter:
         # Kept open: a data set that is closed writes what it holds, and a failure there is not reported.
         self._data: dict[str, h5py.Dataset] = {}
         self._state = _State()
+        #: Chunks of the last step, by data set and first row, with a digest of their values: many do not change from step to step.
+        self._chunks: dict[tuple[str, int], tuple[bytes, bytes]] = {}
 
     def write(self, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
         """Append one step; it counts only once all of it is in the file.
@@ -209,17 +212,18 @@ class VtkHdfWriter:
         """The chunks of what a step appends, as HDF5's filters would write them; two threads share them."""
         rows = {name: self._chunk(name, values) for name, values in arrays.items()}
         work = [(name, first) for name, values in arrays.items() for first in range(0, len(values), rows[name])]
-        chunks = [b""] * len(work)
 
         def pack(lo: int, hi: int) -> None:
-            for i in range(lo, hi):
-                name, first = work[i]
-                chunks[i] = _deflated(arrays[name][first : first + rows[name]], rows[name])
+            for name, first in work[lo:hi]:
+                values = arrays[name][first : first + rows[name]]
+                digest = hashlib.sha256(values.data).digest()
+                if self._chunks.get((name, first), (b"",))[0] != digest:
+                    self._chunks[name, first] = digest, _deflated(values, rows[name])
 
         share(pack, len(work), 1)
         packed: dict[str, list[bytes]] = {name: [] for name in arrays}
-        for (name, _), chunk in zip(work, chunks, strict=True):
-            packed[name].append(chunk)
+        for name, first in work:
+            packed[name].append(self._chunks[name, first][1])
         return packed
 
     def _chunk(self, name: str, values: NDArray) -> int:

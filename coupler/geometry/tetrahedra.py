@@ -20,6 +20,12 @@ def oriented(points: NDArray, tets: NDArray) -> NDArray:
     return np.where((volumes(points, tets) < 0.0)[:, None], tets[:, [0, 1, 3, 2]], tets)
 
 
+def least_at_corners(values: NDArray, tets: NDArray) -> NDArray:
+    """The least (m,) of the values (n,) at the corners of each tetrahedron: a third of the time of `numpy.min` over the corners."""
+    a, b, c, d = values[tets].T
+    return np.minimum(np.minimum(a, b), np.minimum(c, d))
+
+
 def lumped(tets: NDArray, weight: NDArray, n: int) -> NDArray:
     """A quarter of the weight (m,) of each of the tetrahedra (m,4) given to each of its corners, of n points: (n,)."""
     return np.bincount(tets.ravel(), np.repeat(0.25 * weight, 4), n)
@@ -33,9 +39,11 @@ def boundary_faces(tets: NDArray) -> tuple[NDArray, NDArray[np.int64]]:
     faces = np.concatenate([tets[:, corners] for corners in FACES])
     if len(faces) == 0:
         return faces, np.zeros(0, np.int64)
-    a, b, c = np.sort(faces, axis=1).T.astype(np.int64)
-    first = a * (int(b.max()) + 1) + b
-    order = np.lexsort((c, first))
-    twin = (np.diff(first[order]) == 0) & (np.diff(c[order]) == 0)
+    a, b, c = faces.T.astype(np.int64)
+    low, high, n = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c), int(tets.max()) + 1
+    first = low * n + (a + b + c - low - high)
+    # one key is sorted in a third of the time; that of more points does not fit into 63 bits
+    order = np.argsort(first * n + high) if n < 2**21 else np.lexsort((high, first))
+    twin = (np.diff(first[order]) == 0) & (np.diff(high[order]) == 0)
     single = np.sort(order[~(np.append(twin, False) | np.insert(twin, 0, False))])
     return faces[single], single % len(tets)

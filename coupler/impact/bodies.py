@@ -194,18 +194,21 @@ class Bodies:
             return
         surfaces, x, bond = self.surfaces, self.target.x, self.bond
         depth = np.zeros(len(x))
+        if bond is not None:  # bodies on both sides of the bonds: to be moved does not change them
+            node_of, triangle_of = (surfaces.body_of_node[ends] for ends in (bond.nodes, bond.triangles[:, 0]))
         for body, nodes, deep, facets in lying_inside(surfaces, x, which):
             np.maximum.at(depth, nodes, deep)
             if bond is None or len(nodes) == 0:
                 continue
-            spacing, own = surfaces.spacing(x, max(body, 1)), surfaces.nodes_of(body)
+            spacing = surfaces.spacing(x, max(body, 1))
             pressed = nodes[(deep > PRESSED * spacing) & (deep < DEEPEST * spacing)]
-            pins = np.flatnonzero(np.isin(bond.triangles, pressed).any(axis=1) & np.isin(bond.nodes, own))
+            pins = np.flatnonzero(node_of == body)
+            pins = pins[np.isin(bond.triangles[pins], pressed).any(axis=1)]
             bond.move(x, pins, bond.triangles[pins])
             folded = nodes[(deep > FOLDED * spacing) & (deep < DEEPEST * spacing)]
             # of a loose bond the contact resists compression
-            rows = np.flatnonzero(np.isin(bond.nodes, folded) & ~bond.loose)
-            rows = rows[np.isin(bond.triangles[rows, 0], own)]
+            rows = np.flatnonzero((triangle_of == body) & ~bond.loose)
+            rows = rows[np.isin(bond.nodes[rows], folded)]
             place = np.searchsorted(nodes, bond.nodes[rows])
             squeezed = bond.compression(x, rows)
             outside = squeezed < 0.5 * deep[place]

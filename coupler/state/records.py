@@ -89,6 +89,11 @@ def collect(kind: type[R], owner: object, **known: object) -> R:
     return kind(**values, **known)
 
 
+def shared(kind: type[R], owner: object) -> R:
+    """A record of the arrays of an object that have a row for each node, element or point: not copied, to be read only."""
+    return kind(**{name: getattr(owner, name) for name in rows_of(kind)})
+
+
 def _value(value: object) -> object:
     if isinstance(value, np.ndarray):
         return value.copy()
@@ -120,11 +125,14 @@ def assign(owner: object, record: object) -> None:
 
 def take(record: R, index: np.ndarray) -> R:
     """The rows `index` of a record whose fields all have a row for each node, element or point."""
-    return type(record)(**{name: np.ascontiguousarray(getattr(record, name)[index]) for name in rows_of(record)})
+    rows = index.nonzero()[0] if index.dtype == bool else index
+    return type(record)(**{name: np.take(getattr(record, name), rows, axis=0) for name in rows_of(record)})
 
 
 def concatenate(records: Sequence[R]) -> R:
-    """All rows of several such records, in their order."""
+    """All rows of several such records, in their order; those of a single one are not copied."""
+    if len(records) == 1:
+        return records[0]
     kind = type(records[0])
     return kind(**{name: np.concatenate([getattr(r, name) for r in records]) for name in rows_of(kind)})
 
