@@ -1,5 +1,6 @@
 """Sweeps and ensembles: points and their scenes, failed and stopped ones, executors."""
 
+import os
 import csv
 import json
 import subprocess
@@ -270,8 +271,14 @@ def test_executors(tmp_path, monkeypatch) -> None:
     from coupler.errors import PlacementError
     from coupler.ranks.executors import executor, own_environment
 
-    with executor("processes", 2, tmp_path) as pool:
-        assert list(pool.map(abs, [-1, 2])) == [1, 2]
+    for known, expected in (None, "glibc.malloc.hugetlb=1"), ("glibc.malloc.perturb=1", "glibc.malloc.perturb=1"):
+        monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+        if known is not None:  # what the user says stays
+            monkeypatch.setenv("GLIBC_TUNABLES", known)
+        with executor("processes", 2, tmp_path) as pool:
+            assert list(pool.map(abs, [-1, 2])) == [1, 2]
+            assert pool.submit(os.getenv, "GLIBC_TUNABLES").result() == expected
+        assert own_environment()["GLIBC_TUNABLES"] == expected
     with pytest.raises(PlacementError, match=r'did you mean "slurm"'):
         executor("slum", 1, tmp_path)
     with pytest.raises(PlacementError, match="two ranks or more"):
