@@ -1,8 +1,8 @@
 """Sweeps and ensembles: points and their scenes, failed and stopped ones, executors."""
 
-import os
 import csv
 import json
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
