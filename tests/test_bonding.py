@@ -232,3 +232,7 @@ def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
 def test_efficiency_is_a_share_of_mass() -> None:
     records = [{"particle_mass_kg": 3.0, "rebounded": False}, {"particle_mass_kg": 1.0, "rebounded": True}]
     assert deposition_efficiency(records) == 0.75
+    undecided = {"particle_mass_kg": 4.0, "rebounded": None}
+    assert deposition_efficiency([*records, undecided]) is None
+    assert deposition_efficiency([*records, undecided | {"detached_mass_kg": 3.0}]) is None
+    assert deposition_efficiency([*records, undecided | {"detached_mass_kg": 4.0}]) == 0.375  # none of it is left

@@ -153,11 +153,11 @@ def test_many_verdicts_are_counted_by_what_decides_them_with_the_closest() -> No
         {"verdict": "rebounds", "verdict_by": "formula", "verdict_rests_on": "slow", "margin_m_s": -3.0},
         {"verdict": "undecided", "verdict_by": None, "verdict_rests_on": "time", "margin_m_s": None},
     ]
-    for k in (1, 2, 3, 6):
+    for k in (1, 2, 3, 6, 10):
         records[k] |= {"particle_mass_kg": 1e-13, "detached_mass_kg": 1e-13}
     assert in_words({"impacts": records}) == [
         "of 11 particles 9 stick, 1 rebounds, 1 is undecided;"
-        " particles 2 to 4, 7 stick at their impact and have come off later",
+        " particles 2 to 4, 7 stick at their impact and have come off later; particle 11 has come off after the impact",
         "verdicts: 9 by computed bonds, 1 by formula, 1 without an end of the contact",
         "closest: particle 10 rebounds: slow; margin -3 m/s",
     ]

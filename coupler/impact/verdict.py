@@ -144,9 +144,10 @@ def verdict_values(
 def deposition_efficiency(records: Sequence[Values]) -> float | None:
     """Mass that stayed over the mass of all particles, from the records of their impacts; None while one is undecided.
 
-    detached_mass_kg of a record: what of its splat has come off later.
+    detached_mass_kg of a record: what of its splat has come off later. An undecided one that has come off as a whole is lost.
     """
-    if any(record["rebounded"] is None for record in records):
+    undecided = [record for record in records if record["rebounded"] is None]
+    if any(record.get("detached_mass_kg", 0.0) < record["particle_mass_kg"] for record in undecided):
         return None
     mass = [record["particle_mass_kg"] for record in records]
     lost = [

@@ -188,11 +188,15 @@ def _come_off(records: Sequence[Block]) -> list[str]:
     """Which particles have come off after their impact, as a whole or in part."""
     shares = {number: share for number, record in enumerate(records, 1) if (share := _lost_share(record))}
     whole = [number for number, share in shares.items() if share >= _WHOLE]
+    stuck = [number for number in whole if records[number - 1].get("verdict") == STICKS]
+    others = [number for number in whole if number not in stuck]
     parts = [number for number, share in shares.items() if share < _WHOLE]
     texts = []
-    if whole:
-        verbs = "sticks at its impact and has" if len(whole) == 1 else "stick at their impact and have"
-        texts.append(f"{_numbers(whole)} {verbs} come off later")
+    if stuck:
+        verbs = "sticks at its impact and has" if len(stuck) == 1 else "stick at their impact and have"
+        texts.append(f"{_numbers(stuck)} {verbs} come off later")
+    if others:
+        texts.append(f"{_numbers(others)} {'has' if len(others) == 1 else 'have'} come off after the impact")
     if parts:
         texts.append(f"parts of {_numbers(parts)} have come off later")
     return texts
