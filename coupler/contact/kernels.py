@@ -420,7 +420,7 @@ def forces_of_sides(
     second_ignored: Floats, spring: Floats, heat_point: Floats, heat_facet: Floats, sums: Floats,
 ) -> None:  # fmt: skip
     """`contact_forces` and `second_forces` of all sides, one after the other, added to f (N,3); sums (sides,4). Only the points that
-    `look_of_sides` has `met` matter: all others lie outside and hold nothing."""
+    `look_of_sides` has `met` matter: all others lie outside, and hold nothing after the first step."""
     for s in range(len(spans)):
         r, _, p, p1, _, _, b, b1, i, i1, _, _, t, t1 = spans[s]
         rows = met[r : r + meeting[s]]
