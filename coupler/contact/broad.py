@@ -7,15 +7,20 @@ from numpy.typing import NDArray
 from ..state.arrays import Bools, Floats, Ints
 
 
+@njit(cache=True, nogil=True, inline="always")
+def box_of(x: Floats, t: Ints, low: Floats, high: Floats) -> None:
+    """Box around a triangle of nodes t (3,) into low, high (3,), m."""
+    for d in range(3):
+        u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
+        low[d] = min(u, v, w)
+        high[d] = max(u, v, w)
+
+
 @njit(cache=True, nogil=True)
 def facet_boxes(x: Floats, facets: Ints, ids: Ints, low: Floats, high: Floats) -> None:
     """Boxes, low and high (k,3), around the triangles `ids`."""
     for r in range(len(ids)):
-        t = facets[ids[r]]
-        for d in range(3):
-            u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
-            low[r, d] = min(u, v, w)
-            high[r, d] = max(u, v, w)
+        box_of(x, facets[ids[r]], low[r], high[r])
 
 
 @njit(cache=True, nogil=True)

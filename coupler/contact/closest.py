@@ -7,6 +7,7 @@ from numba import njit
 
 from ..geometry.vector_kernels import area_vector, from_foot
 from ..state.arrays import Bools, Faces, Floats, Ints
+from .broad import box_of
 
 ANY = -1  # body
 #: A triangle that points may meet: the box around it (m), its nodes and its body, together in one line of the processor's cache.
@@ -26,11 +27,7 @@ def faces_of(facets: Ints, ids: Ints, owner: Ints, faces: Faces) -> None:
 def box_faces(x: Floats, faces: Faces) -> None:
     """Bring the boxes around triangles up to their nodes x (N,3), m."""
     for r in range(len(faces)):
-        t = faces[r].nodes
-        for d in range(3):
-            u, v, w = x[t[0], d], x[t[1], d], x[t[2], d]
-            faces[r].low[d] = min(u, v, w)
-            faces[r].high[d] = max(u, v, w)
+        box_of(x, faces[r].nodes, faces[r].low, faces[r].high)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -196,11 +193,10 @@ def closest_facets(
 
     xp, x as in `contact_forces`; start (n+1,), boxes: candidates of each point, places in faces (k,), whose triangles have moved from
     the boxes around them by `shift` m at the most; partner (n,): the body that each point does not meet because a bond holds it there,
-    ANY for none. limit (rows,) m: other bodies than
-    that of the closest one are not met deeper than that. inner, within, at: of `narrow`. nearest (n,): place in `boxes`, -1 for none;
-    what it holds is where to look first, then it is written. foot (n,3): barycentric weights of the closest point; gap (n,): signed
-    distance, negative inside, m. second, second_foot, second_gap: the same of the body in which it lies second deepest, -1 and 0 where
-    it lies in one at most.
+    ANY for none. limit (rows,) m: other bodies than that of the closest one are not met deeper than that. inner, within, at: of
+    `narrow`. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look first, then it is written. foot (n,3):
+    barycentric weights of the closest point; gap (n,): signed distance, negative inside, m. second, second_foot, second_gap: the same
+    of the body in which it lies second deepest, -1 and 0 where it lies in one at most.
     """
     for q in range(len(rows)):
         i = rows[q]

@@ -355,7 +355,7 @@ class SideBySide:
         ).reshape(-1, 5)
         self._sums, self._lost = np.zeros((len(chosen), 4)), np.zeros((len(chosen), 3))
         self._met, self._meeting = np.zeros(rows[-1], np.int64), np.zeros(len(chosen), np.int64)
-        self._is_new = True
+        self._is_unsettled = True
         for i, c in enumerate(chosen):  # what a step changes
             c._last, c._way = self._searched["_last"][nodes[i] : nodes[i + 1]], self._searched["_way"][i : i + 1]
             c._boxes = self._searched["_boxes"][boxes[i] : boxes[i + 1]]
@@ -409,9 +409,9 @@ class SideBySide:
         share(look, len(self._active), LEAST_SIDES)
         for i in np.flatnonzero(self._lost.any(axis=1)):
             self._active[i]._drop(self._lost[i])
-        if self._is_new:  # points that remember a contact may lie outside: what they hold is settled
+        if self._is_unsettled:  # points that remember a contact may lie outside: what they hold is settled
             self._met[:], self._meeting[:] = rows, self._spans[:, 1] - self._spans[:, 0]
-            self._is_new = False
+            self._is_unsettled = False
         k.forces_of_sides(
             dt, own.friction, own.share, self._spans, self._numbers, self._met, self._meeting, boxes, near["_ids"], faces, self.node_of,
             x, v, f, active, self._x, self._v, self._f, w["_nearest"], w["_foot"], w["gap"], w["_second"], w["_second_foot"],

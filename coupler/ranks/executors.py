@@ -29,7 +29,8 @@ WITH_PARENT = "import ctypes, signal; ctypes.CDLL(None).prctl(1, signal.SIGTERM)
 _SERVER = (
     f"{WITH_PARENT}; import runpy; runpy.run_module('parsl.executors.high_throughput.interchange', run_name='__main__')"
 )
-# glibc takes huge pages where the system has them: to find the many arrays of an impact in memory takes a tenth of its time
+# glibc takes huge pages where the system has them: to find the arrays of a late impact in memory takes up to a tenth of its time;
+# a single impact, which is small, gains nothing
 MEMORY = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 # variables by which a process joins the ranks of its parent
 _OF_MPI = ("PMI", "PMIX", "OMPI_", "MPI_", "MPICH_", "HYDI_", "HYDRA_")
@@ -41,7 +42,8 @@ def executor(
     """An executor of a kind of KINDS, `count` computations at a time (those of `mpi` are as many as the ranks but the first).
 
     folder: for logs of Slurm jobs. slurm: `cores`: computations at a time in each job; `time` of a job; any other option of sbatch.
-    starts_processes: the functions start a process themselves, so that threads are enough for `processes`. Raises PlacementError.
+    starts_processes: the functions start a process themselves, so that threads are enough for `processes`; else MEMORY is put into this
+    process's environment, where it is not set, for the processes to inherit. Raises PlacementError.
     """
     if kind == "processes":
         if starts_processes:
@@ -71,7 +73,7 @@ def _end_with(parent: int) -> None:
 def own_environment() -> dict[str, str]:
     """The environment for a process that a worker starts: it is no rank of the worker's MPI, and computes on one core."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(_OF_MPI)}
-    return MEMORY | kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 def _mpi() -> Executor:
