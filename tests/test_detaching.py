@@ -111,6 +111,22 @@ def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) 
     np.testing.assert_array_equal(again.impact, left.impact)
 
 
+def test_what_lies_apart_from_it_is_not_looked_at(column: Bodies) -> None:
+    """A block beside the column stays buried where it lies, although it now stands off: what has left did not cover it."""
+    law = law_record(material("Ni"), rate_filter=1e-9)
+    two = column.joined([block((16e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), SIZE, ORIGIN, 1.0, 5)
+    own = np.unique(two.target.mesh.conn[two.body == 4])
+    two.target.x[own, 2] += SIZE
+    left = two.without(np.array([False, False, True, True, False]), SIZE)
+
+    def buried_beyond(bodies: Bodies, x: float) -> int:
+        facets = bodies.target.mesh.facets[bodies.buried]
+        return int(np.sum(bodies.target.x[facets, 0].min(axis=1) > x))
+
+    assert buried_beyond(left, 15e-6) == buried_beyond(two, 15e-6) > 0
+    assert len(left.buried) < len(two.buried) - 1
+
+
 def test_without_adhesion_splats_lie_where_they_are(column: Bodies, planned: Plan) -> None:
     part(column, 1)
     other = replace(planned, adhesion=Adhesion("none"))

@@ -128,10 +128,16 @@ def neighbours(low: np.ndarray, high: np.ndarray, body: int, reach: float) -> tu
     return tuple(np.flatnonzero(near).tolist())
 
 
-def earlier_neighbours(surfaces: Surfaces, x: np.ndarray, reach: float) -> list[tuple[int, ...]]:
-    """Of each body, those before it whose boxes come within `reach` m of its own: the others cannot lie on it. x (N,3) m."""
-    boxes = surfaces.boxes(x)
-    return [tuple(b for b in neighbours(*boxes, body, reach) if b < body) for body in range(surfaces.bodies)]
+def earlier_neighbours(
+    surfaces: Surfaces, x: np.ndarray, reach: float, among: np.ndarray | None = None
+) -> list[tuple[int, ...]]:
+    """Of each body, those before it whose boxes come within `reach` m of its own: the others cannot lie on it. x (N,3) m; among:
+    mask (bodies,) of those that count, all without it."""
+    boxes, counts = surfaces.boxes(x), np.ones(surfaces.bodies, bool) if among is None else among
+    return [
+        tuple(b for b in neighbours(*boxes, body, reach) if b < body and counts[b]) if counts[body] else ()
+        for body in range(surfaces.bodies)
+    ]
 
 
 def interface(
