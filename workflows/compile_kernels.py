@@ -1,0 +1,49 @@
+"""Compile the kernels of the target, and of contact, bonds and pauses between impacts: python workflows/compile_kernels.py
+
+`make setup` runs it beside a first impact, which compiles the others: numba keeps what either has compiled.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from coupler.deposition.pause import pause
+from coupler.fe.assemble import BodyState
+from coupler.geometry import mesher
+from coupler.impact.domains import build_target
+from coupler.physics.adhesion import Adhesion
+from coupler.plan.planning import plan
+from coupler.plan.reading import Scene
+
+SCENE = Path(__file__).parent / "single_ni.toml"
+EDGE = 10e-6  # m, of the body that lies on the target
+STEP, PAUSE = 1e-13, 1e-6  # s
+ENERGY = 1.0  # J, of an impact before: equilibrium is found at once
+
+
+def cube(law: np.ndarray) -> BodyState:
+    """A body on the origin, free of stress, that follows a law."""
+    points, tets = mesher.box((EDGE, EDGE, EDGE), 0.5 * EDGE)
+    edges = points[tets[:, 1:]] - points[tets[:, :1]]
+    turned = np.linalg.det(edges) < 0.0
+    tets[turned, 2:] = tets[turned, 2:][:, ::-1]
+    n, m = len(points), len(tets)
+    return BodyState(
+        points=points, tets=tets, stress=np.zeros((m, 6)), eps_p=np.zeros(m), T=np.full(m, 300.0), J=np.ones(m),
+        velocity=np.zeros((n, 3)), energy=np.zeros(n), mass=float(law["rho"][0]) * EDGE**3, law=law, eps_gradient=np.zeros((m, 3)),
+    )  # fmt: skip
+
+
+def main() -> None:
+    """A step of the target of the first scene, and a pause in which a body is bonded to it."""
+    p = plan(Scene.load(SCENE))
+    bodies = build_target(p)
+    bodies.target.advance(STEP)
+    bodies.target.finish()
+    bodies.stable_dt(1.0)
+    lying = bodies.joined([cube(bodies.target.laws)], Adhesion("tied"), 0.5 * EDGE, (0.0, 0.0, 0.0), 1.0, 1)
+    pause(p, PAUSE, lying, ENERGY)
+
+
+if __name__ == "__main__":
+    main()
