@@ -26,7 +26,10 @@ from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.run import resume, run
 from coupler.deposition.task import Task, run_task
 from coupler.errors import WorkerError
+from coupler.fe.explicit import Target
+from coupler.fe.mesh import prepare as prepare_mesh
 from coupler.files import checkpoint
+from coupler.geometry import mesher
 from coupler.impact.bodies import Bodies
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
@@ -90,6 +93,20 @@ def test_a_cut_put_back_changes_nothing(whole: Bodies) -> None:
     np.testing.assert_array_equal(same.contact.past().nodes, whole.contact.past().nodes)
     np.testing.assert_array_equal(same.buried, whole.buried)
     assert same.energy == pytest.approx(whole.energy, rel=1e-12)
+
+
+def test_a_cut_holds_all_elements_round_the_nodes_that_move() -> None:
+    """Where elements grow fast outwards, too: the pressure of a node is that of all elements round it."""
+    points, tets = mesher.cylinder(160e-6, 80e-6, 4e-6, 4e-6, 1.0)
+    mesh = prepare_mesh(points, tets)
+    target = Target(mesh, law_record(material("SS304")), 300.0, fixed=("bottom",), track_wave=False)
+    bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
+    part, cut = cut_out(bodies, (0.0, 0.0, 0.0), 25e-6)
+    distance = np.linalg.norm(target.x, axis=1)
+    moving = distance <= distance[cut.nodes].max()
+    needed = np.flatnonzero(moving[mesh.conn].any(axis=1))
+    assert np.isin(needed, part.target.element_number).all()
+    assert len(part.target.mesh.conn) < 0.8 * len(mesh.conn)
 
 
 def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:

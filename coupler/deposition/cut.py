@@ -47,12 +47,16 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     t = whole.target
     whole.release_heat()
     conn, x = t.mesh.conn, t.x
-    reach = least_at_corners(np.linalg.norm(x - np.asarray(place), axis=1), conn)
+    distance = np.linalg.norm(x - np.asarray(place), axis=1)
+    reach = least_at_corners(distance, conn)
     inside = reach < radius
-    # an element, a bond or a contact that has a node inside has all others within the rim; elements grow outwards
-    near = conn[inside]
-    rim = max(float(np.linalg.norm(x[near[:, a]] - x[near[:, b]], axis=1).max()) for a in range(4) for b in range(a))
-    chosen = reach < radius + 1.5 * rim
+    touched = np.zeros(len(x), bool)
+    touched[conn[inside]] = True
+    # the rim holds all others of a bond or a contact that has a node inside, and all elements round the nodes as near as any that moves
+    facets = x[t.mesh.facets[touched[t.mesh.facets].any(axis=1)]]
+    longest = float(np.linalg.norm(facets - np.roll(facets, 1, axis=1), axis=2).max(initial=0.0))
+    rim = max(1.5 * longest, float(distance[touched].max(initial=0.0)) - radius)
+    chosen = reach <= radius + rim
     splats = np.zeros(whole.count, bool)
     splats[whole.body[chosen]] = True
     splats[0] = False

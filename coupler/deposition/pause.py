@@ -74,7 +74,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
     splats = bodies.body > 0
-    deposited = _in_plane(t, splats)
+    deposited = in_plane(t, splats)
     _take_heat_away(t, ambient)
     missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
     missing *= t.laws["expansion"][t.law_of]
@@ -86,7 +86,7 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     report = {**before, **_settled(bodies, kinetic_0, np.inf, known), "ambient_K": ambient}
     bodies, report["detached"] = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
     t, splats = bodies.target, bodies.body > 0
-    report |= {"stress_before_Pa": deposited, "residual_stress_Pa": _in_plane(t, splats)}
+    report |= {"stress_before_Pa": deposited, "residual_stress_Pa": in_plane(t, splats)}
     thermal = t.thermal_stress[splats, :2].mean(axis=1)
     report["thermal_stress_Pa"] = float(np.average(thermal, weights=t.volume[splats])) if splats.any() else 0.0
     report["overlap_m"] = float(overlaps(bodies.surfaces, t.x, range(bodies.count)).max())
@@ -103,7 +103,7 @@ def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> V
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 
 
-def _in_plane(t: Target, which: np.ndarray) -> float:
+def in_plane(t: Target, which: np.ndarray) -> float:
     """Mean over volume of the in-plane stress (xx + yy) / 2, Pa; 0 without elements."""
     stress = t.stress()[which]
     return float(np.average(0.5 * (stress[:, 0] + stress[:, 1]), weights=t.volume[which])) if which.any() else 0.0

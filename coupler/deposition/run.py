@@ -31,6 +31,7 @@ from ..progress import Progress
 from ..ranks import ranks as parallel
 from ..state.threads import cores, second_thread
 from .batches import Batches, BatchReplay, clear, workers
+from .coarsening import words as coarsening_words
 from .cut import Cut, put_back
 from .detaching import without_detached
 from .joining import join, rest, splats_at_end
@@ -321,6 +322,8 @@ class Deposition:
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [task.place for task, _ in tasks]
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
+        if (coarsening := self.joins[-1].get("coarsening")) is not None:
+            options.progress.log(coarsening_words(coarsening))
         for text in unsettled(self.joins[-1]):
             options.progress.log(text)
         if len(self.records) < len(self.plan.impacts):

@@ -76,19 +76,26 @@ def cylinder(
     def model(gmsh: ModuleType) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
-        x, y = centre[0] / unit, centre[1] / unit
-        axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
-        if spread > 0.0:
-            beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
-            axis = f"(0.5*({beyond}+Abs({beyond})))^2"
-        distance = f"Sqrt({axis}+z^2)"
-        field = gmsh.model.mesh.field.add("MathEval")
-        grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
-        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
-        gmsh.model.mesh.field.setAsBackgroundMesh(field)
+        _grow(gmsh, unit, refined_radius, growth, centre, largest, spread)
 
     points, tets = build(model)
     return points * unit, tets
+
+
+def _grow(
+    gmsh: ModuleType, unit: float, refined_radius: float, growth: float, centre: tuple[float, float], largest: float, spread: float
+) -> None:  # fmt: skip
+    """Set the sizes that `cylinder` says; largest: in units."""
+    x, y = centre[0] / unit, centre[1] / unit
+    axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
+    if spread > 0.0:
+        beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
+        axis = f"(0.5*({beyond}+Abs({beyond})))^2"
+    distance = f"Sqrt({axis}+z^2)"
+    field = gmsh.model.mesh.field.add("MathEval")
+    grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
+    gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
+    gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
 
 def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -109,14 +116,14 @@ def fill(
     size: float,
     algorithm: int = HXT,
     improve: float = 0.45,
-    graded: bool = False,
+    grown: tuple[float, float, tuple[float, float], float, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
 
     shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
     lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
-    all that a bad surface allows in reasonable time. graded: edges as long as those of the surface nearby instead of `size`,
-    which is then only the unit. Raises SplatError where gmsh cannot.
+    all that a bad surface allows in reasonable time. grown: edges grow from `size` on as in a `cylinder`: refined_radius, growth,
+    centre, sizes_to, spread. Raises SplatError where gmsh cannot.
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -133,8 +140,9 @@ def fill(
             elements += len(triangles)
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
-        if graded:
-            gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 1)
+        if grown is not None:
+            refined_radius, growth, centre, largest, spread = grown
+            _grow(gmsh, size, refined_radius, growth, centre, largest / size, spread)
         else:
             gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
             gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)

@@ -7,7 +7,7 @@ from textwrap import fill
 from .. import units
 from ..measures import MEASURES
 from . import cost as estimates
-from .batches import batches
+from .batches import batches, covering
 from .forecast import file_bytes
 from .planning import ImpactPlan, Plan
 from .remarks import BEYOND_FIT
@@ -185,7 +185,10 @@ def _window(plan: Plan) -> list[str]:
     sides = batches(plan.impacts)
     most = max(map(len, sides))
     side = f"; {len(sides)} batches of up to {most} impacts side by side" if most > 1 else ""
-    return [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
+    lines = [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
+    if (after := covering(plan.impacts)) is not None:
+        lines.append(f"             coarser elements inside the substrate after {after} impacts, where splats cover it")
+    return lines
 
 
 def _ends(plan: Plan) -> str:
