@@ -21,11 +21,11 @@ from .assemble import Domain
 from .state import ElementState, NodeState
 
 MATCH = 1e-6  # of an edge: so far from its node may a point of the kept surface be
-FEW = 4
+FEW = 4  # old elements: fewer are no mean
 ROUNDS = 30  # in which reference volumes of elements come to give the volume ratios of the nodes
-PLACES = np.full((4, 4), 0.1381966) + 0.4472136 * np.eye(
-    4
-)  # barycentric: the four points that integrate a quadratic exactly
+# barycentric coordinates of the four places that integrate a quadratic exactly
+PLACES = np.full((4, 4), 0.1381966) + 0.4472136 * np.eye(4)
+OTHER_SURFACE = "the mesh has another surface than the body that it is to fill"
 _MEANS = ("s", "eps_p", "T", "thermal_stress", "eps_gradient")
 
 
@@ -42,42 +42,32 @@ def with_base(domain: Domain, points: np.ndarray, tets: np.ndarray) -> tuple[Dom
     Returns it, its numbers in no order, and the number in it of each node (n,) of before, -1 where it is gone. Raises SplatError where
     the mesh has another surface.
     """
-    mesh, old = domain.mesh, domain.body == 0
-    n, base, law = len(mesh.points), mesh.conn[old], domain.laws[:1]
-    tets = oriented(points, tets)
+    mesh, x, old = domain.mesh, domain.nodes.x, domain.body == 0
+    base, tets = mesh.conn[old], oriented(points, tets)
     surface, _ = base_surface(domain)
-    kept = np.union1d(surface, occurring(mesh.conn[~old], n))
-    number = np.full(n, -1)
+    kept = np.union1d(surface, occurring(mesh.conn[~old], len(x)))
+    number = np.full(len(x), -1)
     number[kept] = np.arange(len(kept))
-    near, at = cKDTree(points).query(domain.nodes.x[surface])
-    edge = float(np.cbrt(mesh.V0[old].min()))
+    at = _matched(points, x[surface], MATCH * float(np.cbrt(mesh.V0[old].min())))
     inside = np.ones(len(points), bool)
     inside[at] = False
-    if near.max() > MATCH * edge or len(np.unique(at)) < len(at):
-        raise SplatError("the mesh has another surface than the body that it is to fill")
+    more = int(inside.sum())
     own = np.zeros(len(points), np.int64)
-    own[at], own[inside] = number[surface], len(kept) + np.arange(int(inside.sum()))
+    own[at], own[inside] = number[surface], len(kept) + np.arange(more)
 
-    x = domain.nodes.x
     within, weights = containing(x, base, points[inside])
     between = {
         name: np.einsum("kc,kc->k", weights, getattr(domain.nodes, name)[base[within]]) for name in ("J", "energy")
     }
-    nodes = concatenate([take(domain.nodes, kept), new_rows(NodeState, int(inside.sum()), x=points[inside], **between)])
-    conn = own[tets]
-    V = volumes(points, tets)
-    now, share = lumped(conn, V, len(nodes.J)), np.concatenate([mesh.node_volume[kept], np.zeros(int(inside.sum()))])
-    is_base, J = now > 0.0, nodes.J.copy()
-    for _ in range(ROUNDS):
-        V0 = V / J[conn].mean(axis=1)
-        V0 *= mesh.V0[old].sum() / V0.sum()
-        base_share = lumped(conn, V0, len(share))
-        J[is_base] *= nodes.J[is_base] / (now[is_base] / base_share[is_base])
-    share[is_base] = base_share[is_base]
-    nodes.J[is_base] = now[is_base] / base_share[is_base]
-    nodes.p[is_base] = pressures(law, nodes.J[is_base], nodes.energy[is_base])
+    nodes = concatenate([take(domain.nodes, kept), new_rows(NodeState, more, x=points[inside], **between)])
+    conn, V = own[tets], volumes(points, tets)
+    V0, share, now = _reference_volumes(conn, V, nodes.J, mesh.V0[old].sum())
+    is_base, node_volume = now > 0.0, np.concatenate([mesh.node_volume[kept], np.zeros(more)])
+    node_volume[is_base] = share[is_base]
+    nodes.J[is_base] = now[is_base] / share[is_base]
+    nodes.p[is_base] = pressures(domain.laws[:1], nodes.J[is_base], nodes.energy[is_base])
 
-    elements = _carried_over(domain, x, base, points, tets, V0)
+    elements = _carried_over(domain, base, points, tets, V0)
     facet_element = np.empty(len(mesh.facets), np.int64)
     of_base = old[mesh.facet_element]
     facet_element[of_base] = _behind(number[mesh.facets[of_base]], conn)
@@ -86,20 +76,43 @@ def with_base(domain: Domain, points: np.ndarray, tets: np.ndarray) -> tuple[Dom
     new = replace(
         mesh, points=np.concatenate([mesh.points[kept], points[inside]]),
         conn=np.concatenate([conn, number[mesh.conn[~old]]]).astype(np.int32), B=np.concatenate([B, mesh.B[~old]]),
-        V0=np.concatenate([V0, mesh.V0[~old]]), node_volume=share, facets=number[mesh.facets].astype(np.int32),
-        facet_element=facet_element.astype(np.int32), reach_node=np.zeros(len(share)),
+        V0=np.concatenate([V0, mesh.V0[~old]]), node_volume=node_volume, facets=number[mesh.facets].astype(np.int32),
+        facet_element=facet_element.astype(np.int32), reach_node=np.zeros(len(node_volume)),
         reach_element=np.zeros(len(conn) + int((~old).sum())),
     )  # fmt: skip
     body = np.concatenate([np.zeros(len(conn), np.int32), domain.body[~old]])
     return Domain(new, nodes, concatenate([elements, take(domain.elements, ~old)]), body, domain.laws), number
 
 
+def _matched(points: np.ndarray, kept: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which of the points each of the places `kept` (k,3) is, within tolerance, m. Raises SplatError where one is none of its own."""
+    away, at = cKDTree(points).query(kept)
+    if away.max() > tolerance or len(np.unique(at)) < len(at):
+        raise SplatError(OTHER_SURFACE)
+    return at
+
+
+def _reference_volumes(
+    conn: np.ndarray, V: np.ndarray, wanted: np.ndarray, total: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reference volumes (j,) m3, `total` together, of elements of V (j,) m3 now, by which the volume ratios of the nodes are those
+    wanted (n,) as nearly as can be; what of them and of V each node has (n,) m3."""
+    now, J = lumped(conn, V, len(wanted)), wanted.copy()
+    own = now > 0.0
+    for _ in range(ROUNDS):
+        V0 = V / J[conn].mean(axis=1)
+        V0 *= total / V0.sum()
+        share = lumped(conn, V0, len(J))
+        J[own] *= wanted[own] / (now[own] / share[own])
+    return V0, share, now
+
+
 def _carried_over(
-    domain: Domain, x: np.ndarray, base: np.ndarray, points: np.ndarray, tets: np.ndarray, V0: np.ndarray
+    domain: Domain, base: np.ndarray, points: np.ndarray, tets: np.ndarray, V0: np.ndarray
 ) -> ElementState:
-    """State of the elements tets (j,4) on points (k,3) m, reference volumes V0 (j,) m3, from the elements base (m,4) on x (n,3) m of a
-    domain, which are its first body."""
-    old, m = domain.body == 0, len(tets)
+    """State of the elements tets (j,4) on points (k,3) m, reference volumes V0 (j,) m3, from those of the first body of a domain,
+    base (m,4)."""
+    x, old, m = domain.nodes.x, domain.body == 0, len(tets)
     state, mass = take(domain.elements, old), domain.mesh.V0[old]
     into, _ = containing(points, tets, x[base].mean(axis=1))
     few = np.flatnonzero(np.bincount(into, minlength=m) < FEW)
@@ -128,5 +141,5 @@ def _behind(facets: np.ndarray, conn: np.ndarray) -> np.ndarray:
     order = np.argsort(key)
     at = order[np.minimum(np.searchsorted(key[order], own), len(key) - 1)]
     if len(key) != len(own) or np.any(key[at] != own):
-        raise SplatError("the mesh has another surface than the body that it is to fill")
+        raise SplatError(OTHER_SURFACE)
     return behind[at]
