@@ -17,7 +17,7 @@ MEET = 2.0
 AHEAD = 96  # impacts back among which those of a batch are looked for
 ON_TOP = 0.85  # mean diameters between the axes of two impacts of which the later may land on the splat of the other
 BARE = 0.25  # share of the later impacts that may still land on the bare substrate where it gets coarser elements
-LATER = 100  # impacts after that, at least
+LATER = 200  # impacts after that, at least: what fewer would save is not measured
 
 
 class Impact(Protocol):
