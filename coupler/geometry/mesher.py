@@ -71,7 +71,7 @@ def cylinder(
     the x axis on (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
-    largest = (sizes_to or COARSEST * min(diameter, height)) / unit
+    largest = sizes_to or COARSEST * min(diameter, height)
 
     def model(gmsh: ModuleType) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
@@ -85,8 +85,8 @@ def cylinder(
 def _grow(
     gmsh: ModuleType, unit: float, refined_radius: float, growth: float, centre: tuple[float, float], largest: float, spread: float
 ) -> None:  # fmt: skip
-    """Set the sizes that `cylinder` says; largest: in units."""
-    x, y = centre[0] / unit, centre[1] / unit
+    """Set the sizes that `cylinder` says, largest: `sizes_to`; unit: the length, m, that gmsh counts in, and the smallest size."""
+    x, y, most = centre[0] / unit, centre[1] / unit, largest / unit
     axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
     if spread > 0.0:
         beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
@@ -94,7 +94,7 @@ def _grow(
     distance = f"Sqrt({axis}+z^2)"
     field = gmsh.model.mesh.field.add("MathEval")
     grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
-    gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{largest:.12g}-Abs(({grown})-{largest:.12g}))")
+    gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
     gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
 
@@ -142,7 +142,7 @@ def fill(
         gmsh.model.geo.synchronize()
         if grown is not None:
             refined_radius, growth, centre, largest, spread = grown
-            _grow(gmsh, size, refined_radius, growth, centre, largest / size, spread)
+            _grow(gmsh, size, refined_radius, growth, centre, largest, spread)
         else:
             gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
             gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
