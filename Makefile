@@ -72,7 +72,7 @@ $(STAMP): uv.lock pyproject.toml .ci/uv.txt
 	@export OMP_NUM_THREADS=1; \
 	$(VENV)/bin/python workflows/compile_kernels.py >$(VENV)/compile_kernels.log 2>&1 & other=$$!; \
 	$(VENV)/bin/coldspray run workflows/single_ni.toml --set 'end.time="3 ns"' --out $(VENV)/first_run --force -q \
-	  >$(VENV)/first_run.log 2>&1 || [ $$? -eq 4 ] || { cat $(VENV)/first_run.log >&2; exit 1; }; \
+	  >$(VENV)/first_run.log 2>&1 || [ $$? -eq 4 ] || { kill $$other; cat $(VENV)/first_run.log >&2; exit 1; }; \
 	wait $$other || { cat $(VENV)/compile_kernels.log >&2; exit 1; }
 	@touch $@
 

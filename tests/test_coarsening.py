@@ -36,7 +36,7 @@ def test_a_place_is_found_in_the_tetrahedron_that_holds_it(rng: np.random.Genera
     np.testing.assert_array_equal(element, own)
     np.testing.assert_allclose(found, weights, atol=1e-9)
     (at,), (of_it,) = containing(points, tets, np.array([[0.5, 1.0, 1.001]]))
-    np.testing.assert_allclose(of_it @ points[tets[at]], [0.5, 1.0, 1.0], atol=0.05)
+    np.testing.assert_allclose(of_it @ points[tets[at]], [0.5, 1.0, 1.0], atol=2e-3)
     assert of_it.min() >= 0.0
 
 
@@ -57,7 +57,7 @@ def bodies() -> Bodies:
     return two
 
 
-def finer_inside(domain: Domain, size: float) -> tuple[np.ndarray, np.ndarray]:
+def coarser_inside(domain: Domain, size: float) -> tuple[np.ndarray, np.ndarray]:
     nodes, triangles = base_surface(domain)
     return mesher.fill([(domain.nodes.x[nodes], triangles)], size)
 
@@ -65,7 +65,7 @@ def finer_inside(domain: Domain, size: float) -> tuple[np.ndarray, np.ndarray]:
 def test_state_is_carried_over(bodies: Bodies) -> None:
     """Mass and heat exactly, what is uniform as it is, what is linear to a part of an element; the cube and the surface stay."""
     domain = domain_now(bodies.target, bodies.body)
-    new, number = with_base(domain, *finer_inside(domain, 9e-6))
+    new, number = with_base(domain, *coarser_inside(domain, 9e-6))
     old, own = bodies.body == 0, new.body == 0
     assert 0.2 < own.sum() / old.sum() < 0.8
     assert new.mesh.V0[own].sum() == pytest.approx(domain.mesh.V0[old].sum(), rel=1e-12)
@@ -95,7 +95,7 @@ def test_state_is_carried_over(bodies: Bodies) -> None:
 
 def test_the_surface_must_be_the_same(bodies: Bodies) -> None:
     domain = domain_now(bodies.target, bodies.body)
-    points, tets = finer_inside(domain, 9e-6)
+    points, tets = coarser_inside(domain, 9e-6)
     with pytest.raises(SplatError, match="another surface"):
         with_base(domain, points * 1.01, tets)
 
@@ -165,7 +165,6 @@ def test_a_run_goes_on_with_coarser_elements(
     last, before = (r.summary["impacts"][-1] for r in (result, fine))
     assert abs(last["energy_drift"]) < 0.01
     assert last["end"]["eps_p_mean"] == pytest.approx(before["end"]["eps_p_mean"], rel=0.01)
-    assert last["steps"] == before["steps"]
     break_off(Scene.from_text(SIDE, "shared"), tmp_path / "two", 4e-9, after=2)
     again = resume(tmp_path / "two", quiet=True)
     assert_same_numbers(result.summary, again.summary, rel=0.0)

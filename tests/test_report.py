@@ -12,13 +12,14 @@ from made_up_run import ball, block, flattened, summary_of, write
 from coupler.errors import StoreError
 from coupler.files.result import Result
 from coupler.files.store import Store
+from coupler.geometry.locate import in_tets
 from coupler.geometry.sections import crossing, cut_tets, section_loops
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
 from coupler.report import picture, screen, section_picture
 from coupler.report.compare import _change
-from coupler.report.fields import FIELDS, from_points, in_tets
+from coupler.report.fields import FIELDS, from_points
 from coupler.report.page import report
 from coupler.report.picture import axes_at, blank, cut, label_log, stage, window
 from coupler.report.profiles import on_vertical, profiles

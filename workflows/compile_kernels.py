@@ -10,6 +10,7 @@ import numpy as np
 from coupler.deposition.pause import pause
 from coupler.fe.assemble import BodyState
 from coupler.geometry import mesher
+from coupler.geometry.tetrahedra import oriented
 from coupler.impact.domains import build_target
 from coupler.physics.adhesion import Adhesion
 from coupler.plan.planning import plan
@@ -24,12 +25,9 @@ ENERGY = 1.0  # J, of an impact before: equilibrium is found at once
 def cube(law: np.ndarray) -> BodyState:
     """A body on the origin, free of stress, that follows a law."""
     points, tets = mesher.box((EDGE, EDGE, EDGE), 0.5 * EDGE)
-    edges = points[tets[:, 1:]] - points[tets[:, :1]]
-    turned = np.linalg.det(edges) < 0.0
-    tets[turned, 2:] = tets[turned, 2:][:, ::-1]
     n, m = len(points), len(tets)
     return BodyState(
-        points=points, tets=tets, stress=np.zeros((m, 6)), eps_p=np.zeros(m), T=np.full(m, 300.0), J=np.ones(m),
+        points=points, tets=oriented(points, tets), stress=np.zeros((m, 6)), eps_p=np.zeros(m), T=np.full(m, 300.0), J=np.ones(m),
         velocity=np.zeros((n, 3)), energy=np.zeros(n), mass=float(law["rho"][0]) * EDGE**3, law=law, eps_gradient=np.zeros((m, 3)),
     )  # fmt: skip
 

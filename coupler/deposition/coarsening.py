@@ -39,7 +39,9 @@ def coarsened(plan: Plan, bodies: Bodies) -> tuple[Bodies, Values]:
     bodies.release_heat()
     domain = domain_now(t, bodies.body)
     nodes, triangles = base_surface(domain)
-    grown = REFINED * target.refined_radius, target.growth, target.centre, target.largest_element, target.spread
+    grown = mesher.Grading(
+        REFINED * target.refined_radius, target.growth, target.centre, target.largest_element, target.spread
+    )
     before = _measures(bodies)
     held, warmth = t.elastic(), float(t.mesh.node_volume @ t.energy)
     try:
@@ -69,8 +71,5 @@ def words(report: Values) -> str:
 def _measures(bodies: Bodies) -> dict[str, float]:
     """Of the substrate: number of elements, mean temperature (K) and mean in-plane stress (Pa)."""
     t, own = bodies.target, bodies.body == 0
-    weights = t.mesh.V0[own] * t.laws["rho"][0]
-    return {
-        "elements": float(own.sum()), "T_mean_K": float(np.average(t.T[own], weights=weights)),
-        "stress_Pa": in_plane(t, own),
-    }  # fmt: skip
+    mean = float(np.average(t.T[own], weights=t.mesh.V0[own]))
+    return {"elements": float(own.sum()), "T_mean_K": mean, "stress_Pa": in_plane(t, own)}

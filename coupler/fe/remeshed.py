@@ -1,9 +1,9 @@
 """Another mesh inside the base of a domain: its surface stays as it is, state is carried over.
 
 Elements of the new mesh take the mean over the mass of the old ones whose middles lie in them, those with fewer than FEW that over
-the old ones that hold four places in them; then all temperatures are shifted alike, so that heat stays the same. Volume ratios and
-energies of the nodes inside are interpolated. As where a body joins (`assemble`), reference volumes are V / J, all together those of
-before, and the reference shape of a tetrahedron is its present one, shrunk by J^(1/3).
+the old ones that hold four places in them; then all temperatures are shifted alike, so that their mean over the mass stays. Volume
+ratios and energies of the nodes inside are interpolated. As where a body joins (`assemble`), reference volumes are V / J, all together
+those of before, and the reference shape of a tetrahedron is its present one, shrunk by J^(1/3).
 """
 
 from dataclasses import replace
@@ -124,7 +124,7 @@ def _carried_over(
         mean = np.stack([np.bincount(into, mass * column, m) for column in rows.T], axis=1) / total
         mean[few] = rows[source].mean(axis=1)
         values[name] = mean.reshape(m, *getattr(state, name).shape[1:])
-    values["T"] += (mass @ state.T - V0 @ values["T"]) / V0.sum()  # heat is neither lost nor won
+    values["T"] += (mass @ state.T - V0 @ values["T"]) / V0.sum()  # with a constant c_p heat is neither lost nor won
     sigma_y = yield_stresses(
         domain.laws[:1], np.zeros(m, np.int32), values["eps_p"], values["T"], values["eps_gradient"]
     )

@@ -8,6 +8,7 @@ import signal
 import threading
 from collections.abc import Callable
 from types import ModuleType
+from typing import NamedTuple
 
 import gmsh
 import numpy as np
@@ -16,6 +17,30 @@ from ..errors import SolverError, SplatError
 from .tetrahedra import COARSEST, oriented
 
 HXT, DELAUNAY = 10, 1
+
+
+class Grading(NamedTuple):
+    """Edges, m, of the smallest size within refined_radius of a disc on the plane z = 0, of radius `spread` about `centre`; beyond they
+    grow by `growth` per unit of distance, up to `largest`."""
+
+    refined_radius: float
+    growth: float
+    centre: tuple[float, float]
+    largest: float
+    spread: float
+
+    def apply(self, gmsh: ModuleType, size: float) -> None:
+        """Make it gmsh's; size: the smallest, m, in which gmsh counts."""
+        x, y, most = self.centre[0] / size, self.centre[1] / size, self.largest / size
+        axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
+        if self.spread > 0.0:
+            beyond = f"(Sqrt({axis})-{self.spread / size:.12g})"
+            axis = f"(0.5*({beyond}+Abs({beyond})))^2"
+        beyond = f"(Sqrt({axis}+z^2)-{self.refined_radius / size:.12g})"
+        grown = f"1+{self.growth:.12g}*(0.5*({beyond}+Abs({beyond})))"
+        field = gmsh.model.mesh.field.add("MathEval")
+        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
+        gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
 
 def build(
@@ -71,31 +96,15 @@ def cylinder(
     the x axis on (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
-    largest = sizes_to or COARSEST * min(diameter, height)
+    grading = Grading(refined_radius, growth, centre, sizes_to or COARSEST * min(diameter, height), spread)
 
     def model(gmsh: ModuleType) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
-        _grow(gmsh, unit, refined_radius, growth, centre, largest, spread)
+        grading.apply(gmsh, unit)
 
     points, tets = build(model)
     return points * unit, tets
-
-
-def _grow(
-    gmsh: ModuleType, unit: float, refined_radius: float, growth: float, centre: tuple[float, float], largest: float, spread: float
-) -> None:  # fmt: skip
-    """Set the sizes that `cylinder` says, largest: `sizes_to`; unit: the length, m, that gmsh counts in, and the smallest size."""
-    x, y, most = centre[0] / unit, centre[1] / unit, largest / unit
-    axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
-    if spread > 0.0:
-        beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
-        axis = f"(0.5*({beyond}+Abs({beyond})))^2"
-    distance = f"Sqrt({axis}+z^2)"
-    field = gmsh.model.mesh.field.add("MathEval")
-    grown = f"1+{growth:.12g}*(0.5*(({distance}-{refined_radius / unit:.12g})+Abs({distance}-{refined_radius / unit:.12g})))"
-    gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
-    gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
 
 def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, np.ndarray]:
@@ -116,14 +125,13 @@ def fill(
     size: float,
     algorithm: int = HXT,
     improve: float = 0.45,
-    grown: tuple[float, float, tuple[float, float], float, float] | None = None,
+    grown: Grading | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
 
     shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
     lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
-    all that a bad surface allows in reasonable time. grown: edges grow from `size` on as in a `cylinder`: refined_radius, growth,
-    centre, sizes_to, spread. Raises SplatError where gmsh cannot.
+    all that a bad surface allows in reasonable time. grown: how edges grow from `size` on. Raises SplatError where gmsh cannot.
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -141,8 +149,7 @@ def fill(
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
         if grown is not None:
-            refined_radius, growth, centre, largest, spread = grown
-            _grow(gmsh, size, refined_radius, growth, centre, largest, spread)
+            grown.apply(gmsh, size)
         else:
             gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
             gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)

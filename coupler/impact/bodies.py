@@ -313,32 +313,32 @@ class Bodies:
         """
         self.release_heat()
         reach = NEAR * size
-        bodies, loose = self._round(np.flatnonzero(gone), reach)
+        is_near, loose = self._around(np.flatnonzero(gone), reach)
         domain, node, facet = only(domain_now(self.target, self.body), ~gone)
         if self.bond is not None:
             self.bond.drop((node[self.bond.nodes] < 0) | (node[self.bond.triangles[:, 0]] < 0))
         buried = facet[self.buried]
         new = self.on(domain, node, buried[buried >= 0])
         new.impact = self.impact[~gone]
-        surfaces, x, is_round = new.surfaces, new.target.x, bodies[~gone]
+        surfaces, x = new.surfaces, new.target.x
         covered = [
             _covered(interface(surfaces, x, body, reach, near), surfaces, x, body, near, reach)
-            for body, near in enumerate(earlier_neighbours(surfaces, x, reach, is_round)) if near
+            for body, near in enumerate(earlier_neighbours(surfaces, x, reach, is_near[~gone])) if near
         ]  # fmt: skip
         bare = np.setdiff1d(facet[loose], np.concatenate([loose[:0], *covered]))
         new.buried = np.setdiff1d(new.buried, bare)
         return new
 
-    def _round(self, gone: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    def _around(self, gone: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Mask (bodies,) of those that may cover what the bodies `gone` (g,) may touch, within reach m of them, and ids of the buried
         facets there."""
         low, high = self.surfaces.boxes(self.target.x)
-        is_round, facets = np.zeros(self.count, bool), [self.buried[:0]]
+        is_near, facets = np.zeros(self.count, bool), [self.buried[:0]]
         for body in gone:
-            is_round[list(neighbours(low, high, body, 2.0 * reach))] = True
+            is_near[list(neighbours(low, high, body, 2.0 * reach))] = True
             box = low[body] - reach, high[body] + reach
             facets.append(broad.facets_within(self.target.x, self.surfaces.facets, self.buried, *box))
-        return is_round, np.unique(np.concatenate(facets))
+        return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
         """Bodies from a domain, the ledger going on from that of these."""

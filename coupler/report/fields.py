@@ -70,26 +70,3 @@ def at_nodes(fields: Fields, name: str) -> NDArray:
     columns = values.reshape(len(values), -1).T
     sums = np.stack([np.bincount(where, np.repeat(volume * column, 4), count) for column in columns], axis=1)
     return (sums / np.where(weight > 0, weight, 1.0)[:, None]).reshape(count, *values.shape[1:])
-
-
-def in_tets(points: NDArray, tets: NDArray, places: NDArray) -> tuple[NDArray[np.int64], NDArray]:
-    """The tetrahedron each place lies in, (k,), -1 outside of all, and its barycentric coordinates there, (k, 4).
-
-    points: (n, 3). tets: (m, 4). places: (k, 3), few: each is held against every tetrahedron near all of them.
-    """
-    corners, owner, share = points[tets], np.full(len(places), -1), np.zeros((len(places), 4))
-    edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    near = ((corners.min(1) <= places.max(0)) & (corners.max(1) >= places.min(0))).all(1) & (
-        np.linalg.det(edges) != 0.0
-    )
-    near_tets = np.flatnonzero(near)
-    if not len(near_tets):
-        return owner, share
-    inverse, origin = np.linalg.inv(edges[near]), corners[near, 0]
-    for k, place in enumerate(places):
-        three = np.einsum("mij,mj->mi", inverse, place - origin)
-        four = np.column_stack([1 - three.sum(1), three])
-        best = int(np.argmax(four.min(1)))
-        if four[best].min() > -1e-9:
-            owner[k], share[k] = near_tets[best], four[best]
-    return owner, share

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ..files.fields import Fields
 from ..files.result import Result
-from .fields import at_nodes, from_points, in_tets
+from ..geometry.locate import in_tets
+from .fields import at_nodes, from_points
 from .picture import MICRO, Stage
 
 SAMPLES = 60  # in each body
