@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from .library import open3d
+from .raycast import RaySurface
 from .tetrahedra import boundary_faces
 
 SAME_PLACE = 1e-4  # spacings: points so close are one
@@ -31,8 +32,9 @@ def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
     return index, [f"{count} {kind} left out" for kind, count in counts.items() if count]
 
 
-def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArray[np.float64]:
-    """Distance (k,) m of places x (k,3) inside the tetrahedra (m,4) of points (n,3) from the nearest node of their boundary; 0 outside.
+def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0, near: int = 32) -> NDArray[np.float64]:
+    """Distance (k,) m of places x (k,3) inside the tetrahedra (m,4) of points (n,3) from their boundary, where it is larger than
+    `least` m; else 0, as outside.
 
     Only the `near` tetrahedra with the nearest centres are looked at.
     """
@@ -43,11 +45,12 @@ def depths(x: NDArray, points: NDArray, tets: NDArray, near: int = 32) -> NDArra
         edges = np.moveaxis(corner[:, :, 1:] - corner[:, :, :1], -1, -2)
         weights = np.linalg.solve(edges, (x[rows, None] - corner[:, :, 0])[..., None])[..., 0]
         inside[rows] = np.any((weights.min(axis=2) > -1e-9) & (weights.sum(axis=2) < 1.0 + 1e-9), axis=1)
-    depth = np.zeros(len(x))
+    depth, facets = np.zeros(len(x)), boundary_faces(tets)[0]
+    # the boundary is no farther than the nearest of its nodes: mostly no place is left, and open3d is not loaded
+    inside[inside] = cKDTree(points[np.unique(facets)]).query(x[inside])[0] > least
     if inside.any():
-        boundary = points[np.unique(boundary_faces(tets)[0])]
-        depth[inside] = cKDTree(boundary).query(x[inside])[0]
-    return depth
+        depth[inside] = np.linalg.norm(x[inside] - RaySurface(points, facets, closed=False).closest(x[inside]), axis=1)
+    return np.where(depth > least, depth, 0.0)
 
 
 def morton(x: NDArray) -> NDArray[np.uint64]:

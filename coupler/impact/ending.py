@@ -104,16 +104,7 @@ class EndCriterion:
         stopped its rebound, a bonded particle has moved little for `held_quiet` s, or one to be tied hardly deforms any more."""
         s = self._state
         is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet
-        return (s.turned is not None and (s.arrested or is_quiet)) or self.hardly_deforms
-
-    @property
-    def hardly_deforms(self) -> bool:
-        """Whether, past the greatest deformation, a particle to be tied would dissipate less than SPENT in the next D / v."""
-        return self._state.turned is not None and self._state.power < self.spent
-
-    def wait(self) -> None:
-        """Wait for a silent contact all the same."""
-        self._state = replace(self._state, power=math.inf)
+        return s.turned is not None and (s.arrested or is_quiet or s.power < self.spent)
 
     def slid_off(self, time: float) -> bool:
         """Whether the particle has left over the rim of the target: beyond it the contact has been silent for `quiet` s."""

@@ -35,7 +35,6 @@ from .touching import Touching
 WINDOW = 10
 APPROACH = 0.5  # spacings that a point may move in a window of steps, in which its stable step is not computed again
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
-PRESSED = 2.0  # spacings in place of that one where the end comes while the contact presses
 
 
 @dataclass(frozen=True)
@@ -239,24 +238,15 @@ class Impact:
                 metals[i] = metal
         return metals
 
-    def _depths(self) -> np.ndarray:
-        """How deep the particle's points (n,) lie in the target, in spacings."""
-        return depths(self.particle.x, self.target.x, self.target.mesh.conn) / self.particle.spacing
-
-    @property
-    def has_lost_points(self) -> bool:
-        """Whether more than LOST of the particle's points lie deeper than a spacing in the target."""
-        return _are_lost(self._depths(), 1.0)
-
-    def check_contact(self, pressed: bool = False) -> None:
-        """Raise SolverError where the contact has lost points: more than LOST of them lie deeper than a spacing in the target. pressed:
-        whether a time limit ends the impact while the contact presses: PRESSED spacings are allowed, because as it springs back points
-        come out."""
-        allowed, depth = PRESSED if pressed else 1.0, self._depths()
-        if _are_lost(depth, allowed):
+    def check_contact(self) -> None:
+        """Raise SolverError where the contact has lost points: more than LOST of them lie deeper than a spacing in the target."""
+        p, t = self.particle, self.target
+        depth = depths(p.x, t.x, t.mesh.conn, least=p.spacing)
+        lost = np.count_nonzero(depth)
+        if lost > LOST * p.n:
             raise SolverError(
-                f"the contact has lost {np.count_nonzero(depth > allowed)} of {len(depth)} points of the particle: they lie up to"
-                f" {depth.max():.1f} spacings inside the target. Try a finer preset"
+                f"the contact has lost {lost} of {p.n} points of the particle: they lie up to {depth.max() / p.spacing:.1f}"
+                f" spacings inside the target. Try a finer preset"
             )
 
     def update_ledger(self) -> dict[str, float]:
@@ -283,8 +273,3 @@ class Impact:
         if state.hold is not None:
             check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
             self.hold = Hold.from_state(state.hold).on(*self._rings)
-
-
-def _are_lost(depth: np.ndarray, allowed: float) -> bool:
-    """Whether more than LOST of the points are deeper than allowed. depth (n,), allowed: spacings."""
-    return bool(np.mean(depth > allowed) > LOST)

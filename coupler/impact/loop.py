@@ -31,8 +31,6 @@ def advance_to_end(
             impact.bond(recorder.plan, recorder.impact_plan, touching)
         force, above = float(impact.force[2]), recorder.is_above(impact)
         ending.observe(impact.time, impact.sinking, force, impact.grip, above, impact.dissipated)
-        if ending.hardly_deforms and impact.has_lost_points:
-            ending.wait()  # as it springs back they come out
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(recorder.plan, recorder.impact_plan, Touching(impact.domains))
@@ -42,7 +40,7 @@ def advance_to_end(
         if probe is not None:
             probe(impact)
     impact.ledger.check_closure()
-    impact.check_contact(ending.at_limit(impact.time) and not ending.settled(impact.time))
+    impact.check_contact()
 
 
 def advance_window(impact: Impact, end_time: float | None = None) -> float:
