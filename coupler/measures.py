@@ -15,7 +15,14 @@ SHAPE_TOLERANCE = 0.01  # of a sphere's diameter: the carried surface follows th
 PLASTIC_SHARE_LIMIT = 0.05  # dissipation of the particle's scheme over its plastic work beyond which a run warns
 # A surface that lies a thirtieth of a sphere's diameter too deep all round encloses a fifth less (dV / V = 6 d / D).
 SURFACE_VOLUME_LIMIT = 0.2
-OF_THE_SURFACE = ("flattening_ratio", "flattening_ratio_total", "height_m", "thickness_m", "splat_diameter_m")
+OF_THE_SURFACE = (
+    "flattening_ratio",
+    "flattening_ratio_total",
+    "height_m",
+    "thickness_m",
+    "splat_diameter_m",
+    "jet_length_m",
+)
 DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energy beyond which it shapes the result
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
@@ -110,6 +117,7 @@ TABLE = (
     Measure("thickness_m", group=SHAPE, low=0.0),
     Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),
     Measure("splat_diameter_m", group=SHAPE, short="diameter", low=0.0, converges=True),
+    Measure("jet_length_m", "jet, beyond the splat", SHAPE, "jet", low=0.0, converges=False),
     Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
     Measure("verdict", group=VERDICT),
     Measure("verdict_criterion", "criterion", VERDICT),

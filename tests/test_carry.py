@@ -6,7 +6,7 @@ import pytest
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.measure import crater_depth
 from coupler.sph import packing
-from coupler.sph.carried_surface import CarriedSurface, shape_measures
+from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
 
@@ -106,15 +106,3 @@ def test_crater_depth_is_the_bottom_of_the_bowl_wherever_the_nodes_lie(rng: np.r
         assert crater_depth(x) == pytest.approx(0.3, rel=0.02)
         assert abs(crater_depth(x + np.array([0, 0, 0.01 * rng.standard_normal()])) - 0.3) < 0.05
     assert crater_depth(np.concatenate([rng.uniform(-1, 1, (100, 2)), np.zeros((100, 1))], axis=1)) == 0.0
-
-
-def test_measures_of_a_known_lens() -> None:
-    skin, triangles = packing.surface(2.0, 0.05)
-    lens = skin * [1.5, 1.5, 0.4] + [0, 0, 0.1]
-    m = shape_measures(lens, 2.0)
-    assert m["height_m"] == pytest.approx(0.5, rel=1e-3)
-    assert m["thickness_m"] == pytest.approx(0.8, rel=1e-3)
-    assert m["flattening_ratio"] == pytest.approx(0.75, rel=1e-3)
-    assert m["flattening_ratio_total"] == pytest.approx(0.6, rel=1e-3)
-    assert m["splat_diameter_m"] == pytest.approx(3.0, rel=1e-2)
-    assert triangles.max() == len(skin) - 1

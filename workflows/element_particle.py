@@ -29,6 +29,7 @@ from coupler.contact.penalty import PointContact
 from coupler.errors import SolverError
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.geometry import mesher
+from coupler.geometry.extent import shape_measures
 from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import areas_and_normals
 from coupler.impact.domains import build_target
@@ -39,7 +40,6 @@ from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
 from coupler.report.picture import blank, save
-from coupler.sph.carried_surface import shape_measures
 from coupler.sph.packing import surface
 from coupler.studies.order import FEWEST, fit_order, line
 from coupler.studies.table import Row
@@ -198,7 +198,8 @@ class ElementImpact:
     def measures(self) -> dict[str, float]:
         """Measures of this instant, as `impact.measure` has them for points."""
         t, own = self.target, self.elements
-        m = shape_measures(t.x[self.surface], self.plan.impact.diameter)
+        facets = t.mesh.facets[self.bodies.body[t.mesh.facet_element] == BODY]
+        m = shape_measures(t.x, facets, self.plan.impact.diameter)
         m["crater_depth_m"] = crater_depth(t.x[self.top])
         m["eps_p_mean"] = float(np.average(t.eps_p[own], weights=self.volume))
         m["eps_p_p99"] = float(np.percentile(t.eps_p[own], 99))

@@ -11,13 +11,14 @@ from ..errors import SolverError
 from ..fe.assemble import BodyState, Point
 from ..fe.explicit import Target
 from ..files.summary import Values
+from ..geometry.extent import shape_measures
 from ..impact.bodies import Bodies, heights_at
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
 from ..physics.constitutive import sound_speed, von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..sph.carried_surface import CarriedSurface, shape_measures
+from ..sph.carried_surface import CarriedSurface
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
 from .coarsening import coarsened, is_due
@@ -234,7 +235,7 @@ def splats_at_end(plan: Plan, levels: Sequence[float], joined: int, bodies: Bodi
     mesh, standing = bodies.target.mesh, []
     impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
     for number, (impact, level) in enumerate(zip(plan.impacts[:joined], levels, strict=False), 1):
-        nodes = np.unique(mesh.facets[impact_of_facet == number])
-        away = bodies.target.x[nodes] - np.array([0.0, 0.0, level])
-        standing.append(shape_measures(away, impact.diameter) if len(nodes) else None)
+        facets = mesh.facets[impact_of_facet == number]
+        away = bodies.target.x - np.array([0.0, 0.0, level])
+        standing.append(shape_measures(away, facets, impact.diameter) if len(facets) else None)
     return standing

@@ -3,10 +3,11 @@
 import numpy as np
 
 from ..fe.explicit import Target
+from ..geometry.extent import shape_measures
 from ..geometry.triangles import enclosed_volume
 from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
-from ..sph.carried_surface import CarriedSurface, shape_measures
+from ..sph.carried_surface import CarriedSurface
 
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
 
@@ -62,7 +63,7 @@ def measure(
     """
     rho = float(particle.law["rho"][0])
     skin = surface.positions(particle.x) - [0.0, 0.0, level]
-    m = shape_measures(skin, diameter)
+    m = shape_measures(skin, surface.triangles, diameter)
     m["surface_volume_error"] = enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.J) - 1.0
     m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import SolverError
 from ..files.store import Store
+from ..geometry.extent import UP, extent
 from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -95,8 +96,8 @@ class Recorder:
             "step": float(particle.steps),
             **ledger,
         }
-        row["height"] = float(skin[:, 2].max())
-        row["thickness"] = float(np.ptp(skin[:, 2]))
+        bottom, row["height"] = extent(skin, impact.surface.triangles, UP)
+        row["thickness"] = row["height"] - bottom
         row["crater_depth"] = crater_depth(target.x[self._crater_nodes(impact)])
         row["velocity_z"] = -impact.sinking
         row["contact_force"] = float(impact.force[2])

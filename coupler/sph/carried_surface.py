@@ -8,7 +8,7 @@ half a spacing inside it.
 
 import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from ..state.threads import together
 from . import carried_kernels as k
@@ -123,20 +123,3 @@ def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:
 def _compressed(W: csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Start of each row, columns and weights, for the kernels; unsigned, because numba then does not test for negative indices."""
     return W.indptr.astype(np.uint32), W.indices.astype(np.uint32), W.data
-
-
-def shape_measures(vertices: np.ndarray, diameter: float) -> dict[str, float]:
-    """Measures of a deformed particle of initial diameter D0 (m) on a target whose initial surface is the plane z = 0.
-
-    Height above that plane, whole thickness, diameter (of the circle with the area of the splat seen from above),
-    and both flattening ratios: 1 - height/D0 (the paper's, see docs) and 1 - thickness/D0.
-    """
-    top, bottom = float(vertices[:, 2].max()), float(vertices[:, 2].min())
-    area = float(ConvexHull(vertices[:, :2]).volume)
-    return {
-        "flattening_ratio": 1.0 - top / diameter,
-        "flattening_ratio_total": 1.0 - (top - bottom) / diameter,
-        "height_m": top,
-        "thickness_m": top - bottom,
-        "splat_diameter_m": float(np.sqrt(4.0 * area / np.pi)),
-    }
