@@ -54,7 +54,6 @@ class CompiledParticle(Particle):
         self._all_F[:] = np.eye(3).ravel()
         self._effective = np.ones(everyone)
         self.F, self.R = self._all_F[: self.n], self._all_F[: self.n].copy()
-        self._rates = self._all_v  # velocities of the rate of deformation
         self._h = 2.0 * self.numerics.kernel_radius * self.spacing
         law = self.law[0]
         self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
@@ -131,7 +130,7 @@ class CompiledParticle(Particle):
             together(
                 k.stress_of_all, self.n, failed,
                 (self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
-                 self._K_inverse, self._X, self._all_x, self._rates, self.R, self._all_F, self._all_Q, self._stress, self._effective,
+                 self._K_inverse, self._X, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
                  self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
                  self.eps_gradient, *self._of_points),
             )  # fmt: skip

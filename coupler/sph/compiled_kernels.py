@@ -70,6 +70,13 @@ def rotation(F: Matrix, R: Matrix) -> tuple[Matrix, Matrix]:
     return R, A
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _sum(a: Matrix, b: Matrix) -> Matrix:
+    return (
+        a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7], a[8] + b[8],
+    )  # fmt: skip
+
+
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")
 def _residuals(
     i: int, lo: int, hi: int, neighbour: Ints, w: Floats, X: Floats, x: Floats, F: Matrix, R: Matrix, plastic: Floats, residual:
@@ -155,17 +162,16 @@ def stress_points(
 
     As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
 
-    The enriched scheme (`sph.enriched`) has four arrays more, and v of n+1/2: gradient (m,3) 1/m in place of w (X_j - X_i) K^-1;
+    The enriched scheme (`sph.enriched`) has four arrays more: gradient (m,3) 1/m in place of w (X_j - X_i) K^-1;
     plastic and residual (m,3) of `_residuals` and `_residual_forces`; unseen (n,) J/m3
     receives the elastic energy of the residuals. Q then
-    is -V J R sigma B, and what balances the residuals' forces.
+    is -V J R sigma B, and what balances the residuals' forces. Its strain increment is that of U from n to n+1, not of v.
     """
     failed = -1
     for i in range(lo, hi):
         law = laws[0]
         X0, X1, X2 = X[i, 0], X[i, 1], X[i, 2]
         x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
-        v0, v1, v2 = v[i, 0], v[i, 1], v[i, 2]
         f00 = f01 = f02 = f10 = f11 = f12 = f20 = f21 = f22 = 0.0
         r00 = r01 = r02 = r10 = r11 = r12 = r20 = r21 = r22 = 0.0
         for k in range(start[i], start[i + 1]):
@@ -184,22 +190,25 @@ def stress_points(
             f20 += d2 * g0
             f21 += d2 * g1
             f22 += d2 * g2
-            d0, d1, d2 = v[j, 0] - v0, v[j, 1] - v1, v[j, 2] - v2
-            r00 += d0 * g0
-            r01 += d0 * g1
-            r02 += d0 * g2
-            r10 += d1 * g0
-            r11 += d1 * g1
-            r12 += d1 * g2
-            r20 += d2 * g0
-            r21 += d2 * g1
-            r22 += d2 * g2
+            if gradient is None:
+                d0, d1, d2 = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+                r00 += d0 * g0
+                r01 += d0 * g1
+                r02 += d0 * g2
+                r10 += d1 * g0
+                r11 += d1 * g1
+                r12 += d1 * g2
+                r20 += d2 * g0
+                r21 += d2 * g1
+                r22 += d2 * g2
         M = K_inverse[i]
         K1 = M[0, 0], M[0, 1], M[0, 2], M[1, 0], M[1, 1], M[1, 2], M[2, 0], M[2, 1], M[2, 2]
-        Fi, Fdot = (f00, f01, f02, f10, f11, f12, f20, f21, f22), (r00, r01, r02, r10, r11, r12, r20, r21, r22)
+        Fi = f00, f01, f02, f10, f11, f12, f20, f21, f22
         if gradient is None:
-            Fi, Fdot = product(Fi, K1), product(Fdot, K1)
-        Ri, U = rotation(Fi, (R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]))
+            Fi = product(Fi, K1)
+        R_n = R[i, 0], R[i, 1], R[i, 2], R[i, 3], R[i, 4], R[i, 5], R[i, 6], R[i, 7], R[i, 8]
+        F_n = F[i, 0], F[i, 1], F[i, 2], F[i, 3], F[i, 4], F[i, 5], F[i, 6], F[i, 7], F[i, 8]
+        Ri, U = rotation(Fi, R_n)
         B, Ji = inverse(U)
         if not J_MIN <= Ji <= J_MAX and failed < 0:
             failed = i
@@ -207,11 +216,16 @@ def stress_points(
             F[i, k] = Fi[k]
             R[i, k] = Ri[k]
 
-        # rate of deformation in the unrotated frame, D = sym(R^T Fdot B), and the trial deviator
-        L = product(product(transposed(Ri), Fdot), B)
+        # rate of deformation in the unrotated frame, D = sym(R^T Fdot B) = sym(Udot B), and the trial deviator
+        if gradient is None:
+            L = product(product(transposed(Ri), product((r00, r01, r02, r10, r11, r12, r20, r21, r22), K1)), B)
+            c = 2.0 * law.G * dt
+        else:  # dt Udot B at n+1/2, (U - U_n) ((U + U_n) / 2)^-1 = 4 U (U + U_n)^-1 - 2: of the last term there is no deviator
+            both, _ = inverse(_sum(U, product(transposed(R_n), F_n)))
+            L = product(U, both)
+            c = 8.0 * law.G
         mean_rate = (L[0] + L[4] + L[8]) / 3.0
         mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
-        c = 2.0 * law.G * dt
         sxx = stress[i, 0] - mean + c * (L[0] - mean_rate)
         syy = stress[i, 3] - mean + c * (L[4] - mean_rate)
         szz = stress[i, 5] - mean + c * (L[8] - mean_rate)

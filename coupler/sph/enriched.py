@@ -12,7 +12,8 @@ Two changes of the scheme of `sph.compiled`, with which it has no hourglass cont
   that a plate is too soft in bending. There the gradient is that of a quadratic fit, over the second layer of neighbours too. It
   is exact for linear fields, and with little ridge for quadratic ones.
 
-The rate of deformation is that of v at n+1/2: central differences then conserve the energy of elastic waves.
+The rate of deformation is that of the stretch U between n and n+1: a rotation strains nothing, and central differences conserve the
+energy of elastic waves.
 """
 
 from dataclasses import dataclass
@@ -37,10 +38,11 @@ SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is th
 
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
-    """unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their plastic parts, neighbours in the order
-    of their numbers. mode (n,3) s: motion of the highest frequency, as long as the
+    """F (n,9): deformation gradient, row by row. unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their
+    plastic parts, neighbours in the order of their numbers. mode (n,3) s: motion of the highest frequency, as long as the
     step at which it is unstable."""
 
+    F: Annotated[np.ndarray, Rows(9)]
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
     mode: Annotated[np.ndarray, Rows(3)]
@@ -56,7 +58,6 @@ class EnrichedParticle(CompiledParticle):
 
     def _start_engine(self) -> None:
         super()._start_engine()
-        self._rates = self._all_half
         counts = np.diff(self._first.astype(np.int64))
         if counts.max(initial=0) > MOST_SIDES:
             raise SolverError(
