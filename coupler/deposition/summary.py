@@ -13,6 +13,7 @@ from ..plan.planning import Plan
 from ..plan.remarks import BEYOND_FIT
 from ..ranks.ranks import Ranks
 from .equilibrium import RELAX_STEPS
+from .pause import AT_AMBIENT
 
 # What an impact loses to the scheme: key of its record, its limit, the warning.
 LIMITS = (
@@ -89,7 +90,11 @@ def summary(
 
 
 def unsettled(report: Values) -> list[str]:
-    """A warning where equilibrium was given up, of the report of a joining with its pause, or of the closing stage."""
+    """Warnings where equilibrium or ambient was given up, of the report of a joining with its pause, or of the closing stage."""
+    if (off := report.get("off_ambient_K", 0.0)) > AT_AMBIENT:
+        return [
+            f"in the closing stage the bodies have come to within {off:.0f} K of ambient only: they go on to yield as they cool"
+        ]
     pause = report.get("cooling", {})
     steps = [report.get(name, 0) for name in ("settle_steps", "whole_settle_steps", "then_settle_steps")]
     steps += [pause.get(name, 0) for name in ("balance_steps", "then_settle_steps")]
