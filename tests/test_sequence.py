@@ -12,11 +12,14 @@ from runs import SharedRuns, Stopped, assert_same_files, assert_same_numbers
 from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
+from coupler.commands.main import main
 from coupler.contact import penalty
 from coupler.contact.overlap import overlaps, ways_out
+from coupler.deposition import joining
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.joining import cloud_of, point_of_impact, release_time
 from coupler.deposition.run import resume
+from coupler.errors import SplatError
 from coupler.fe import explicit, heat, stability
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
@@ -284,6 +287,21 @@ def assert_goes_on(text: str, whole: Result, out: Path, at: float | None, every:
     result = resume(out)
     assert_same_numbers(whole.summary, result.summary, rel=1e-9)
     assert_same_files(whole, result)
+
+
+def test_a_splat_that_cannot_be_meshed_is_a_failed_computation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 3, as the scene has no mistake; what was computed can be read."""
+
+    def fails(*_: object) -> None:
+        raise SplatError("no mesh of a body of 276 points passed")
+
+    monkeypatch.setattr(joining, "convert", fails)
+    (tmp_path / "two.toml").write_text(SHORT_DOUBLE)
+    assert main(["run", str(tmp_path / "two.toml"), "--out", str(tmp_path / "two"), "--quiet"]) == 3
+    assert "impact 1 is computed, but its splat cannot join the target: no mesh of a body" in capsys.readouterr().err
+    assert len(Result(tmp_path / "two").times("particle")) > 3
 
 
 def test_two_threads_give_the_numbers_of_one(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..contact.overlap import overlaps
-from ..errors import SolverError
+from ..errors import SolverError, SplatError
 from ..fe.assemble import BodyState, Point
 from ..fe.explicit import Target
 from ..files.summary import Values
@@ -42,8 +42,20 @@ def join(
 
     outcome: of impact i; place: of an impact on a cut of the target (m), whose bodies come to rest within the impact's window and are
     not made ready for the next. A particle that has rebounded does not join; splats that are no longer held leave (`detaching`).
-    Raises SplatError when it cannot be meshed, SolverError when it does not come to rest.
+    Raises SolverError when it cannot be meshed or does not come to rest.
     """
+    try:
+        return _joined(plan, i, outcome, progress, place)
+    except SplatError as problem:
+        raise SolverError(
+            f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (in a scene: splat.method,"
+            " resolution.element_size, resolution.spacing)"
+        ) from problem
+
+
+def _joined(
+    plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: Point | None
+) -> tuple[Bodies, Values]:
     started = clock.perf_counter()
     p, following = plan.impacts[i], plan.impacts[min(i + 1, len(plan.impacts) - 1)]
     domains, hold, values = outcome.domains, outcome.hold, outcome.record.values

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from .. import __version__, report
-from ..errors import CheckpointError, ColdsprayError, NoContactError, SolverError, SplatError, is_first_rank
+from ..errors import CheckpointError, ColdsprayError, NoContactError, SolverError, is_first_rank
 from ..files import checkpoint
 from ..files.outputs import write_text
 from ..files.provenance import command, provenance
@@ -232,7 +232,7 @@ class Deposition:
                     self._pristine = Pristine(bodies.state(), self.store.state())
                 try:
                     bodies, running = self._impact(bodies, running), None
-                except (SolverError, SplatError, NoContactError) as error:
+                except (SolverError, NoContactError) as error:
                     bodies, running = self._without_impact(error), None
                     self._save(None, bodies.state())
                 if self.undecided:
@@ -276,7 +276,7 @@ class Deposition:
             for text in unsettled(joined):
                 options.progress.log(text)
             return new
-        except (SolverError, SplatError):
+        except SolverError:
             self.records = kept
             raise
         finally:

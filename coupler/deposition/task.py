@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import ColdsprayError, NoContactError, SolverError, SplatError
+from ..errors import ColdsprayError, NoContactError, SolverError
 from ..fe.assemble import Point
 from ..files import checkpoint
 from ..files.store import Store, StoreState
@@ -103,7 +103,7 @@ def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
     """`run_task`; the error of an impact that fails."""
     try:
         return run_task(task, options)
-    except (SolverError, SplatError, NoContactError) as error:
+    except (SolverError, NoContactError) as error:
         return error
 
 
