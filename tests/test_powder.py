@@ -1,6 +1,8 @@
 """Particles whose shape comes from a file."""
 
 import re
+import struct
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,10 @@ from test_scene import problems_with, scene_with
 from coupler import Scene, run
 from coupler.errors import SceneError, SplatError
 from coupler.files.inputs import InputError
+from coupler.files.surfaces import read_surface
 from coupler.geometry.raycast import RaySurface
 from coupler.geometry.solid import MOST_TRIANGLES, solid_of
-from coupler.geometry.triangles import enclosed_volume, open_or_double
+from coupler.geometry.triangles import areas, enclosed_volume, open_or_double
 from coupler.plan.planning import plan
 from coupler.plan.record import plan_text, read_plan
 from coupler.plan.solids import form_of, load
@@ -87,10 +90,113 @@ def test_files_of_all_kinds_and_faults_that_can_be_mended() -> None:
     turned[::2] = turned[::2, ::-1]
     dust, flakes = packing.surface(0.05, 0.02)
     with_dust = np.concatenate([x, dust + 3.0]), np.concatenate([t, flakes + len(x)])
-    for surface in (soup, (x, turned), (x, t[:, ::-1]), with_dust, (x, np.concatenate([t, t[:3]]))):
+    doubles, turned_doubles = (np.concatenate([t, more]) for more in (t[:3], t[3:8, ::-1]))
+    for surface in (soup, (x, turned), (x, t[:, ::-1]), with_dust, (x, doubles), (x, turned_doubles)):
         solid = solid_of(*surface)
         assert enclosed_volume(solid.points, solid.triangles) == pytest.approx(SPHERE)
         assert len(solid.triangles) == len(t)
+
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])  # of a cube, and its sides, outwards
+SIDES = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+HALVES = [half for a, b, c, d in SIDES for half in ([a, b, c], [a, c, d])]
+LIKE_L = [(2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0)]
+
+
+def obj(points: Iterable[Iterable[float]], faces: Iterable[Iterable[object]]) -> bytes:
+    lines = [*("v {} {} {}".format(*p) for p in points), *("f " + " ".join(map(str, f)) for f in faces)]
+    return "\n".join(lines).encode()
+
+
+def text_stl(keyword: Callable[[str], str] = str) -> bytes:
+    facet = "facet normal 0 0 0\nouter loop\n{}endloop\nendfacet\n"
+    corners = ("".join("vertex {} {} {}\n".format(*CORNERS[i]) for i in half) for half in HALVES)
+    return keyword(f"solid a\n{''.join(map(facet.format, corners))}endsolid a\n").encode()
+
+
+def binary_stl(count: int = 12, behind: bytes = b"") -> bytes:
+    rows = np.zeros(12, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    rows["corners"] = CORNERS[HALVES]
+    return b"solid".ljust(80) + struct.pack("<I", count) + rows.tobytes() + behind
+
+
+def ply(form: str, faces: list[list[int]], name: str = "vertex_indices", end: str = "\n") -> bytes:
+    """With a number at the points and a list at the faces that are no business of a shape."""
+    head = [
+        "ply", f"format {form} 1.0", "element vertex 8", *(f"property float {axis}" for axis in "xyz"), "property uchar red",
+        f"element face {len(faces)}", f"property list uchar int {name}", "property list uchar float texcoord", "end_header", "",
+    ]  # fmt: skip
+    if form == "ascii":
+        rows = [
+            *("{} {} {} 7".format(*p) for p in CORNERS),
+            *(f"{len(f)} {' '.join(map(str, f))} 2 0.5 0.5" for f in faces),
+        ]
+        return end.join(head + rows).encode()
+    order = ">" if "big" in form else "<"
+    points = b"".join(struct.pack(f"{order}3fB", *p, 7) for p in CORNERS)
+    return end.join(head).encode() + points + b"".join(
+        struct.pack(f"{order}B{len(f)}iB2f", len(f), *f, 2, 0.5, 0.5) for f in faces
+    )  # fmt: skip
+
+
+FROM_ONE = [[i + 1 for i in side] for side in SIDES]
+SAME_CUBE = {
+    "quads.obj": obj(CORNERS, FROM_ONE),
+    "both.obj": obj(CORNERS, [*FROM_ONE[:5], *([i + 1 for i in half] for half in HALVES[10:])]),
+    "texture.obj": obj(CORNERS, [[f"{i}/{i + 9}/1" for i in side] for side in FROM_ONE]).replace(b"f", b"vt 0 0\nf", 1),
+    "backwards.obj": b"\n".join(obj(CORNERS[side], [[-4, -3, -2, -1]]) for side in SIDES),  # points between the faces
+    "capitals.STL": text_stl(str.upper), "text.stl": text_stl(), "binary.stl": binary_stl(), "behind.stl": binary_stl(behind=b"\n"),
+    "text.ply": ply("ascii", SIDES, end="\r\n"), "little.ply": ply("binary_little_endian", HALVES),
+    "big.ply": ply("binary_big_endian", SIDES, "vertex_index") + b"behind",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SAME_CUBE)
+def test_a_cube_as_other_programs_write_it(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(SAME_CUBE[name])
+    points, triangles = read_surface(tmp_path / name)
+    assert len(triangles) == 12
+    assert enclosed_volume(points, triangles) == pytest.approx(8.0, rel=1e-12)
+    assert len(load(tmp_path / name).triangles) == 12
+
+
+def test_a_concave_side_is_cut_into_triangles_that_lie_in_it(tmp_path: Path) -> None:
+    """A prism of height 1 on an L of area 3; a fan from the first corner, at the end of the L, would leave it."""
+    points = [(x, y, z) for z in (0, 1) for x, y in LIKE_L]
+    walls = [[i + 1, (i + 1) % 6 + 1, (i + 1) % 6 + 7, i + 7] for i in range(6)]
+    (tmp_path / "l.obj").write_bytes(obj(points, [[6, 5, 4, 3, 2, 1], [7, 8, 9, 10, 11, 12], *walls]))
+    x, t = read_surface(tmp_path / "l.obj")
+    assert areas(x, t).sum() == pytest.approx(2 * 3.0 + 8.0)
+    assert enclosed_volume(x, t) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "raw", "told"),
+    [
+        ("more.stl", binary_stl(15), "promises 15 triangles, its 684 bytes are those of 12"),
+        ("less.stl", binary_stl(9), "promises 9 triangles, its 684 bytes are those of 12"),
+        ("cut.stl", text_stl()[:-60], "33 corners for 12 facets; it is damaged or cut off"),
+        ("cut.ply", ply("binary_little_endian", HALVES)[:-9], "ends before all that its head promises"),
+        ("zero.obj", obj(CORNERS, SIDES), "or of others than its 8"),
+        ("beyond.obj", obj(CORNERS, [*FROM_ONE, [1, 2, -9]]), "or of others than its 8"),
+        ("comma.obj", b"v 0,5 0 0", "line 1, 'v 0,5 0 0': three numbers"),
+        ("none.obj", obj(CORNERS, []), "has no triangles"),
+        ("not.ply", binary_stl(), "its head is missing"),
+        ("nan.stl", binary_stl().replace(struct.pack("<f", 1.0), struct.pack("<f", np.nan)), "not numbers"),
+    ],
+)
+def test_a_damaged_surface_is_refused_for_what_it_is(name: str, raw: bytes, told: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(raw)
+    with pytest.raises(InputError, match=re.escape(told)):
+        load(tmp_path / name)
+
+
+def test_flat_sides_of_many_triangles_do_not_pass_through_each_other(rng: np.random.Generator) -> None:
+    """Turned, and in single precision, as STL files are, their triangles lie in one plane up to rounding."""
+    points, triangles = packing.subdivide(CORNERS, np.array(HALVES), 4)
+    for _ in range(20):
+        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        assert len(solid_of((points @ turn.T).astype(np.float32), triangles).triangles) == len(triangles)
 
 
 def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
@@ -100,6 +206,7 @@ def test_what_is_no_solid_is_refused_with_its_reason(tmp_path: Path) -> None:
         (np.concatenate([x, x + 3.0]), np.concatenate([t, t + len(x)]), "2 parts"),
         (x * [1.0, 1.0, 0.0], t, "solid|volume|pass through"),
         (np.zeros((3, 3)), np.array([[0, 1, 2]]), "no area"),
+        (x, np.concatenate([t, [[t[0, 0], t[0, 1], t[40, 0]]]]), "more than two triangles"),
     ):
         with pytest.raises(SplatError, match=reason):
             solid_of(points, triangles)

@@ -15,8 +15,6 @@ from ..errors import ColdsprayError
 from .inputs import InputError, check_regular, open_input, read_text, require_memory
 
 LARGEST_FILE = 2 * 1024**3  # bytes
-LARGEST_SURFACE = 512 * 1024**2
-SURFACES = (".stl", ".ply", ".obj")
 _TEXT = (".csv", ".xyz", ".txt", ".dat")
 _TEXT_MEMORY = 12  # bytes while reading over bytes of the file: the words of the text as objects
 _MESHIO_MEMORY = 8
@@ -122,28 +120,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def read_surface(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points (n,3) and triangles (m,3) of a surface in a file (STL, PLY, OBJ), as the file has them. Raises InputError, LimitError."""
-    size = check_regular(path)
-    if path.suffix.lower() not in SURFACES:
-        raise InputError(path, f"is no surface: its name must end in {', '.join(SURFACES)}")
-    if size > LARGEST_SURFACE:
-        raise InputError(path, f"is larger than {LARGEST_SURFACE // 1024**2} MiB: decimate the surface")
-    require_memory(_MESHIO_MEMORY * size, f"to read {path}")
-    try:
-        mesh = _mesh_of(path)
-        cells = [block.data for block in mesh.cells if block.type == "triangle"]
-        points, triangles = np.asarray(mesh.points, float), np.concatenate(cells).astype(np.int64)
-        fits = points.ndim == 2 and points.shape[1] == 3 and 0 <= triangles.min() and triangles.max() < len(points)
-    except (ColdsprayError, MemoryError):
-        raise
-    except Exception as problem:  # the readers of a damaged file raise whatever comes up
-        raise InputError(path, f"cannot be read: {type(problem).__name__}: {str(problem)[:200]}") from problem
-    if not fits or not (np.abs(points) < 1e30).all():
-        raise InputError(path, "has points that are not numbers, or triangles of points that are not there")
-    return points, triangles
 
 
 def _mesh_of(path: Path) -> meshio.Mesh:

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from ..errors import ColdsprayError
-from ..files.clouds import read_surface
+from ..files.inputs import InputError
+from ..files.surfaces import read_surface
 from ..geometry.solid import Solid, solid_of
 from ..geometry.triangles import surface_area
 from ..physics.shapes import Form
@@ -21,7 +22,10 @@ def load(path: Path) -> Solid:
 
 @cache
 def _loaded(path: Path, changed: int) -> Solid:
-    return solid_of(*read_surface(path))
+    points, triangles = read_surface(path)
+    if len(triangles) == 0:
+        raise InputError(path, "has no triangles: the closed surface of a body is needed")
+    return solid_of(points, triangles)
 
 
 def form_of(solid: Solid) -> Form:
