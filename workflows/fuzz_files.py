@@ -41,6 +41,7 @@ from coupler.files.store import Store  # noqa: E402
 from coupler.plan.planning import plan  # noqa: E402
 from coupler.plan.reading import Scene  # noqa: E402
 from coupler.plan.record import plan_text  # noqa: E402
+from coupler.sph import packing  # noqa: E402
 from tests import made_up_run  # noqa: E402
 
 PRELOADED = (
@@ -102,6 +103,10 @@ KINDS = (
     Kind("points as .npz", "cloud.npz", 2, [["mesh", "FILE", "--out", "OUT.msh"]]),
     Kind("points of meshio", "cloud.vtu", 2, [["mesh", "FILE", "--out", "OUT.vtk"]]),
     Kind("points as .ply", "cloud.ply", 1, [["mesh", "FILE", "--out", "OUT.inp"]]),
+    Kind("shape as STL in text", "text.stl", 1, [["check", "SHAPE"]]),
+    Kind("shape as STL", "shape.stl", 1, [["check", "SHAPE"]]),
+    Kind("shape as OBJ", "shape.obj", 2, [["check", "SHAPE"]]),
+    Kind("shape as PLY", "shape.ply", 2, [["check", "SHAPE"], ["mesh", "FILE", "--out", "OUT.vtu"]]),
     Kind("scene of a run", "runs/one/scene.toml", 4, RUN_COMMANDS),
     Kind("summary", "runs/one/summary.json", 6, RUN_COMMANDS),
     Kind("plan", "runs/one/plan.json", 4, RUN_COMMANDS),
@@ -142,9 +147,18 @@ def prepare(folder: Path) -> None:
     )
     vertices = [("vertex", np.arange(n)[:, None])]
     meshio.Mesh(grid * 1e-6, vertices, {"T": np.full(n, 300.0)}).write(folder / "cloud.vtu")
-    meshio.Mesh(grid * 1e-6, [("triangle", np.arange(9, dtype=np.int32).reshape(3, 3))]).write(
-        folder / "cloud.ply", binary=False
+    head = f"ply\nformat ascii 1.0\nelement vertex {n}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    (folder / "cloud.ply").write_text(
+        f"{head}end_header\n" + "\n".join(f"{a:.6g} {b:.6g} {c:.6g}" for a, b, c in grid * 1e-6) + "\n"
     )
+    x, t = packing.surface(2.0, 0.6)
+    for name in ("text.stl", "shape.stl", "shape.obj", "shape.ply"):
+        options = {} if name == "shape.obj" else {"binary": name != "text.stl"}
+        meshio.Mesh(x, [("triangle", t.astype(np.int32))]).write(folder / name, **options)
+        scene = (
+            (folder / "scene.toml").read_text().replace("[particle]", f'[particle]\nshape = "file"\nfile = "{name}"', 1)
+        )
+        (folder / f"{name}.toml").write_text(scene)
     made_up_run.write(folder / "runs" / "one", 2, 300, 20.0, summary=made_up_run.summary())
     made_up_run.write(folder / "good", 2, 300, 20.0, summary=made_up_run.summary())
     tiny = Scene.from_text(TINY)
@@ -369,7 +383,7 @@ def mutate(dice: random.Random, path: Path) -> str:
         return special(dice, path)
     if path.suffix in own and draw < 0.7:
         return own[path.suffix](dice, path)
-    ways = TEXT if path.suffix in (".toml", ".json", ".csv", ".vtu", ".ply") else BYTES
+    ways = TEXT if path.suffix in (".toml", ".json", ".csv", ".vtu", ".ply", ".obj", ".stl") else BYTES
     data, said = bytearray(path.read_bytes()), []
     for _ in range(dice.choice((1, 1, 2, 3))):
         if data:
@@ -391,7 +405,7 @@ def case(seed: int, sound: Path, folder: Path, quick: bool) -> tuple[str, list[s
     path = folder / kind.source
     said = mutate(dice, path)
     words = {"FILE": path, "RUN": path.parent, "PARENT": path.parent.parent, "GOOD": folder / "good", "SWEEP": folder / "sweep",
-             "BROKEN": folder / "broken"}  # fmt: skip
+             "BROKEN": folder / "broken", "SHAPE": path.with_name(f"{path.name}.toml")}  # fmt: skip
     command = [str(words.get(word, word)) for word in dice.choice([c for c in kind.commands if c[0] not in slow])]
     command = [str(folder / word) if word.startswith("OUT") else word for word in command]
     return f"{kind.name}: {said}", command

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import SplatError
-from ..units import rounded
+from ..units import UnitError, parse, rounded
 from .arguments import Commands, add_command, add_force, path, quantity, working
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes
 _MOST_SPACING = 1e-3  # m: more is a file in another unit
 _MEMORY_EACH = 3000.0  # bytes for each point: 2000 measured from 5000 to 40 000 points, at the default size
 _COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 1, "T": 1, "J": 1, "energy": 1, "volume": 1}
+_SI = {"T": "K", "energy": "J", "volume": "m3"}
 _SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's order, xx yy zz xy yz xz
 _SWAP_BACK = [0, 1, 2, 5, 3, 4]
 
@@ -38,9 +39,14 @@ def add(commands: Commands) -> None:
     for name, form, default, text in (
         ("--size", "{}", None, f'element size, such as "1.2 um" (default: {SIZE_OVER_SPACING} spacings)'),
         ("--spacing", "{}", None, "of the points before they were deformed (default: the run's, or estimated)"),
-        ("--unit", "1 {}", 1.0, "of the coordinates in a file: m (default), mm, um, nm"),
+        ("--unit", "1 {}", None, "of the coordinates in a file: mm, um, nm, m (default: as its columns say, or m)"),
     ):
         option(name, type=quantity(name, "length", form=form), metavar="L", default=default, help=text)
+    option(
+        "--columns",
+        metavar="NAMES",
+        help="of a text, in their order, such as 'x y z T'; - leaves one out (default: sensed)",
+    )
     option("--step", type=int, metavar="N", default=-1, help="step of a run (default: the last)")
 
 
@@ -58,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         with reading(source):
             cloud, notes = of_run(source, arguments.step, arguments.spacing)
     else:
-        cloud, notes = of_file(source, arguments.spacing, arguments.unit)
+        cloud, notes = of_file(source, arguments.spacing, arguments.unit, arguments.columns)
     size = arguments.size or SIZE_OVER_SPACING * cloud.spacing
     require_memory(_MEMORY_EACH * len(cloud.x), f"to mesh {len(cloud.x)} points")
     with working("meshing the points"):
@@ -111,29 +117,34 @@ def _impact_at(result: "Result", time: float) -> int:
     return int(history["impact"][: row + 1][-1]) - 1
 
 
-def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tuple["Cloud", list[str]]:
-    """The points of a file in units of `unit` m, with the fields of known names; and remarks.
+def of_file(
+    path: Path, spacing: float | None = None, unit: float | None = None, columns: str | None = None
+) -> tuple["Cloud", list[str]]:
+    """The points of a file in units of `unit` m, with the fields of known names; and remarks. columns: names of those of a text.
 
-    Raises InputError if it cannot be read or has no points, SplatError if no spacing can be estimated.
+    Raises InputError if it cannot be read or has no points, SplatError if it is a surface or no body can be made of it.
     """
     import numpy as np
 
     from ..files.clouds import read_points
-    from ..geometry.points import cleaned
+    from ..geometry.points import cleaned, is_shell
     from ..splat.cloud import Cloud
 
-    points, data = read_points(path, tuple(name.lower() for name in _COLUMNS))
-    x = points * unit
-    fields, notes = {}, []
-    for name, values in data.items():
+    names = None if columns is None else columns.replace(",", " ").split()
+    points = read_points(path, tuple(name.lower() for name in _COLUMNS), names)
+    fields, notes = {}, [*points.notes]
+    x = points.x * _unit(points.units.get("x", ""), unit, notes)
+    for name, values in points.fields.items():
         known = next((own for own in _COLUMNS if own.lower() == name.lower()), None)
         values = np.asarray(values)
         values = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
-        columns = (3, 3) if known is None else (_COLUMNS[known],)
-        if known is None or values.shape != ((len(x),) if columns == (1,) else (len(x), *columns)):
+        shape = (3, 3) if known is None else (_COLUMNS[known],)
+        if known is None or values.shape != ((len(x),) if shape == (1,) else (len(x), *shape)):
             notes.append(f"field {name!r} left out: not one of {', '.join(_COLUMNS)}, or of another shape")
+        elif (in_si := _in_si(known, values.astype(float), points.units.get(name, ""))) is None:
+            notes.append(f"field {name!r} left out: its unit {points.units[name]!r} is not understood")
         else:
-            fields[known] = values.astype(float)
+            fields[known] = in_si
     if "stress" in fields:
         fields["stress"] = fields["stress"][:, _SWAP]
     volume = fields.pop("volume", None)
@@ -152,7 +163,39 @@ def of_file(path: Path, spacing: float | None = None, unit: float = 1.0) -> tupl
         x, volume, spacing, 1.0, velocity=fields.get("velocity"), stress=fields.get("stress"), eps_p=fields.get("eps_p"),
         T=fields.get("T"), J=fields.get("J"), energy=fields.get("energy"),
     )  # fmt: skip
-    return cloud.part(index) if left_out else cloud, [*notes, *left_out]
+    cloud = cloud.part(index) if left_out else cloud
+    cloud.check()
+    if is_shell(cloud.x):
+        raise SplatError(f"the points of {path} lie on a surface: points all over the volume are needed")
+    return cloud, [*notes, *left_out]
+
+
+def _unit(of_file: str, given: float | None, notes: list[str]) -> float:
+    """The unit of coordinates, m: the one given, or that which the file has. Raises SplatError where they differ."""
+    if not of_file:
+        return given or 1.0
+    try:
+        named = parse(f"1 {of_file}", "length")
+    except UnitError as problem:
+        if given is None:
+            raise SplatError(f"the unit of x, y and z {problem}; or give --unit") from None
+        return given
+    if given is not None and given != named:
+        raise SplatError(f"--unit is not that of x, y and z in the file, {of_file}: leave it out, or mend the file")
+    if given is None:
+        notes.append(f"coordinates in {of_file}, as their names say")
+    return named
+
+
+def _in_si(field: str, values: "np.ndarray", unit: str) -> "np.ndarray | None":
+    """Values of a field in SI; None where it has an SI unit and the one given is not understood."""
+    if unit in ("", "-", "1", _SI.get(field, "")):
+        return values
+    try:
+        zero, one = (parse(f"{k} {unit}", "temperature") for k in (0, 1))
+    except UnitError:
+        return None
+    return zero + (one - zero) * values if field == "T" else None
 
 
 def estimated_spacing(x: "np.ndarray") -> float:

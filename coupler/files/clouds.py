@@ -1,9 +1,11 @@
-"""Points and their fields from a file of any format: text, .npz, or what meshio reads; surfaces of triangles."""
+"""Points and their fields from a file of any format: text, .npz, or what meshio reads."""
 
 import contextlib
 import io
 import math
 import zipfile
+from dataclasses import dataclass, replace
+from dataclasses import field as init
 from pathlib import Path
 from typing import IO
 
@@ -12,46 +14,70 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ColdsprayError
-from .inputs import InputError, check_regular, open_input, read_text, require_memory
+from .inputs import InputError, check_regular, open_input, require_memory
+from .surfaces import SURFACES, read_surface
+from .tables import read_table
 
 LARGEST_FILE = 2 * 1024**3  # bytes
-_TEXT = (".csv", ".xyz", ".txt", ".dat")
-_TEXT_MEMORY = 12  # bytes while reading over bytes of the file: the words of the text as objects
+TEXT = (".csv", ".tsv", ".xyz", ".txt", ".dat")
+_TEXT_MEMORY = 20  # bytes while reading over bytes of the file: the words of the text as objects
 _MESHIO_MEMORY = 8
 _MOST_ARRAYS = 1000  # in one .npz
+_FLAT = ("triangle", "quad", "polygon")  # how cells of surfaces are called
+_AXES = {
+    **{axis: axis for axis in "xyz"},
+    **{f"points{c}{k}": axis for c in ":_" for k, axis in enumerate("xyz")},
+}  # ParaView's too
+SURFACE = (
+    'is a surface, and points all over the volume are needed. For a particle of this shape give it in a scene: shape = "file", file ='
+    ' "..." (STL, PLY, OBJ)'
+)
 
-Fields = dict[str, NDArray]
+
+@dataclass(frozen=True)
+class Points:
+    """x (n,3) and fields, as the file has them; units: those it gives, of "x" and of fields; notes: what was not sure, in words."""
+
+    x: NDArray
+    fields: dict[str, NDArray]
+    units: dict[str, str] = init(default_factory=dict)
+    notes: list[str] = init(default_factory=list)
 
 
-def read_points(path: Path, known: tuple[str, ...]) -> tuple[NDArray, Fields]:
-    """Coordinates (n,3) and the fields of n points, as the file has them. known: fields that are read from an .npz.
+def read_points(path: Path, known: tuple[str, ...], columns: list[str] | None = None) -> Points:
+    """The points of a file. known: fields that are read from an .npz; columns: names of those of a text, "-" for one to leave out.
 
-    Raises InputError, or LimitError before anything is read that the memory cannot hold.
+    Raises InputError, for the surface of a body too, or LimitError before anything is read that the memory cannot hold.
     """
-    size = check_regular(path)
+    size, kind = check_regular(path), path.suffix.lower()
     if size > LARGEST_FILE:
         raise InputError(path, f"is larger than {LARGEST_FILE // 1024**3} GiB")
+    if columns is not None and kind not in TEXT:
+        raise InputError(path, f"has no columns to name: only {', '.join(TEXT)} have")
+    if kind in SURFACES and len(read_surface(path)[1]):
+        raise InputError(path, SURFACE)
     try:
-        if path.suffix == ".npz":
-            points, fields = _npz(path, known)
-        elif path.suffix in _TEXT:
+        if kind == ".npz":
+            points = _npz(path, known)
+        elif kind in TEXT:
             require_memory(_TEXT_MEMORY * size, f"to read {path}")
-            points, fields = _table(path)
+            points = _table(path, columns)
         else:
             require_memory(_MESHIO_MEMORY * size, f"to read {path}")
-            points, fields = _meshio(path)
+            points = _meshio(path)
     except (ColdsprayError, MemoryError):
         raise
     except Exception as problem:  # the readers of a damaged file raise whatever comes up
         kind = "" if isinstance(problem, ValueError | OSError) else f"{type(problem).__name__}: "
         raise InputError(path, f"cannot be read: {kind}{str(problem)[:300]}") from problem
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or points.dtype.kind not in "iuf":
-        raise InputError(path, f"has no points with x, y and z (an array of shape {points.shape}, {points.dtype})")
-    numbers = {name: values for name, values in fields.items() if values.dtype.kind in "iufb"}
-    return np.ascontiguousarray(points, float), numbers
+    x = points.x
+    if x.ndim != 2 or x.shape[1] != 3 or len(x) == 0 or x.dtype.kind not in "iuf":
+        raise InputError(path, f"has no points with x, y and z (an array of shape {x.shape}, {x.dtype})")
+    numbers = {name: values for name, values in points.fields.items() if values.dtype.kind in "iufb"}
+    return replace(points, x=np.ascontiguousarray(x, float), fields=numbers)
 
 
-def _npz(path: Path, known: tuple[str, ...]) -> tuple[NDArray, Fields]:
+def _npz(path: Path, known: tuple[str, ...]) -> Points:
     """Arrays of an .npz: their headers are read first, so that an archive that unpacks to terabytes is refused."""
     with open_input(path) as stream, zipfile.ZipFile(stream) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
@@ -72,7 +98,7 @@ def _npz(path: Path, known: tuple[str, ...]) -> tuple[NDArray, Fields]:
         for name in wanted:
             with archive.open(members[name]) as file:
                 arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
-    return arrays.pop(of_points), arrays
+    return Points(arrays.pop(of_points), arrays)
 
 
 def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
@@ -87,39 +113,41 @@ def _header(file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype]:
     return shape, dtype
 
 
-def _table(path: Path) -> tuple[NDArray, Fields]:
-    """Columns x, y, z and others by the names in the first line; without names the first three (of .xyz: after the element)."""
-    lines = [line.replace(",", " ").replace(";", " ").split() for line in read_text(path, LARGEST_FILE).splitlines()]
-    lines = [line for line in lines if line and not line[0].startswith("#")]
-    if path.suffix == ".xyz" and lines and len(lines[0]) == 1 and lines[0][0].isdecimal():
-        count = int(lines[0][0])
-        lines = lines[len(lines) - count :]  # the comment line may be empty and gone
-    if not lines:
-        raise ValueError("it is empty")
-    names: list[str] = []
-    if not any(_is_number(word) for word in lines[0]):
-        names, lines = [word.strip('"') for word in lines[0]], lines[1:]
-    elif lines[0] and not _is_number(lines[0][0]):  # the element's symbol of an .xyz file
-        lines = [line[1:] for line in lines]
-    widths = {len(line) for line in lines}
-    if len(widths) != 1 or (names and widths != {len(names)}):
-        raise ValueError("its lines have different numbers of columns")
-    table = np.array([[float(word) for word in line] for line in lines])
-    if not names:
-        return table[:, :3], {}
-    at = {name.lower(): i for i, name in enumerate(names)}
-    if not {"x", "y", "z"} <= at.keys():
-        raise ValueError(f"its columns are {', '.join(names)[:200]}: x, y and z are needed")
-    data = {name: table[:, i] for i, name in enumerate(names) if name.lower() not in ("x", "y", "z")}
-    return table[:, [at["x"], at["y"], at["z"]]], data
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+def _table(path: Path, columns: list[str] | None) -> Points:
+    """Columns x, y, z and others of a text. An .xyz begins with the number of its points and a line of remarks."""
+    with open_input(path, LARGEST_FILE) as stream:
+        raw = stream.read()
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = raw.decode("utf-16")
+    else:
+        try:
+            text = raw.decode("utf-8-sig")
+        except (
+            UnicodeDecodeError
+        ):  # names of columns as spreadsheets of Western countries write them; numbers are the same
+            text = raw.decode("latin-1")
+    if path.suffix.lower() == ".xyz" and (head := text.split("\n", 2))[0].strip().isdecimal() and len(head) == 3:
+        count, lines = int(head[0]), head[2].splitlines()
+        if count > len(lines):
+            raise ValueError(f"it promises {count} points and has {len(lines)} lines of them")
+        text = "\n".join(lines[:count])
+    table = read_table(text, columns)
+    axes = {_AXES[name.lower()]: name for name in table.columns if name.lower() in _AXES}
+    if len(axes) < 3:
+        names = ", ".join(table.columns)[:200]
+        raise ValueError(
+            f"its columns are {names}: name them with --columns, such as --columns 'x y z' (- leaves one out)"
+        )
+    units = {table.units.get(name, "") for name in axes.values()}
+    if len(units) > 1:
+        raise ValueError(f"x, y and z have different units: {', '.join(sorted(units))}")
+    fields = {name: values for name, values in table.columns.items() if name not in axes.values()}
+    return Points(
+        np.stack([table.columns[axes[axis]] for axis in "xyz"], axis=1),
+        fields,
+        {**table.units, "x": units.pop()},
+        table.notes,
+    )
 
 
 def _mesh_of(path: Path) -> meshio.Mesh:
@@ -131,6 +159,16 @@ def _mesh_of(path: Path) -> meshio.Mesh:
         raise ValueError("not in a format meshio reads") from None
 
 
-def _meshio(path: Path) -> tuple[NDArray, Fields]:
+def _meshio(path: Path) -> Points:
     mesh = _mesh_of(path)
-    return np.asarray(mesh.points), {name: np.asarray(values) for name, values in mesh.point_data.items()}
+    kinds = {block.type for block in mesh.cells if len(block.data)} - {"vertex", "line"}
+    if kinds and all(kind.startswith(_FLAT) for kind in kinds):
+        raise InputError(path, SURFACE)
+    notes = (
+        [f"the nodes of its cells ({', '.join(sorted(kinds))}) are taken for points that fill the body evenly"]
+        if kinds
+        else []
+    )
+    return Points(
+        np.asarray(mesh.points), {n: np.asarray(values) for n, values in mesh.point_data.items()}, notes=notes
+    )

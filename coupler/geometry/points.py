@@ -12,6 +12,7 @@ SAME_PLACE = 1e-4  # spacings: points so close are one
 PLACES = 4096  # looked for at once in `depths`: some 100 MB
 LEAST_KEPT = 0.9  # of the points: with fewer of them the cloud is left as it is
 BITS = 16  # of each coordinate in a place of the curve of `morton`
+FLAT = 0.015  # of the variance of neighbours: less of it along their normal is a surface
 LONELY = 2.5  # spacings: a point without another one so near is no part of a body
 
 
@@ -30,6 +31,19 @@ def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
         return np.arange(len(x)), []
     counts = {"points on top of others": len(x) - len(first), "points far from all others": len(first) - len(index)}
     return index, [f"{count} {kind} left out" for kind, count in counts.items() if count]
+
+
+def is_shell(x: NDArray) -> bool:
+    """Whether points x (n,3) lie on a surface: most have their nearest neighbours in a plane.
+
+    The least variance of ten neighbours over the sum of all three is .15 to .27 in bodies, .17 in two layers, below .014 on spheres of
+    160 points and more.
+    """
+    some = x[:: max(1, len(x) // 1000)]
+    near = x[cKDTree(x).query(some, k=11)[1]]
+    near = near - near.mean(axis=1, keepdims=True)
+    spread = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))
+    return bool(np.median(spread[:, 0] / np.maximum(spread.sum(axis=1), 1e-300)) < FLAT)
 
 
 def depths(x: NDArray, points: NDArray, tets: NDArray, least: float = 0.0, near: int = 32) -> NDArray[np.float64]:

@@ -1,0 +1,134 @@
+"""Tables of numbers in text, as programs write them: separator, decimal comma, names and units of columns are found from the text."""
+
+import csv
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_COMMENT = ("#", "%", "!", "//")
+_COUNTED = 10  # rows from which on a column that counts them is taken for their number
+
+
+@dataclass(frozen=True)
+class Table:
+    """columns: (n,) each by name, without those of words; units: by name, where the names have one; notes: what was not sure, in words.
+
+    Without names of columns the first three are x, y and z.
+    """
+
+    columns: dict[str, NDArray[np.float64]]
+    units: dict[str, str]
+    notes: list[str]
+
+
+def read_table(text: str, names: list[str] | None = None) -> Table:
+    """The table in a text. names: of its columns, in their order, "-" for one to leave out; by default those above the numbers.
+
+    Raises ValueError with what is wrong, and where.
+    """
+    lines = [line.strip() for line in text.splitlines()]
+    first = next((k for k, line in enumerate(lines) if _numbers(_fields(line, _separator(line))) >= 3), None)
+    if first is None:
+        raise ValueError("no line of it has three numbers, x, y and z" if text.strip() else "it is empty")
+    separator = _separator(lines[first])
+    kept = [k for k in range(first, len(lines)) if lines[k] and not lines[k].startswith(_COMMENT)]
+    rows = [_fields(lines[k], separator) for k in kept]
+    for k, row in zip(kept, rows, strict=True):
+        if len(row) != len(rows[0]):
+            raise ValueError(f"line {first + 1} has {len(rows[0])} columns, line {k + 1} has {len(row)}")
+    columns, notes = _values(rows, kept, separator)
+    if names is None:
+        above = {line: _titles(line, separator, len(rows[0])) for line in lines[:first] if line}
+        left_out = [line for line, titles in above.items() if titles is None and not line.startswith(_COMMENT)]
+        notes += [f"a line above the numbers is left out: {line[:60]!r}" for line in left_out]
+        names = next((titles for titles in reversed(above.values()) if titles is not None), None)
+        if names is None:
+            x, told = _unnamed(columns)
+            return Table(x, {}, [*notes, *told])
+    if len(names) > len(rows[0]):
+        raise ValueError(f"it has {len(rows[0])} columns, {len(names)} names are given")
+    bare = [_UNIT.fullmatch(name) for name in names]
+    plain = [name if unit is None else unit[1] for name, unit in zip(names, bare, strict=True)]
+    taken = {name: columns[k] for k, name in enumerate(plain) if k in columns and name != "-"}
+    return Table(taken, {name: unit[2] for name, unit in zip(plain, bare, strict=True) if unit is not None}, notes)
+
+
+def _separator(line: str) -> str:
+    """Between the columns of a line: a tab, a semicolon, a comma, or blanks (""). Commas within words are decimal ones where blanks
+    separate these."""
+    for separator in "\t;":
+        if separator in line:
+            return separator
+    words = line.split()
+    decimal = len(words) >= 3 and all(_DECIMAL_COMMA.fullmatch(word) or "," not in word for word in words)
+    return "" if "," not in line or decimal else ","
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    """The columns of a line, without quotes and blanks around them."""
+    if separator:
+        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+        return [field.strip() for field in (fields[:-1] if fields and not fields[-1] else fields)]
+    return [word.strip('"') for word in re.findall(r'"[^"]*"|\S+', line)]
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word.replace(",", ".", 1))
+    except ValueError:
+        return False
+    return True
+
+
+def _numbers(fields: list[str]) -> int:
+    return sum(map(_is_number, fields))
+
+
+def _values(
+    rows: list[list[str]], lines: list[int], separator: str
+) -> tuple[dict[int, NDArray[np.float64]], list[str]]:
+    """Columns of numbers by their place, and remarks. lines: of each row, from 0."""
+    of_numbers = [k for k, word in enumerate(rows[0]) if _is_number(word)]
+    words = [[row[k] for row in rows] for k in of_numbers]
+    comma = any("," in word for column in words for word in column)
+    point = any("." in word for column in words for word in column)
+    if comma and point:
+        raise ValueError("it has numbers with a decimal comma and with a decimal point: write all in one way")
+    if separator == "," and not comma and not point and len(of_numbers) >= 6 and len(of_numbers) % 2 == 0:
+        raise ValueError("its commas may separate columns or be decimal commas: separate the columns by semicolons")
+    columns = {}
+    for k, column in zip(of_numbers, words, strict=True):
+        try:
+            columns[k] = np.array([word.replace(",", ".") for word in column] if comma else column).astype(float)
+        except ValueError:
+            at = next(i for i, word in enumerate(column) if not _is_number(word))
+            raise ValueError(f"line {lines[at] + 1}, column {k + 1}: {column[at][:30]!r} is no number") from None
+    return columns, ["its commas are taken for decimal commas"] if comma else []
+
+
+def _titles(line: str, separator: str, count: int) -> list[str] | None:
+    """Names of columns in a line above the numbers; None for any other line. In a comment they must be those of coordinates."""
+    is_comment = line.startswith(_COMMENT)
+    line = line.lstrip("#%!/ \t")
+    for between in dict.fromkeys((separator, _separator(line), "")):
+        names = _fields(line if between else re.sub(r"\s+(?=[\[(])", "", line), between)
+        bare = {_UNIT.sub(r"\1", name).lower() for name in names}
+        if len(names) == count and (not is_comment or {"x", "y", "z"} <= bare):
+            return names
+    return None
+
+
+def _unnamed(columns: dict[int, NDArray[np.float64]]) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
+    """x, y and z of columns without names, and what was taken where there are more than three."""
+    places = list(columns)
+    values = columns[places[0]]
+    if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
+        places = places[1:]
+    if len(places) < 3:
+        raise ValueError("beside the number of each line it has no three columns, x, y and z")
+    told = f"columns {', '.join(str(k + 1) for k in places[:3])} are taken for x, y, z, the others left out: name them with --columns"
+    return dict(zip("xyz", (columns[k] for k in places[:3]), strict=True)), [told] if len(columns) > 3 else []
