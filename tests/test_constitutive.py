@@ -1,14 +1,10 @@
 """The law against its formula, its limits and its energy balance."""
 
 import itertools
-import os
-from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
-import coupler
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 
@@ -85,17 +81,3 @@ def test_heat_at_constant_volume_pushes() -> None:
     record = law.law_record(material("Ni"))[0]
     p, _ = law.mie_gruneisen(record, 1.0, 1.0, 0.0, 0.0, 1e8)
     assert p == pytest.approx(record["Gamma0"] * 1e8)
-
-
-def test_kernels_are_compiled_anew_when_a_function_they_call_has_changed(tmp_path: Path) -> None:
-    """numba's own check reads the file of the kernel alone."""
-    (tmp_path / "physics").mkdir()
-    law, text = tmp_path / "physics" / "law.py", tmp_path / "physics" / "words.py"
-    law.write_text("@njit\ndef yield_stress(): return 1.0\n")
-    text.write_text("A = 1\n")
-    before = coupler._kernel_cache(tmp_path)
-    text.write_text("A = 2\n")
-    assert coupler._kernel_cache(tmp_path) == before
-    law.write_text("@njit\ndef yield_stress(): return 2.0\n")
-    assert coupler._kernel_cache(tmp_path) != before
-    assert os.environ["NUMBA_CACHE_DIR"] == numba.config.CACHE_DIR

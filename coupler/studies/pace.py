@@ -7,7 +7,6 @@ transfer them to this one: for the cost of a step and its elements, and for that
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TypedDict
 
 from .. import __version__
+from ..caches import user_folder
 from ..errors import ColdsprayError, StoreError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
@@ -49,7 +49,7 @@ def of_this_machine(measure: Callable[[], tuple[float, float]], anew: bool = Fal
     measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impacts cannot be computed the
     factors are 1 and `source` has the reason.
     """
-    path, key = folder() / "pace.json", machine()
+    path, key = user_folder() / "pace.json", machine()
     known = _read(path)
     if not anew and key in known:
         return _pace(known[key])
@@ -73,13 +73,6 @@ class _Entry(TypedDict, total=False):
 def machine() -> str:
     """The key of this machine in the cache: its name, its processor, the program's version."""
     return " | ".join((platform.node(), processor(), __version__))
-
-
-def folder() -> Path:
-    """The cache folder: $COLDSPRAY_CACHE, or coldspray in $XDG_CACHE_HOME or in ~/.cache."""
-    if own := os.environ.get("COLDSPRAY_CACHE"):
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "coldspray"
 
 
 def _pace(entry: _Entry) -> Pace:
