@@ -28,8 +28,8 @@ class Progress:
     """
 
     def __init__(self, quiet: bool = False, stream: TextIO | None = None):
-        self.quiet = quiet
         self.stream = stream if stream is not None else sys.stderr
+        self.quiet = quiet or self.stream is None  # a program without a terminal has no standard error
         self.time, self.compiling = float("nan"), 0.0
         self.record: Callable[[str], None] = lambda text: None
         self._impact = ""
@@ -122,7 +122,7 @@ class Progress:
         if self._bar:
             self._bar.console.print(text, markup=False, highlight=False)
         else:
-            print(text, file=self.stream, flush=True)
+            self._print(text)
 
     def stop(self) -> None:
         """End, and leave the last state on the screen. May be called more than once."""
@@ -184,7 +184,8 @@ class Progress:
 
     def _open(self) -> None:
         """The bar, on a terminal."""
-        if self._bar is None and not self.quiet and self.stream.isatty():
+        is_terminal = getattr(self.stream, "isatty", lambda: False)  # streams of loggers and windows may lack it
+        if self._bar is None and not self.quiet and is_terminal():
             self._bar = _bar(self.stream)
             self._bar.add_task("", total=1.0, status="")
             self._bar.start()
@@ -208,7 +209,16 @@ class Progress:
         else:
             self.record(text)
             if not self.quiet:
-                print(text, file=self.stream, flush=True)
+                self._print(text)
+
+    def _print(self, text: str) -> None:
+        """A line for the stream; one that cannot be written, as on a full disk, ends nothing but the lines."""
+        try:
+            print(text, file=self.stream, flush=True)
+        except BrokenPipeError:
+            raise
+        except (OSError, ValueError):  # ValueError: a stream that is closed
+            self.quiet = True
 
     def _draw(self, text: str) -> None:
         if self._bar:
@@ -225,7 +235,7 @@ class Progress:
             if self._bar:
                 self._draw(text)
             elif now >= self._next:
-                print(text, file=self.stream, flush=True)
+                self._print(text)
                 self._next = now + _LINE_EVERY
 
 

@@ -20,8 +20,8 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "length": ("25 um", {"m": "1", "cm": "1e-2", "mm": "1e-3", "um": "1e-6", "nm": "1e-9"}),
     "velocity": ("500 m/s", {"m/s": "1", "km/s": "1e3", "mm/us": "1e3", "mm/s": "1e-3"}),
     "angle": ("30 deg", {"rad": "1", "deg": math.pi / 180}),
-    "temperature": ("300 K", {"K": "1", "degC": "1"}),
-    "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12"}),
+    "temperature": ("300 K", {"K": "1", "degC": "1", "C": "1"}),
+    "time": ("60 ns", {"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9", "ps": "1e-12", "min": "60", "h": "3600"}),
     "pressure": ("180 MPa", {"Pa": "1", "kPa": "1e3", "MPa": "1e6", "GPa": "1e9", "bar": "1e5", "HV": "9806650"}),
     "density": (
         "8906 kg/m^3",
@@ -35,7 +35,7 @@ _DIMENSIONS: dict[str, tuple[str, dict[str, str | float]]] = {
     "rate": ("1 1/s", {"1/s": "1"}),
     "surface energy": ("20 J/m2", {"J/m2": "1", "J/m^2": "1", "mJ/m2": "1e-3", "kJ/m2": "1e3"}),
 }
-_OFFSETS = {"degC": Fraction("273.15")}
+_OFFSETS = dict.fromkeys(("degC", "C"), Fraction("273.15"))
 _DIMENSION_OF = {unit: dimension for dimension, (_, units) in _DIMENSIONS.items() for unit in units}
 
 

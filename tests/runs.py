@@ -101,7 +101,7 @@ def numbers(summary: dict[str, Any], prefix: str = "", ignore: tuple[str, ...] =
             for index, item in enumerate(value):
                 values |= numbers(item, f"{prefix}{name}.{index}.", ignore)
         elif isinstance(value, (int, float)):
-            values[prefix + name] = float(value)
+            values[prefix + name] = value
     return values
 
 
@@ -111,6 +111,9 @@ def assert_same_numbers(one: dict[str, Any], other: dict[str, Any], rel: float, 
     assert got.keys() == expected.keys()
     different = {k: (v, expected[k]) for k, v in got.items() if v != pytest.approx(expected[k], rel=rel, abs=1e-25)}
     assert different == {}
+    assert [
+        k for k, v in got.items() if type(v) is not type(expected[k])
+    ] == []  # 12 and 12.0 are other bytes of a file
 
 
 def data_sets(path: Path) -> dict[str, bytes]:

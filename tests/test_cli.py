@@ -1,5 +1,6 @@
 import io
 import math
+import os
 import re
 import subprocess
 import sys
@@ -99,6 +100,51 @@ def test_a_reader_that_goes_away_is_no_error():
     )
     assert done.stderr == ""
     assert done.returncode in (0, 141)
+
+
+GAS = "gas --pressure '40 bar' --temperature '800 C' --nozzle D42PBI --gas helium --diameter '25 µm'"
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "says"),
+    [
+        ("{0} check {1} >&-", 0, ""),
+        ("{0} check {1} 2>&- <&-", 0, ""),
+        ("{0} check {1} >/dev/full", 2, "coldspray: the output cannot be written: No space left on device\n"),
+        ("{0} check --help >/dev/full", 2, ""),
+        ("{0} nothing 2>/dev/full", 2, ""),
+        ("PYTHONIOENCODING=ascii {0} " + GAS, 0, ""),
+        ("MPLBACKEND=module://of.a.notebook {0} " + GAS + " --png x.png", 0, ""),
+        ("{0} check $'x\\xff.toml'", 2, "coldspray: the name 'x\\udcff.toml' is not in UTF-8: rename it\n"),
+    ],
+)
+def test_surroundings_end_no_command_with_a_traceback(line: str, code: int, says: str, tmp_path: Path) -> None:
+    """Closed and full streams, terminals without µ, matplotlib's backend of a notebook, names that are no text."""
+    shell = line.format(f"'{sys.executable}' -m coupler", f"'{WORKFLOWS / 'single_ni.toml'}'")
+    environment = os.environ | {"PYTHONPATH": str(WORKFLOWS.parent), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": ""}
+    done = subprocess.run(
+        ["bash", "-c", shell], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (code, says)
+
+
+def test_progress_ends_no_run() -> None:
+    """Where there is no standard error, or one of a window that knows only how to write, or one that can no longer be written."""
+
+    class Window:
+        def write(self, text: str) -> int:
+            raise OSError("full")
+
+        def flush(self) -> None: ...
+
+    for stream in (Window(), None):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(sys, "stderr", stream)
+            with Progress() as progress:
+                progress.start(1.0)
+                progress.update(0.5, 0.5, 0.1, 1)
+                progress.log("x")
+            assert progress.quiet
 
 
 @pytest.mark.parametrize(
@@ -330,6 +376,8 @@ def test_quiet_progress_says_nothing():
         (["check", "oen.toml"], 'the file is missing (did you mean "one.toml"?)'),
         (["sweep", "mny.toml"], 'the file is missing (did you mean "many.toml"?)'),
         (["run", "one.toml", "--jobs", "0"], "'0' is not a whole number above zero"),
+        (["critical", "one.toml", "--high", "99999 m/s"], "--high 99999 m/s: is outside 10 m/s to 2000 m/s"),
+        (["critical", "one.toml", "--repeat", "1000000"], "1000000 is too many: 100 at most"),
         (["run", "one.toml", "--threads", "3"], "invalid choice: 3 (choose from 1, 2)"),
         (["map", "single"], "is the folder of a single run: name the folder that holds several"),
         (["report", "ressults"], 'is not a folder of results (did you mean "results"?)'),

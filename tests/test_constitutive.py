@@ -1,10 +1,14 @@
 """The law against its formula, its limits and its energy balance."""
 
 import itertools
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.registry import CPUDispatcher
 
+import coupler
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 
@@ -81,3 +85,25 @@ def test_heat_at_constant_volume_pushes() -> None:
     record = law.law_record(material("Ni"))[0]
     p, _ = law.mie_gruneisen(record, 1.0, 1.0, 0.0, 0.0, 1e8)
     assert p == pytest.approx(record["Gamma0"] * 1e8)
+
+
+def test_arithmetic_of_a_kernel_does_not_depend_on_who_compiles_it_first() -> None:
+    """numba compiles a function without `fastmath` as the kernel that calls it first: with two such kernels the order of compilation
+    would decide the last digits. So what a kernel with fast arithmetic calls says itself what it wants."""
+    root = Path(coupler.__file__).parent
+    names = {p.relative_to(root.parent).with_suffix("").parts for p in root.glob("*/*.py") if "njit(" in p.read_text()}
+    modules = [import_module(".".join(name)) for name in names]
+    kernels = {f for module in modules for f in vars(module).values() if isinstance(f, CPUDispatcher)}
+
+    def called(kernel: CPUDispatcher) -> set[CPUDispatcher]:
+        """Functions of numba that a kernel calls, in the place of those that it inlines what they call."""
+        seen = {kernel.py_func.__globals__.get(name) for name in kernel.py_func.__code__.co_names} & kernels
+        inlined = {f for f in seen if f.targetoptions.get("inline") == "always"}
+        return (seen - inlined).union(*map(called, inlined))
+
+    fast = {kernel for kernel in kernels if "fastmath" in kernel.targetoptions}
+    assert law.harden in fast
+    silent = {
+        (f.__name__, kernel.__name__) for kernel in fast for f in called(kernel) if "fastmath" not in f.targetoptions
+    }
+    assert silent == set()

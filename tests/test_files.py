@@ -129,6 +129,17 @@ def test_an_output_is_claimed_before_the_work(tmp_path: Path) -> None:
         claim_folder(tmp_path / "new", "run", ["coating.json"])
     with pytest.raises(StoreError, match="Not a directory"):
         claim_folder(source / "below", "run", ["a"])
+    for name, kind in (("full", ""), ("empty", ""), ("ours", "run")):
+        (tmp_path / name).mkdir()
+        (tmp_path / f"to_{name}").symlink_to(tmp_path / name)
+        if kind:
+            claim_folder(tmp_path / name, kind, [])
+    (tmp_path / "full" / "thesis.tex").write_text("a")
+    with pytest.raises(StoreError, match=r"is a link to .*full, a folder with files that are not of coldspray"):
+        claim_folder(tmp_path / "to_full", "run", ["scene.toml"])
+    assert [path.name for path in (tmp_path / "full").iterdir()] == ["thesis.tex"]
+    claim_folder(tmp_path / "to_empty", "run", ["scene.toml"])
+    claim_folder(tmp_path / "to_ours", "run", ["scene.toml"])
 
 
 def test_force_replaces_only_files_of_a_run(tmp_path: Path) -> None:

@@ -210,6 +210,26 @@ def test_the_command_lists_nozzles_with_their_sources(capsys, tmp_path):
     assert said.count("source:") == 4
 
 
+def test_commands_know_metals_and_nozzles_of_a_scene(capsys, tmp_path):
+    """The scene's other tables may be anything. Twice the density: slower."""
+    path = tmp_path / "scene.toml"
+    table = Path(nozzles.__file__).with_name("nozzles.toml").read_text().split("\n\n")
+    (own,) = (part for part in table if part.startswith("[D42PBI]"))
+    path.write_text(
+        own.replace("[D42PBI]", "[nozzles.Mine]") + '\n[materials.Heavy]\nbase = "Ni"\ndensity = "17800 kg/m^3"\n'
+    )
+    of_scene = ["--scene", str(path), "--nozzle", "Mine", "--material", "Heavy"]
+    assert cli.main([*COMMAND, "--diameter", "25 um"]) == 0
+    light = capsys.readouterr().out
+    assert cli.main([*COMMAND[:-2], *of_scene, "--diameter", "25 um"]) == 0
+    heavy = capsys.readouterr().out
+    slow, fast = (float(said.split("um")[1].split()[2]) for said in (heavy, light))
+    assert 0.6 * fast < slow < 0.9 * fast
+    path.write_text("materials = 3\n")
+    assert cli.main(COMMAND + of_scene) == 2
+    assert "materials: expected tables, such as [materials.Mine]" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [
@@ -217,7 +237,7 @@ def test_the_command_lists_nozzles_with_their_sources(capsys, tmp_path):
         (["--nozzle", "D43PBI"], 'did you mean "D42PBI"'),
         (["--diameter", "0.1 um"], '--diameter "0.1 um" is outside 1 um to 200 um'),
         (["--gas", "Ne"], "--gas \"Ne\" must be 'N2', 'He' or 'air'"),
-        (["--material", "Nj"], "--material: unknown material"),
+        (["--material", "Nj"], '--material "Nj": unknown material'),
         (["--pressure", "3 bar"], "at least 4.604 bar"),
         (["--nozzles", "absent.toml"], "absent.toml is missing"),
         (["--csv", "absent/a.csv"], "absent/a.csv: there is no folder"),

@@ -95,9 +95,35 @@ def test_a_strength_set_is_chosen_by_its_name_or_its_law():
     assert materials.from_scene(other, "Steinberg_1996", {"Own"})[0]["Own"].strength.law == "zerilli_armstrong"
 
 
+@pytest.mark.parametrize(
+    ("symbol", "name"), [("Al", "aluminium"), ("Ti", "titanium"), ("Cu", "copper"), ("Mg", "magnesium")]
+)
+def test_symbol_and_name_of_an_element_are_one_metal(symbol: str, name: str) -> None:
+    assert materials.material(symbol) is materials.material(name) is materials.material(name.capitalize())
+
+
+def test_a_metal_by_the_constants_of_handbooks() -> None:
+    """E = 2 G (1 + nu) = 3 K (1 - 2 nu), and K = rho c0^2; what is not said is that of the base."""
+    own = {"E": "207 GPa", "nu": 0.31, "density": "8900 kg/m^3"}
+    catalogue, problems = materials.from_scene({"Own": {"base": "Ni"} | own, "Soft": {"base": "Ni", "E": "100 GPa"}})
+    assert problems == []
+    metal, nickel = catalogue["Own"], catalogue["Ni"]
+    assert (metal.E, metal.nu, metal.rho) == pytest.approx((207e9, 0.31, 8900.0))
+    assert metal.rho * metal.c0**2 == pytest.approx(207e9 / (3.0 * (1.0 - 0.62)))
+    assert (catalogue["Soft"].E, catalogue["Soft"].nu) == pytest.approx((100e9, nickel.nu))
+    for wrong, says in (
+        ({"G": "80 GPa"}, "G follows from E and nu: give only one of them"),
+        ({"rho": "8900 kg/m^3"}, "rho follows from density: give only one of them"),
+        ({"nu": 0.5}, "nu is outside 0 to 0.495"),
+    ):
+        assert f"materials.Own: {says}" in materials.from_scene({"Own": {"base": "Ni"} | own | wrong})[1]
+    alone = materials.from_scene({"Own": {"E": "207 GPa"}})[1]
+    assert "materials.Own: E needs nu, too" in alone
+
+
 def test_pure_aluminium_is_annealed():
     """Its first set has 49 + 157 MPa at a strain of 1, 1 1/s and its reference temperature."""
-    m = materials.material("aluminium")
+    m = materials.material("Al1100")
     assert m.strength.set == "Pierazzo_2008"
     assert m.flow_stress(1.0, 1.0, 293.0) == pytest.approx(206e6)
 

@@ -241,10 +241,20 @@ def test_the_fine_part_of_the_target_holds_all_offsets():
     assert (one.derived.spread, one.derived.refined_radius) == (0.0, scene_with().derived.refined_radius)
 
 
+def test_a_preset_fits_itself_to_the_smallest() -> None:
+    """15 to 45 um of a powder at `draft`: the preset alone would give the smallest 37 points, and 200 are needed."""
+    powder = several({"diameter": "15 um"}, {"diameter": "45 um", "velocity": "400 m/s"}, preset="draft").derived
+    assert [powder.points_of(p) for p in powder.scene.particles] == [200, 5400]
+    assert scene_with(preset="draft").derived.points == 1000
+
+
 def test_the_smallest_and_the_largest_are_looked_at():
-    (problem,) = problems_with(particle=[NI | {"diameter": "8 um"}, NI])
+    small = [NI | {"diameter": "8 um"}, NI]
+    (problem,) = problems_with(particle=small, resolution__spacing="1.18 um")
     assert problem.startswith("resolution.spacing")
-    assert "a particle of 8 um 164 points; at least 200 are needed, so at most 1.1 um" in problem
+    assert "a particle of 8 um 163 points; at least 200 are needed: give resolution.spacing, 1.1 um at most" in problem
+    (problem,) = problems_with(particle=[NI | {"diameter": "4 um"}, NI])
+    assert problem.startswith('preset = "standard": its finest spacing beside a particle of 25 um')
     (problem,) = problems_with(particle=[NI, NI | {"diameter": "60 um", "velocity": "300 m/s"}])
     assert "substrate.height" in problem
     assert "a particle of 60 um" in problem

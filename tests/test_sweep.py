@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -278,6 +279,9 @@ def test_executors(tmp_path, monkeypatch) -> None:
         with executor("processes", 2, tmp_path) as pool:
             assert list(pool.map(abs, [-1, 2])) == [1, 2]
             assert pool.submit(os.getenv, "GLIBC_TUNABLES").result() == expected
+            # Ctrl-C, which a terminal sends to all, ends none of them, and from their first moment: they inherit this
+            assert signal.SIGINT in pool.submit(signal.pthread_sigmask, signal.SIG_BLOCK, ()).result()
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
     with pytest.raises(PlacementError, match=r'did you mean "slurm"'):
         executor("slum", 1, tmp_path)
     with pytest.raises(PlacementError, match="two ranks or more"):

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ..studies.pace import Pace
 
 _NAMES = ("scene.toml", "accuracy.csv", "accuracy.png", "accuracy.html")
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def add(commands: Commands) -> None:
@@ -142,10 +141,15 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
 
 def seconds(text: str) -> float:
     """A wall time such as "60s", "5 min", "1.5h", in s. Raises StoreError with what was expected."""
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*(s|min|h)\s*", text)
-    if match is None or float(match.group(1)) <= 0.0:
+    from ..units import UnitError, parse
+
+    try:
+        value = parse(text, "time")
+    except UnitError:
+        value = 0.0
+    if not value > 0.0:
         raise StoreError(f'--within {text!r} is no time: expected a number with s, min or h, such as "60s"')
-    return float(match.group(1)) * _SECONDS[match.group(2)]
+    return value
 
 
 def share(text: str, option: str = "--accuracy") -> float:

@@ -35,10 +35,12 @@ def seconds(text: str) -> float:
     return value
 
 
-def quantity(option: str, dimension: str, positive: bool = True, form: str = "{}") -> Callable[[str], float]:
+def quantity(
+    option: str, dimension: str, positive: bool = True, form: str = "{}", limits: tuple[str, str] | None = None
+) -> Callable[[str], float]:
     """The type of an option that takes text with a unit, such as "300 ns": a function to SI, which raises ColdsprayError.
 
-    form: what the text is put into before it is read.
+    form: what the text is put into before it is read; limits: the least and the greatest value, as text.
     """
 
     def read(text: str) -> float:
@@ -50,6 +52,8 @@ def quantity(option: str, dimension: str, positive: bool = True, form: str = "{}
             raise ColdsprayError(f"{option} {text}: {error}") from None
         if positive and not value > 0.0:
             raise ColdsprayError(f"{option} {text}: must be more than zero")
+        if limits is not None and not parse(limits[0], dimension) <= value <= parse(limits[1], dimension):
+            raise ColdsprayError(f"{option} {text}: is outside {limits[0]} to {limits[1]}")
         return value
 
     return read
@@ -96,10 +100,12 @@ def _setting(text: str) -> tuple[str, str | None]:
     return key.strip(), value.strip() or None
 
 
-def at_least_one(text: str) -> int:
-    """A number of things that are at least one."""
+def at_least_one(text: str, most: int | None = None) -> int:
+    """A number of things that are at least one, and at most so many."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
+    if most is not None and int(text) > most:
+        raise argparse.ArgumentTypeError(f"{text} is too many: {most} at most")
     return int(text)
 
 

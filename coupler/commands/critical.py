@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from ..studies.critical import Bracket
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
+_LIMITS = "10 m/s", "2000 m/s"  # those of a scene's particle
+_MOST_PLACEMENTS = 100
 _MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
 
 
@@ -32,9 +35,9 @@ def add(commands: Commands) -> None:
     )
     option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
     for name, text in (("low", "lowest"), ("high", "highest")):
-        option(f"--{name}", type=quantity(f"--{name}", "velocity"), metavar="VELOCITY",
+        option(f"--{name}", type=quantity(f"--{name}", "velocity", limits=_LIMITS), metavar="VELOCITY",
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
-    option("--repeat", type=at_least_one, default=3, metavar="N",
+    option("--repeat", type=partial(at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
            help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
     option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
     add_force(option)

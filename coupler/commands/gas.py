@@ -4,7 +4,7 @@ import argparse
 import shlex
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .arguments import Commands, Option, add_command, add_force, path
 
@@ -36,6 +36,7 @@ def add_conditions(option: Option) -> None:
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
     option("--nozzle", metavar="NAME", help="a nozzle of the library (coldspray nozzles), or of --nozzles FILE")
     option("--nozzles", type=path, metavar="FILE", help="more nozzles: a TOML file in the form of the library")
+    option("--scene", type=path, metavar="SCENE", help="a scene whose own metals and nozzles are known, too")
     option("--material", metavar="NAME", default="Ni", help="of the particle (default: Ni)")
     option("--standoff", metavar="L", default="30 mm", help="nozzle to target (default: 30 mm)")
     option("--ambient", metavar="P", default="1.01325 bar", help="pressure around the jet (default: 1.01325 bar)")
@@ -47,17 +48,16 @@ def add_conditions(option: Option) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_file
-    from ..physics import materials
     from ..plan import gas as scene_gas
     from ..spray import flight
 
-    nozzles = known_nozzles(arguments.nozzles)
-    inputs = [arguments.nozzles] if arguments.nozzles else []
+    nozzles, metals = known_nozzles(arguments), known_metals(arguments)
+    inputs = inputs_of(arguments)
     for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
         if out is not None:
             claim_file(out, suffixes, inputs, arguments.force)
-    conditions, diameters = read_conditions(arguments, nozzles)
-    material = materials.material(arguments.material)
+    conditions, diameters = read_conditions(arguments, nozzles, metals)
+    material = metals[arguments.material]
     flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
     law = flight.DRAG_LAWS[conditions.drag]
     flights = flight.fly_together(flow, material, diameters, conditions.powder_temperature, law)
@@ -70,11 +70,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def read_conditions(
-    arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]", command: str = "gas", sizes: str = "--diameter"
-) -> "tuple[GasConditions, list[float]]":
-    """The checked conditions and the diameters, m. command, sizes: its name and its option of diameters, which messages name. Raises
-    SceneError with every problem."""
-    from ..errors import ColdsprayError, SceneError
+    arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]", metals: "dict[str, Material]", command: str = "gas",
+    sizes: str = "--diameter",
+) -> "tuple[GasConditions, list[float]]":  # fmt: skip
+    """The checked conditions and the diameters, m. nozzles, metals: by name; command, sizes: its name and its option of diameters, for
+    messages. Raises SceneError with every problem."""
+    from ..errors import SceneError
     from ..physics import materials
     from ..plan import gas as scene_gas
     from ..spray.nozzles import unknown
@@ -87,10 +88,8 @@ def read_conditions(
         problems.append(f"{_option(field)}{value} {problem}")
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
-    try:
-        materials.material(arguments.material)
-    except ColdsprayError as error:
-        problems.append(f"--material: {error}")
+    if arguments.material not in metals:
+        problems.append(f'--material "{arguments.material[:40]}": {materials.unknown(arguments.material[:40], metals)}')
     diameters = []
     for text in arguments.diameter:
         try:
@@ -104,7 +103,7 @@ def read_conditions(
 
 def given(arguments: argparse.Namespace) -> list[str]:
     """The options as given, for the command that remakes a table."""
-    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "csv")}
+    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "scene", "csv")}
     options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
     return [*options, *(["--bow-shock"] if arguments.bow_shock else [])]
 
@@ -113,18 +112,47 @@ def _option(field: str) -> str:
     return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
-def known_nozzles(file: Path | None) -> "dict[str, Nozzle]":
-    """The nozzles of the library and of a file. Raises SceneError with every problem of the file."""
+def inputs_of(arguments: argparse.Namespace) -> list[Path]:
+    """The files that the options name to be read."""
+    return [file for file in (arguments.nozzles, arguments.scene) if file is not None]
+
+
+def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
+    """The nozzles of the library, of --nozzles and of --scene. Raises SceneError with every problem of a file."""
     from ..errors import SceneError
     from ..files.inputs import read_toml
     from ..spray import nozzles
 
-    if file is None:
-        return nozzles.library()
-    known, problems = nozzles.from_tables(read_toml(file))
-    if problems:
-        raise SceneError(problems, str(file))
+    known = dict(nozzles.library())
+    for file in inputs_of(arguments):
+        tables = read_toml(file) if file is arguments.nozzles else _tables_of(file, "nozzles")
+        found, problems = nozzles.from_tables(tables)
+        if problems:
+            raise SceneError(problems, str(file))
+        known |= found
     return known
+
+
+def known_metals(arguments: argparse.Namespace) -> "dict[str, Material]":
+    """The metals of the library and of --scene, by their names and other names. Raises SceneError with every problem of the scene."""
+    from ..errors import SceneError
+    from ..physics import materials
+
+    known, problems = materials.from_scene(_tables_of(arguments.scene, "materials") if arguments.scene else {})
+    if problems:
+        raise SceneError(problems, str(arguments.scene))
+    return known
+
+
+def _tables_of(scene: Path, kind: str) -> "dict[str, Any]":
+    """The tables [kind.NAME] of a scene, whose other tables may be anything."""
+    from ..errors import SceneError
+    from ..files.inputs import read_toml
+
+    tables = read_toml(scene).get(kind, {})
+    if not isinstance(tables, dict) or not all(isinstance(table, dict) for table in tables.values()):
+        raise SceneError([f"{kind}: expected tables, such as [{kind}.Mine]"], str(scene))
+    return tables
 
 
 def shown(nozzle: "Nozzle") -> str:

@@ -1,6 +1,9 @@
 """The command `coldspray`. Heavy packages are imported where used, so that --help answers at once."""
 
 import argparse
+import contextlib
+import errno
+import io
 import os
 import re
 import signal
@@ -40,28 +43,37 @@ _EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # option
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
+_NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
+    _prepare()
+    words = sys.argv[1:] if argv is None else argv
+    for word in words:
+        if re.search("[\udc80-\udcff]", word):  # bytes that are no text
+            return _fail(f"the name {word!a} is not in UTF-8: rename it", 2)
     try:
         parser = _parser()
-        if not (sys.argv[1:] if argv is None else argv):
+        if not words:
             if is_first_rank():
                 parser.print_help()
             return 2
-        arguments = parser.parse_args(argv)
+        arguments = parser.parse_args(words)
         with bounded_memory():
             code = arguments.command(arguments)
         sys.stdout.flush()
         return code
+    except SystemExit:  # of argparse, which has printed
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+            raise
+        return _not_printed(2)
     except ColdsprayError as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        # the reader has closed the pipe (`| head`); the redirection keeps the interpreter from flushing into it at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _BROKEN_PIPE
+        return _not_printed(_BROKEN_PIPE)  # the reader has closed the pipe (`| head`)
     except KeyboardInterrupt:
         return _fail("stopped", _INTERRUPTED)
     except MemoryError as error:
@@ -70,9 +82,31 @@ def main(argv: list[str] | None = None) -> int:
         message = missing_library(error)
         if message is None and isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror}"
+        if message is None and isinstance(error, OSError) and error.errno in _NOT_WRITTEN:
+            return _not_printed(_fail(f"the output cannot be written: {error.strerror}", 2))
         if message is None:
             raise
         return _fail(message, 2)
+
+
+def _prepare() -> None:
+    """Make good what surroundings can lack: standard streams, characters of a terminal, matplotlib's backend of a notebook."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:  # closed: the next file that is opened would take its place
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "w" if number else "r"))
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    os.environ.pop("MPLBACKEND", None)
+
+
+def _not_printed(code: int) -> int:
+    """The exit code where standard output cannot be written; what is left in its buffer goes nowhere, also as the interpreter ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
 
 
 def missing_library(error: Exception) -> str | None:
@@ -368,4 +402,6 @@ def _fail(message: str, code: int) -> int:
         print(f"coldspray: {message}", file=sys.stderr)
     except BrokenPipeError:
         return _BROKEN_PIPE
+    except OSError:  # a full disk
+        pass
     return code

@@ -36,9 +36,14 @@ def _listed(entries: "list[Entry]") -> list[str]:
         for i, metal in enumerate(known.materials):
             law = metal.strength
             lines.append(f"{'' if i else metal.name:9} {law.set:19} {law.law:22} {law.fitted.words}")
+    others = "; ".join(
+        f"{known.material.name} is also {', '.join(known.aliases)}" for known in entries if known.aliases
+    )
     return [
         *lines,
         "",
+        *textwrap.wrap(f"Other names: {others}.", 118),
+        "The symbol and the name of an element are one metal of the list: Al is the alloy 6061-T6, Al1100 nearly pure aluminium.",
         'The first set is taken unless [materials.NAME] names another: strength = "Preston_2003", or a law.',
         "coldspray materials NAME: numbers, sources and flow stresses of one",
     ]

@@ -29,6 +29,7 @@ def add(commands: Commands) -> None:
     add_command(commands, "shapes", shapes, "shapes of particles and their lengths")
     option = add_command(commands, "nozzles", nozzles, "nozzles of the library with their sources")
     option("--nozzles", type=path, metavar="FILE", help="also those of a TOML file in the form of the library")
+    option("--scene", type=path, metavar="SCENE", help="also those of a scene")
     option = add_command(commands, "schema", schema, "print the JSON schema of scenes (Draft 4), for editors")
     option("--out", type=path, metavar="FILE", help="write it there, as .json")
     add_force(option)
@@ -74,7 +75,7 @@ def nozzles(arguments: argparse.Namespace) -> int:
     """Print the nozzles. Returns the exit code."""
     from .gas import known_nozzles, shown
 
-    print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments.nozzles).values()))
+    print("\n\n".join(shown(nozzle) for nozzle in known_nozzles(arguments).values()))
     return 0
 
 

@@ -33,19 +33,22 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import SceneError
     from ..files.outputs import claim_file
-    from ..physics import materials
     from ..plan import gas as scene_gas
     from ..spray import flight, window
     from .accuracy import share
 
     for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
         if out is not None:
-            claim_file(out, suffixes, [arguments.nozzles] if arguments.nozzles else [], arguments.force)
-    within, nozzles = share(arguments.within, "--within"), gas.known_nozzles(arguments.nozzles)
-    conditions, sizes = gas.read_conditions(arguments, nozzles, "window", "--powder")
+            claim_file(out, suffixes, gas.inputs_of(arguments), arguments.force)
+    within, nozzles, metals = (
+        share(arguments.within, "--within"),
+        gas.known_nozzles(arguments),
+        gas.known_metals(arguments),
+    )
+    conditions, sizes = gas.read_conditions(arguments, nozzles, metals, "window", "--powder")
     if not sizes[0] <= sizes[1] <= sizes[2]:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: D10, D50 and D90 must not fall"], "window")
-    metal = materials.material(arguments.material)
+    metal = metals[arguments.material]
     flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), flight.DRAG_LAWS[conditions.drag]
     spray = window.spray(
         metal,

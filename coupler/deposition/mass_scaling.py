@@ -10,6 +10,7 @@ import math
 import numpy as np
 
 from ..fe.assemble import Point
+from ..files.summary import Values
 from ..impact.bodies import Bodies
 from ..plan.planning import Plan
 from ..sph.inertia import ENOUGH
@@ -17,9 +18,9 @@ from ..sph.inertia import ENOUGH
 SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs of contact bear
 
 
-def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> dict[str, float]:
+def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> Values:
     """Make bodies at rest, numbered outwards from the place (m) where impact i comes, ready for it; what was done, for the report."""
-    report: dict[str, float] = {}
+    report: Values = {}
     if i and plan.mass_scaling:
         p = plan.impacts[i]
         most = plan.mass_scaling * p.material.rho * math.pi / 6.0 * p.diameter**3

@@ -29,6 +29,7 @@ from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
+from ..sph.start import whole_process
 from ..state.threads import cores, second_thread
 from .batches import Batches, BatchReplay, clear, workers
 from .coarsening import words as coarsening_words
@@ -204,6 +205,7 @@ class Deposition:
             )
             return Result(self.folder)
         with (
+            whole_process(),
             terminable(),
             parallel.leading(ranks),
             create() if create is not None else Store.reopen(self.folder) as self.store,

@@ -47,7 +47,7 @@ class TaskResult:
 
     bodies: BodiesState
     record: ImpactRecord
-    prepared: dict[str, float]
+    prepared: Values
     joined: Values
     store: StoreState
 
@@ -57,7 +57,7 @@ class TaskState:
     """What a checkpoint of a task holds: the impact on its way, where it may go on; the result, once there is one."""
 
     running: RunningState | None
-    prepared: dict[str, float]
+    prepared: Values
     store: StoreState
     result: TaskResult | None
 

@@ -62,6 +62,11 @@ def claim_folder(
             f"{folder} holds {present[0].name}, which was not {MARK} as part of a {kind}:"
             f" choose {ELSEWHERE}" + ("" if force is None else f", or add {REPLACE} to replace it")
         )
+    if folder.is_symlink() and not force and kind_of(folder) != kind and any(folder.iterdir()):
+        raise StoreError(
+            f"{folder} is a link to {folder.resolve()}, a folder with files that are not of coldspray: choose {ELSEWHERE}"
+            + ("" if force is None else f", or add {REPLACE}")
+        )
     if kind_of(folder) not in ("", kind) and not force:
         raise StoreError(f"{folder} holds the results of coldspray {kind_of(folder)}: choose {ELSEWHERE}")
     try:

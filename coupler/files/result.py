@@ -42,17 +42,17 @@ class Result:
     """
 
     def __init__(self, directory: str | Path):
-        self.directory = Path(directory)
+        self.directory = Path(directory).absolute()  # the working folder may become another one
         if not self.directory.is_dir():
             hint = (
                 "; a scene's results are in runs/NAME"
                 if self.directory.is_file()
-                else similar(self.directory, is_folder=True)
+                else similar(Path(directory), is_folder=True)
             )
-            raise StoreError(f"{self.directory} is not a folder of results{hint}")
+            raise StoreError(f"{directory} is not a folder of results{hint}")
         known = ["scene.toml", "summary.json", HISTORY, *(f"{domain}.vtkhdf" for domain in (*DOMAINS, COLD))]
         if not any((self.directory / name).is_file() for name in known):
-            raise StoreError(f"{self.directory} holds no results of a run (none of {', '.join(known)})")
+            raise StoreError(f"{directory} holds no results of a run (none of {', '.join(known)})")
         self._summary: Summary = {}
         self._rows_at: tuple[int, int] | None = None  # time and size of the history that `_rows` knows
         self._known_rows: tuple[list[str], NDArray[np.float64]] = [], np.zeros((0, 0))

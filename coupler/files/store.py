@@ -205,7 +205,10 @@ class Store:
     def log(self, text: str) -> None:
         """Append lines to run.log, with date and time. A log that cannot be written ends no run."""
         stamp = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-        with contextlib.suppress(OSError), open(self.directory / LOG, "a", encoding="utf-8") as file:
+        with (
+            contextlib.suppress(OSError),
+            open(self.directory / LOG, "a", encoding="utf-8", errors="backslashreplace") as file,
+        ):
             file.write(f"{stamp}  {text}\n")
 
     def finish(self, summary: Mapping[str, object]) -> None:

@@ -155,13 +155,15 @@ def heated(law: Law, T: float, q: float) -> float:
     return T + 2.0 * q / (cp + sqrt(max(cp * cp + 2.0 * slope * q, 0.0)))
 
 
-_johnson_cook = njit(cache=True, nogil=True)(strength.johnson_cook)
-_zerilli_armstrong = njit(cache=True, nogil=True)(strength.zerilli_armstrong)
-_steinberg_guinan = njit(cache=True, nogil=True)(strength.steinberg_guinan)
-_preston_tonks_wallace = njit(cache=True, nogil=True)(strength.preston_tonks_wallace)
+# numba compiles a function that says nothing of these as the kernel that calls it first: with fast arithmetic or without
+_precise = njit(cache=True, nogil=True, fastmath=False, error_model="numpy")
+_johnson_cook = _precise(strength.johnson_cook)
+_zerilli_armstrong = _precise(strength.zerilli_armstrong)
+_steinberg_guinan = _precise(strength.steinberg_guinan)
+_preston_tonks_wallace = _precise(strength.preston_tonks_wallace)
 
 
-@njit(cache=True, nogil=True)
+@_precise
 def yield_stress(law: Law, eps_p: float, rate: float, T: float) -> float:
     """Flow stress in Pa for plastic strain, plastic strain rate (1/s) and temperature (K), by the law of the record."""
     if on(law.preston_tonks_wallace) and law.preston_tonks_wallace > 0.0:
@@ -179,7 +181,7 @@ def norm(gradient: Floats, i: int) -> float:
     return sqrt(gradient[i, 0] ** 2 + gradient[i, 1] ** 2 + gradient[i, 2] ** 2)
 
 
-@njit(cache=True, nogil=True)
+@_precise
 def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
     """Flow stress, Pa, of a metal whose strength law gives sigma (Pa), where the plastic strain has the gradient eta, 1/m.
 
@@ -217,7 +219,7 @@ def softened(law: Law, sigma_y: float, eps_p: float, old: float, T: float) -> fl
     return sigma_y * after / before if before > 0.0 else sigma_y
 
 
-@njit(cache=True, nogil=True)
+@_precise
 def harden(
     law: Law, deps: float, dt: float, J: float, flow: float, sigma_y: float, eps_p: float, rate: float, T: float,
     eta: float = 0.0,
@@ -265,7 +267,7 @@ def pressure(law: Law, J: float, energy: float) -> float:
     return hugoniot_pressure(law, J) * (1.0 - 0.5 * law.Gamma0 * (1.0 - J)) + law.Gamma0 * energy
 
 
-@njit(cache=True, nogil=True)
+@_precise
 def mie_gruneisen(law: Law, J_old: float, J: float, p_old: float, energy: float, heat: float) -> tuple[float, float]:
     """Pressure (Pa) and energy (J per reference m3) after a change of volume ratio from J_old to J and an input of
     heat.

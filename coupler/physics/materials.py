@@ -38,6 +38,8 @@ _LIMITS: dict[str, tuple[str, float, float]] = {
     "burgers": ("nm", 1e-10, 1e-9),
     "taylor_alpha": ("", 0.0, 1.0),
 }
+# other names of fields, and the elastic constants of handbooks
+_OTHER_FIELDS = {"density": _LIMITS["rho"], "E": ("GPa", 1e8, 1e12), "nu": ("", 0.0, 0.495)}
 _PAIR_LIMITS: dict[str, tuple[str, float, float]] = {
     "cp": ("J/(kg K)", 10.0, 1e4),
     "k": ("W/(m K)", 0.01, 5000.0),
@@ -249,16 +251,17 @@ def unknown(name: str, known: Mapping[str, Material]) -> str:
 def from_table(name: str, table: Mapping[str, object], base: Material | None = None) -> Material:
     """Make a material from a table of numbers and texts with units.
 
-    table: fields of Material as in materials.toml, `law` and the parameters of that law; what it lacks is from `base`, else the
-    defaults. Raises SceneError with all problems, each beginning with the field at fault.
+    table: fields of Material as in materials.toml, or E, nu and density in the place of G, c0 and rho; `law` and the parameters of that
+    law. What it lacks is from `base`, else the defaults. Raises SceneError with all problems, each beginning with the field at fault.
     """
     values: dict[str, object] = (
         dict(_DEFAULTS) if base is None else {f.name: getattr(base, f.name) for f in fields(base) if f.name != "name"}
     )
     problems: list[str] = []
+    table = _with_own_fields(table, base, problems)
     strength, own, lacks = _strength(table, base, problems)
     known = [f.name for f in fields(Material) if f.name not in ("name", "strength")]
-    every = [*known, *own, "strength", "base"]
+    every = [*known, *_OTHER_FIELDS, *own, "strength", "base"]
     foreign = [key for key in table if key not in every]
     problems += [f"{key[:40]!r}: unknown key{units.nearest(key, every)}; known: {', '.join(every)}" for key in foreign]
     rest = {key: value for key, value in table.items() if key in known}
@@ -275,6 +278,40 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
         problems.append(f"{', '.join(law)} give no yield stress above zero at {metal.T_ref:g} K; it must be above zero")
     library.refuse(problems, name)
     return metal
+
+
+def _with_own_fields(table: Mapping[str, object], base: Material | None, problems: list[str]) -> dict[str, object]:
+    """The table with rho in the place of density, and with G and c0 = sqrt(K / rho) in that of E and nu. problems: grows."""
+    own = {"rho" if key == "density" else key: value for key, value in table.items()}
+    given: dict[str, float] = {}
+    for key in [key for key in ("E", "nu") if key in own]:
+        try:
+            given[key] = library.read_number(own.pop(key), *_OTHER_FIELDS[key])
+        except ValueError as error:
+            problems.append(f"{key} {error}")
+    for field, others in (("rho", ["density"]), ("G", ["E", "nu"]), ("c0", ["E", "nu"])):
+        if field in table and (said := [key for key in others if key in table]):
+            problems.append(f"{field} follows from {' and '.join(said)}: give only one of them")
+    if given:
+        values = ({"E": base.E, "nu": base.nu} if base is not None else {}) | given
+        if lacks := {"E", "nu"} - values.keys():
+            problems.append(f"{', '.join(given)} needs {', '.join(lacks)}, too")
+            return own
+        E, nu = values["E"], values["nu"]
+        try:
+            rho = (
+                library.read_number(own["rho"], *_LIMITS["rho"])
+                if "rho" in own
+                else base.rho
+                if base is not None
+                else None
+            )
+        except ValueError:  # told with the other fields
+            rho = 1e3
+        own["G"] = f"{E / (2.0 * (1.0 + nu))!r} Pa"
+        if rho is not None:
+            own["c0"] = f"{math.sqrt(E / (3.0 * (1.0 - 2.0 * nu) * rho))!r} m/s"
+    return own
 
 
 def from_scene(

@@ -17,7 +17,6 @@ from .derived import Derived
 _LEAST_WINDOW = 0.6  # particles' widths: the footprint of a splat
 _EXTENT = ("diameter", "shape", "tilt")
 _MOST_RECORDS = 5000
-_LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
 _HOTTEST = 0.95  # of the melting point: beyond it Johnson-Cook has no strength left
 
 Problem = tuple[tuple[str, ...], str]  # the fields it looked at, the message
@@ -159,18 +158,22 @@ def _resolution(d: Derived) -> Iterator[Problem]:
     flattest = min(scene.particles, key=lambda p: p.form.thinnest)
     thinnest, spacing = flattest.form.thinnest, text_of(d.spacing, "um")
     needs = (*_fields(scene, "diameter"), "preset", "resolution.spacing")
+    given = f"resolution.spacing = {spacing}:"
+    if scene.resolution.spacing is None:
+        largest = max(scene.particles, key=lambda p: p.volume)
+        given = f'preset = "{scene.preset}": its finest spacing beside {_size(largest)}, {spacing},'
     if d.points_of(smallest) < estimates.LEAST_POINTS:
-        largest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
+        widest = estimates.spacing(smallest.volume, estimates.LEAST_POINTS)
         yield (
             needs,
-            f"resolution.spacing = {spacing}: gives {_size(smallest)} {d.points_of(smallest)} points;"
-            f" at least {estimates.LEAST_POINTS} are needed, so at most {units.rounded(largest, 'um')}",
+            f"{given} gives {_size(smallest)} {d.points_of(smallest)} points; at least {estimates.LEAST_POINTS} are needed: give"
+            f" resolution.spacing, {units.rounded(widest, 'um')} at most, or leave the smallest particles out",
         )
-    elif thinnest < _LEAST_LAYERS * d.spacing:
+    elif thinnest < estimates.LEAST_LAYERS * d.spacing:
         yield (
             (*needs, *_fields(scene, "shape")),
-            f"resolution.spacing = {spacing}: too coarse for {units.rounded(thinnest, 'um')}, the thinnest part of"
-            f" this {flattest.shape}; at most {units.rounded(thinnest / _LEAST_LAYERS, 'um')}",
+            f"{given} is too coarse for {units.rounded(thinnest, 'um')}, the thinnest part of this {flattest.shape}: give"
+            f" resolution.spacing, {units.rounded(thinnest / estimates.LEAST_LAYERS, 'um')} at most",
         )
     coarsest = smallest.diameter / 4
     for field, requested in (("resolution", scene.resolution.element_size), ("splat", scene.splat.element_size)):

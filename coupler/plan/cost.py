@@ -13,6 +13,7 @@ from ..physics.materials import Material
 # preset -> points of the particle
 PRESETS = {"draft": 1000, "standard": 5000, "fine": 16000}
 LEAST_POINTS = 200
+LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
 ELEMENT_SIZE_OVER_SPACING = 1.7

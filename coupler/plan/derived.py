@@ -25,10 +25,18 @@ class Derived:
 
     @cached_property
     def spacing(self) -> float:
-        """Distance of the points, m, of all particles: the scene's own, or the preset's for the largest particle."""
+        """Distance of the points, m, of all particles: the scene's own, or the preset's for the largest particle; a finer one where the
+        smallest or the thinnest needs it, down to that of the finest preset."""
         if self.scene.resolution.spacing is not None:
             return self.scene.resolution.spacing
-        return estimates.spacing(max(p.volume for p in self.scene.particles), estimates.PRESETS[self.scene.preset])
+        particles = self.scene.particles
+        largest = max(p.volume for p in particles)
+        needed = min(
+            min(estimates.spacing(p.volume, estimates.LEAST_POINTS), p.form.thinnest / estimates.LEAST_LAYERS)
+            for p in particles
+        )
+        finest = estimates.spacing(largest, max(estimates.PRESETS.values()))
+        return min(estimates.spacing(largest, estimates.PRESETS[self.scene.preset]), max(needed, finest))
 
     def points_of(self, particle: Particle) -> int:
         """Points of a particle, about: its volume over the cube of the spacing."""

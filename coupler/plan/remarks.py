@@ -6,7 +6,7 @@ from typing import Protocol
 
 from .. import units
 from ..physics.materials import Material, fitted_at
-from . import effects
+from . import cost, effects
 from .effects import Effects
 from .reading import Scene
 
@@ -45,6 +45,9 @@ def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Ef
     warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
         warnings.append(text)
+    if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
+        points = f"{scene.derived.points} points in place of {usual}"
+        warnings.append(f"the smallest or thinnest particle sets the spacing: the largest has {points}")
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what

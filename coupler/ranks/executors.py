@@ -12,9 +12,10 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context, resource_tracker
 from pathlib import Path
+from typing import Any
 
 from ..errors import PlacementError
 from ..units import nearest
@@ -50,7 +51,7 @@ def executor(
             return ThreadPoolExecutor(count)
         for name, value in MEMORY.items():  # read as a process starts
             os.environ.setdefault(name, value)
-        return ProcessPoolExecutor(count, get_context("spawn"), _end_with, (os.getpid(),))
+        return _Processes(count, get_context("spawn"), _end_with, (os.getpid(),))
     if kind == "mpi":
         return _mpi()
     if kind == "slurm":
@@ -58,15 +59,27 @@ def executor(
     raise PlacementError(f"no executor {kind!r}{nearest(kind, KINDS)}; known: {', '.join(KINDS)}")
 
 
+class _Processes(ProcessPoolExecutor):
+    """Processes to which an interrupt from the terminal, which is the parent's affair, never comes, not even while they start."""
+
+    def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
+        """As that of the base class, which starts processes; they inherit the mask of signals."""
+        resource_tracker.ensure_running()  # else it starts with the first process, and lets SIGINT through again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(*arguments, **options)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _end_with(parent: int) -> None:
-    """Let this process end with its parent, however that ends; an interrupt from the terminal is the parent's affair."""
+    """Let this process end with its parent, however that ends."""
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(1.0)
         os._exit(1)
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=watch, daemon=True).start()
 
 

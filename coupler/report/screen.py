@@ -34,9 +34,9 @@ def screen(result: Result, verbose: bool = False) -> str:
     width = shutil.get_terminal_size((_WIDTH, 30)).columns
     side_by_side = verbose and len(summary["impacts"]) <= _MOST_COLUMNS
     if side_by_side:
-        Console(file=stream, width=width).print(summary_table(result))
+        Console(file=stream, width=width, force_jupyter=False).print(summary_table(result))
     else:
-        Console(file=stream, width=width, highlight=False).print(
+        Console(file=stream, width=width, highlight=False, force_jupyter=False).print(
             Text(title(result)), _brief(result, verbose), Text(of_run(summary)), sep="\n"
         )
     return "\n".join([*head, *(line.rstrip() for line in stream.getvalue().strip().splitlines()), *tail])

