@@ -1,7 +1,6 @@
 """The command `coldspray`. Heavy packages are imported where used, so that --help answers at once."""
 
 import argparse
-import contextlib
 import errno
 import io
 import os
@@ -66,14 +65,14 @@ def main(argv: list[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except SystemExit:  # of argparse, which has printed
-        with contextlib.suppress(OSError):
-            sys.stdout.flush()
-            raise
-        return _not_printed(2)
+        if not _flush():
+            return 2
+        raise
     except ColdsprayError as error:
         return _fail(str(error), error.exit_code)
     except BrokenPipeError:
-        return _not_printed(_BROKEN_PIPE)  # the reader has closed the pipe (`| head`)
+        _flush()
+        return _BROKEN_PIPE  # the reader has closed the pipe (`| head`)
     except KeyboardInterrupt:
         return _fail("stopped", _INTERRUPTED)
     except MemoryError as error:
@@ -83,7 +82,8 @@ def main(argv: list[str] | None = None) -> int:
         if message is None and isinstance(error, OSError) and error.filename and error.strerror:
             message = f"{error.filename}: {error.strerror}"
         if message is None and isinstance(error, OSError) and error.errno in _NOT_WRITTEN:
-            return _not_printed(_fail(f"the output cannot be written: {error.strerror}", 2))
+            _flush()
+            message = f"the output cannot be written: {error.strerror}"
         if message is None:
             raise
         return _fail(message, 2)
@@ -103,10 +103,16 @@ def _prepare() -> None:
     os.environ.pop("MPLBACKEND", None)
 
 
-def _not_printed(code: int) -> int:
-    """The exit code where standard output cannot be written; what is left in its buffer goes nowhere, also as the interpreter ends."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return code
+def _flush() -> bool:
+    """Write out what standard streams hold. What cannot be written goes nowhere; returns whether all could."""
+    done = True
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            done = False
+    return done
 
 
 def missing_library(error: Exception) -> str | None:
@@ -403,5 +409,5 @@ def _fail(message: str, code: int) -> int:
     except BrokenPipeError:
         return _BROKEN_PIPE
     except OSError:  # a full disk
-        pass
+        _flush()
     return code
