@@ -27,6 +27,7 @@ DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energ
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
 # What decides a verdict: bonds computed in the impact, a formula of the velocity, ties of the scene, the motion of the particle alone.
+VERDICTS = STICKS, REBOUNDS, UNDECIDED
 VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"
@@ -123,12 +124,16 @@ TABLE = (
     Measure("verdict_criterion", "criterion", VERDICT),
     Measure("verdict_by", "decided by", VERDICT),
     Measure("verdict_rests_on", "rests on", VERDICT),
+    Measure("verdict_by_bonds", "by computed bonds alone", VERDICT),
     Measure("verdict_is_close", "margin within the scatter of placements", VERDICT),
     Measure("margin_m_s", "margin, as a velocity", VERDICT),
     Measure("margin_J", "margin, as an energy", VERDICT),
     Measure("rebounded", group=VERDICT),
     Measure("restitution", "rebound velocity / impact velocity", VERDICT, low=0.0),
-    Measure("velocity_ratio", "normal velocity / critical velocity", VERDICT, "velocity / critical velocity", low=0.0),
+    Measure(
+        "velocity_ratio", "normal velocity / critical velocity of the particle's metal", VERDICT, "velocity / critical velocity",
+        low=0.0,
+    ),
     Measure("bonded_area_m2", "area that bonded", VERDICT, low=0.0),
     Measure("bonded_area_end_m2", "bonded area at the end", VERDICT, low=0.0),
     Measure("bond_energy_J", "energy to tear what bonded", VERDICT, low=0.0),

@@ -122,8 +122,8 @@ def test_all_problems_at_once() -> None:
 
 
 def test_a_particle_that_nothing_holds_because_its_critical_velocity_is_not_known_is_told() -> None:
-    unknown = scene(("W", 25, 500))
-    told = [text for text in plan(Scene.from_text(unknown)).warnings if "[materials.W]" in text]
+    unknown = scene(("V", 25, 500))
+    told = [text for text in plan(Scene.from_text(unknown)).warnings if "[materials.V]" in text]
     assert len(told) == 1
     for known in (scene(("Ni", 25, 500)), unknown + '[adhesion]\nkind = "none"\n'):
         assert not any("sigma_TS" in text for text in plan(Scene.from_text(known)).warnings)

@@ -261,8 +261,12 @@ def test_a_film_of_a_coating_cuts_most_of_its_particles() -> None:
 
 
 def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
-    assert "2 impacts have no verdict: they count as stayed" in measure(replace(built, undecided=2)).warnings
-    assert not any("verdict" in text for text in measure(built).warnings)
+    """Of four of one mass one has left: three quarters have stayed, at least one quarter where two of them are undecided."""
+    doubtful = measure(replace(built, undecided=(0, 3)))
+    assert (doubtful.least_efficiency, doubtful.deposition_efficiency) == pytest.approx((0.25, 0.75))
+    line = next(text for text in describe(doubtful) if text.startswith("deposition efficiency"))
+    assert line == "deposition efficiency  25.0% to 75.0%: 1 of 4 particles have left, 2 that have stayed are undecided"
+    assert not any("undecided" in text for text in describe(measure(built)))
 
 
 def test_what_cooling_adds_is_told_of_cold_coatings_alone(built: Splats) -> None:

@@ -141,9 +141,10 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     assert main(call) == 0
     said = capsys.readouterr()
     assert "critical velocity" in said.out
+    assert "Schmidt's formula: critical 665 m/s (Ni) and 716 m/s (SS304)" in said.out
     assert "not in the band: the error of the resolution" in said.out
     rows = read_rows(out / "critical.csv")
-    assert {row["verdict"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
+    assert {row["verdict_by_bonds"] for row in rows} <= {STICKS, REBOUNDS, UNDECIDED}
     assert all((out / "runs" / f"{row['velocity_m_s']}ms" / "summary.json").is_file() for row in rows)
     assert (out / "critical.png").stat().st_size > 10_000
     assert said.err.count(" ...") == len(rows)
@@ -162,7 +163,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     assert read_rows(out / "critical.csv") == rows
     whole = (out / "critical.csv").read_text()
     for before_, after, says in (
-        (f",{rows[0]['verdict']},", ",nonsense,", "row 1: verdict = 'nonsense'"),
+        (f",{rows[0]['verdict_by_bonds']},", ",nonsense,", "row 1: verdict_by_bonds = 'nonsense'"),
         (f"\n{rows[1]['velocity_m_s']},", "\nfast,", "row 2: velocity_m_s = 'fast'"),
     ):
         (out / "critical.csv").write_text(whole.replace(before_, after, 1))
@@ -181,7 +182,7 @@ def test_several_placements_show_their_scatter(tmp_path: Path, monkeypatch: pyte
 
     def rows_at(scene: Scene, velocity: float, *_: object) -> list[dict[str, object]]:
         words = (STICKS if velocity >= v else REBOUNDS for v in own)
-        return [{"velocity_m_s": velocity, "placement": k, "verdict": word} for k, word in enumerate(words)]
+        return [{"velocity_m_s": velocity, "placement": k, "verdict_by_bonds": word} for k, word in enumerate(words)]
 
     monkeypatch.setattr(critical, "rows_at", rows_at)
     nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
@@ -197,9 +198,20 @@ def test_several_placements_show_their_scatter(tmp_path: Path, monkeypatch: pyte
 
 
 def test_an_undecided_placement_counts_as_half() -> None:
-    rows = [{"velocity_m_s": "500", "verdict": word} for word in (STICKS, UNDECIDED, REBOUNDS, REBOUNDS)]
+    rows = [{"velocity_m_s": "500", "verdict_by_bonds": word} for word in (STICKS, UNDECIDED, REBOUNDS, REBOUNDS)]
     assert critical.shares_of(rows, 4) == {500.0: 0.375}
     assert critical.shares_of(rows, 5) == {}
+
+
+def test_the_verdict_of_a_scene_is_undecided_between_bonds_and_formulas() -> None:
+    """Nickel on steel: the formula says 665 and 716 m/s, the runs are bracketed around those, below and above."""
+    formula = critical.formula_of(Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni"))
+    for low, high, says in (
+        (680.0, 700.0, "rebounds up to 665 m/s, sticks from 716 m/s on, undecided between"),
+        (500.0, 520.0, "rebounds up to 500 m/s, sticks from 716 m/s on"),
+        (800.0, 820.0, "rebounds up to 665 m/s, sticks from 820 m/s on"),
+    ):
+        assert says in critical.verdict_words(bracket({low: REBOUNDS, high: STICKS}), formula)
 
 
 def test_a_band_without_an_upper_end() -> None:
@@ -230,7 +242,7 @@ def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest
     def rows_at(scene: Scene, velocity: float, *_: object) -> list[dict[str, object]]:
         if velocity > failing:
             raise StoreError(f"the run at {velocity:g} m/s failed: the contact has lost 9 of 200 points")
-        return [{"velocity_m_s": velocity, "placement": 0, "verdict": REBOUNDS}]
+        return [{"velocity_m_s": velocity, "placement": 0, "verdict_by_bonds": REBOUNDS}]
 
     monkeypatch.setattr(critical, "rows_at", rows_at)
     said: list[str] = []
@@ -253,7 +265,7 @@ def test_the_verdict_changes_once_about_the_margin(tmp_path: Path) -> None:
 
     def verdict(velocity: float) -> str:
         text = scene(("Ni", 25, velocity), **TINY, more=HELD.format(25))
-        return run(Scene.from_text(text, "margin"), tmp_path / f"{velocity:g}", quiet=True).verdict
+        return run(Scene.from_text(text, "margin"), tmp_path / f"{velocity:g}", quiet=True).verdict_by_bonds
 
     low, high = 570.0, 590.0
     verdicts = {low: verdict(low), high: verdict(high)}

@@ -154,7 +154,7 @@ def knocked_off(shared_run: SharedRuns) -> Result:
 def test_the_next_impact_knocks_a_splat_off(knocked_off: Result) -> None:
     s = knocked_off.summary
     first, second = s["impacts"]
-    assert first["verdict"] == "sticks"
+    assert first["verdict_by_bonds"] == "sticks"
     assert first["at_end"] is None
     assert first["detached_mass_kg"] == first["particle_mass_kg"]
     assert second["rebounded"]

@@ -73,7 +73,8 @@ def test_the_law_is_read_and_what_it_cannot_use_is_refused() -> None:
         ({"pair": [{"metals": ["Ni", "Ni"]}]}, "pair has no effect"),
     ):  # fmt: skip
         assert any(says in problem for problem in problems_with(adhesion=table | change))
-    assert any("SS304 has no oxide film" in problem for problem in problems_with(adhesion=table))
+    problems = problems_with(adhesion=table, particle={"material": "W"})
+    assert any("W has no oxide film: give oxide_thickness" in problem for problem in problems)
 
 
 def test_ligaments_are_torn_by_the_work_of_their_limit_load() -> None:
@@ -97,8 +98,19 @@ def test_ligaments_are_torn_by_the_work_of_their_limit_load() -> None:
 def test_the_smaller_fragments_and_the_tougher_film_decide() -> None:
     nickel, copper = materials.material("Ni"), materials.material("Cu")
     assert oxide_film(nickel, copper) == oxide_film(copper, nickel) == pytest.approx((0.10, 7.0))
-    with pytest.raises(ColdsprayError, match=r"Ti has no oxide film.*\[materials.Ti\]"):
-        oxide_film(nickel, materials.material("Ti"))
+    with pytest.raises(ColdsprayError, match=r"Ag has no oxide film.*\[materials.Ag\]"):
+        oxide_film(nickel, materials.material("Ag"))
+
+
+def test_films_of_the_library_follow_from_their_thickness() -> None:
+    """K = sigma_f sqrt(1.976 h), K = 0.6 MPa sqrt(m), for all but Cu2O, whose strength is a tenth of its modulus; the table of
+    docs/theory/bonds.md has two digits."""
+    films = {name: found.material for name, found in materials._library().items() if found.material.oxide_thickness}
+    assert {"Ti", "Ti6Al4V", "SS304", "SS316L", "IN718", "Zn", "Ta", "Fe", "AZ31B", "Ni", "OFHC_Cu", "Al"} <= set(films)
+    for name, metal in films.items():
+        tough = 0.6e6 / np.sqrt(1.976 * metal.oxide_thickness)
+        assert metal.oxide_strength == pytest.approx(2.8e9 if name == "OFHC_Cu" else tough, rel=0.02), name
+        assert metal.oxide_strength <= tough * 1.02
 
 
 def test_a_particle_of_few_points_is_told_that_its_bonds_come_out_too_weak() -> None:
@@ -140,7 +152,7 @@ def test_an_impact_exposes_metal_and_bonds_it(exposed: tuple[Result, dict[str, n
     assert np.all(seen["sound"] <= seen["clean"] + 1e-12)
     assert np.ptp(seen["strength"]) > 50e6  # each place has its own bond
     assert seen["strength"].max() < 2.97 * 600e6  # no more than work-hardened copper bears between cracks
-    assert result.verdict in ("sticks", "rebounds")
+    assert result.verdict_by_bonds in ("sticks", "rebounds")
     assert result.bonded_area_m2 > 0.0
     assert abs(result.energy_drift) < 7e-3  # 250 points, stiff contact; in the rebound it changes by less than 1e-5
 

@@ -56,7 +56,7 @@ def test_the_table(finished, tmp_path) -> None:
     assert next(row["reason"] for row in rows if row["status"] == "failed") == "an inverted element"
     assert varying(rows) == AXES[:2]
     row = next(row for row in rows if row["point"] == "Ni_28um_900ms_300K")
-    assert row["velocity_ratio"] == pytest.approx(900.0 / critical_velocity(material("Ni"), 300.0), rel=1e-12)
+    assert row["velocity_ratio"] == pytest.approx(900.0 / critical_velocity(material("Ni"), 300.0, 28e-6), rel=1e-12)
     assert row["restitution"] == pytest.approx(20.0 / 900.0, rel=1e-12)
     write_table(rows, tmp_path / "map.csv", "about")
     with (tmp_path / "map.csv").open() as stream:
@@ -247,7 +247,7 @@ def test_a_jump_at_the_critical_velocity_is_no_noise(tmp_path, capsys, figures) 
     assert np.interp(velocities[:5], *below.T) == pytest.approx(20.0 / np.array(velocities[:5]), rel=0.02)
     ratio = figures["map_Ni_velocity_ratio"].axes[0]
     assert any(set(line.get_ydata()) == {1.0} for line in ratio.get_lines())
-    assert "rms error" in next(line for line in said.splitlines() if "critical velocity: " in line)
+    assert "rms error" in next(line for line in said.splitlines() if "of the particle's metal: " in line)
 
 
 def test_few_points_have_the_markers_of_their_verdicts(tmp_path, capsys, figures) -> None:
@@ -295,7 +295,10 @@ def test_a_formula_needs_no_run(tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setattr("coupler.studies.maps.run_point", lambda *_: pytest.fail("it runs a formula"))
     assert cli.main(["map", str(tmp_path), "--show", "velocity_ratio", "--refine", "1"]) == 0
     said = capsys.readouterr().out
-    assert "no point to run: normal velocity / critical velocity is a formula of the scene and needs no run" in said
+    assert (
+        "no point to run: normal velocity / critical velocity of the particle's metal is a formula of the scene and needs no run"
+        in said
+    )
     assert "next point worth a run" not in said
 
 

@@ -9,10 +9,11 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from coupler.commands.main import main
+from coupler.measures import REBOUNDS, STICKS, UNDECIDED
 from coupler.physics import materials
-from coupler.physics.adhesion import THERMAL, critical_velocity
+from coupler.physics.adhesion import THERMAL, PairFormula, critical_velocity, pair_formula
 from coupler.spray.flight import melting
-from coupler.spray.window import Spray, critical_at, quantile
+from coupler.spray.window import ERODES, EROSION, Spray, quantile
 from coupler.studies.table import read_rows
 
 ROOT = Path(__file__).parents[1]
@@ -23,8 +24,8 @@ POWDER = ["--powder", "15 um", "25 um", "40 um"]
 def test_the_critical_velocity_falls_with_size_as_published() -> None:
     """Assadi et al. (2011): v = k1 sqrt(cp (T_m - T) + ...), k1 = 0.64 (D / 10 um)^-0.18; at 25 um k1^2 is Schmidt's F2 within 2 %."""
     metal = materials.material("Cu")
-    assert critical_at(metal, 300.0, 25e-6) == critical_velocity(metal, 300.0)
-    assert critical_at(metal, 300.0, 50e-6) / critical_at(metal, 300.0, 25e-6) == pytest.approx(2.0**-0.18)
+    assert critical_velocity(metal, 300.0, 25e-6) == critical_velocity(metal, 300.0)
+    assert critical_velocity(metal, 300.0, 50e-6) / critical_velocity(metal, 300.0, 25e-6) == pytest.approx(2.0**-0.18)
     assert (0.64 * 2.5**-0.18) ** 2 == pytest.approx(THERMAL, rel=0.02)
 
 
@@ -42,8 +43,57 @@ def test_what_flies_between_critical_and_erosion_velocity_stays(
 ) -> None:
     """Velocities over the critical one that are uniform between two values: the share between 1 and 2 of them."""
     share, one = np.linspace(0.0, 1.0, 26), np.ones(26)
-    powder = Spray(share, one, 600.0 * (fastest + (slowest - fastest) * share), one, 600.0 * one, one)
-    assert powder.efficiency(factor) == pytest.approx(stays, abs=1e-3)
+    velocity, formula = 600.0 * (fastest + (slowest - fastest) * share), (PairFormula("Cu", 600.0),) * 26
+    powder = Spray(share, one, velocity, one, one, formula)
+    fates, width = powder.fates(factor), fastest - slowest
+    assert fates[STICKS] == pytest.approx(stays, abs=1e-3)
+    assert fates[REBOUNDS] == pytest.approx(min(max(factor - slowest, 0.0) / width, 1.0), abs=1e-3)
+    assert fates[ERODES] == pytest.approx(max(fastest - EROSION * factor, 0.0) / width, abs=1e-3)
+
+
+def test_a_lower_critical_velocity_deposits_less_where_particles_erode_and_the_line_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Copper in helium reaches nearly twice its critical velocity: 20 % less puts all of it above the erosion velocity."""
+    gas = ["--gas", "He", "--pressure", "30 bar", "--temperature", "300 degC", "--nozzle", "D42PBI"]
+    assert main(["window", *gas, "--material", "Cu", *POWDER, "--within", "20%"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (least,) = (line for line in lines if line.startswith("  least"))
+    assert "lower: 0%; 0% of the mass is below the critical velocity, 100% above the erosion" in least
+    assert any(
+        line.startswith("  greatest within 20%, critical velocity") and "higher: 100%; 0%" in line for line in lines
+    )
+
+
+@pytest.mark.parametrize(("substrate", "says"), [
+    (None, "the substrate is not considered (none is named)"), ("V", "the substrate is not considered (V has no sigma_TS)"),
+    ("Cu", "m/s (OFHC_Cu)"), ("Al7075", "m/s (Al7075): the two metals disagree"),
+])  # fmt: skip
+def test_the_verdict_is_that_of_the_pair_or_says_that_it_is_not(
+    substrate: str | None, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--substrate", substrate] if substrate else []
+    gas = ["window", "--pressure", "40 bar", "--temperature", "300 degC", "--nozzle", "D42PBI", "--material", "Cu"]
+    assert main([*gas, *POWDER, *options]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert says in last
+    assert last.startswith("verdict on " if substrate else "verdict (on another metal: --substrate NAME)")
+    assert ("undecided" in last) == (substrate == "Al7075")
+
+
+def test_the_formula_of_a_pair_decides_where_both_metals_agree() -> None:
+    """Copper 488 m/s, 6061 832 m/s at 300 K and 25 um: between them neither is right, on one metal there is one limit."""
+    copper, aluminium, vanadium = (materials.material(name) for name in ("Cu", "Al", "V"))
+    pair = pair_formula(copper, aluminium, 300.0, 25e-6)
+    assert [pair.verdict(v) for v in (400.0, 614.0, 900.0)] == [REBOUNDS, UNDECIDED, STICKS]
+    limits = critical_velocity(copper, 300.0), critical_velocity(aluminium, 300.0)
+    assert [pair.margin(v) for v in (400.0, 614.0, 900.0)] == [400.0 - limits[0], None, 900.0 - limits[1]]
+    assert pair_formula(aluminium, copper, 300.0, 25e-6).verdict(614.0) == UNDECIDED
+    assert pair_formula(copper, copper, 300.0, 25e-6).verdict(614.0) == STICKS
+    alone = pair_formula(copper, vanadium, 300.0, 25e-6)
+    assert alone.verdict(614.0) == STICKS
+    assert "the substrate is not considered (V has no sigma_TS)" in alone.words(614.0)
+    assert pair_formula(vanadium, copper, 300.0, 25e-6).verdict(614.0) == UNDECIDED
 
 
 def test_the_command_prints_tabulates_and_draws(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,7 +105,7 @@ def test_the_command_prints_tabulates_and_draws(tmp_path: Path, capsys: pytest.C
     assert np.all(np.diff(diameter) > 0.0)
     assert np.interp(0.5, [float(row["share"]) for row in rows], diameter) == pytest.approx(25.0, rel=1e-3)
     metal = materials.material("Ni")
-    expected = [critical_at(metal, float(row["temperature_K"]), float(row["diameter_um"]) * 1e-6) for row in rows]
+    expected = [critical_velocity(metal, float(row["temperature_K"]), float(row["diameter_um"]) * 1e-6) for row in rows]
     assert ratio == pytest.approx([float(row["velocity_m_s"]) for row in rows] / np.array(expected), rel=1e-4)
     assert picture.stat().st_size > 10_000
 
@@ -87,7 +137,10 @@ def test_the_comparison_with_in718_is_that_of_its_table_and_the_picture_marks_wh
     monkeypatch.setattr("coupler.report.picture.save", lambda figure, _: figures.append(figure))
     monkeypatch.chdir(ROOT)
     assert main([*options, f"--png={tmp_path / 'w.png'}"]) == 0
-    assert "deposition efficiency 9%; 0% to 82%" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "deposition efficiency 9%; 91% of the mass is below the critical velocity" in said
+    assert "higher: 0%; 100% of the mass is below the critical velocity, 0% above the erosion velocity" in said
+    assert "critical velocity 20% lower: 82%" in said
     rows, table = read_rows(out), read_rows(kept)
     for row, held in zip(rows, table, strict=True):
         numbers = [{key: float(text) for key, text in each.items() if key != "version"} for each in (row, held)]
@@ -96,7 +149,7 @@ def test_the_comparison_with_in718_is_that_of_its_table_and_the_picture_marks_wh
         np.array([float(row[key]) for row in rows]) for key in ("diameter_um", "velocity_m_s", "velocity_ratio")
     )
     metal = materials.material("IN718")
-    of_median = np.array([critical_at(metal, float(row["temperature_K"]), 30e-6) for row in rows])
+    of_median = np.array([critical_velocity(metal, float(row["temperature_K"]), 30e-6) for row in rows])
     assert ((ratios >= 1.0).sum(), (velocities >= of_median).sum(), len(sizes)) == (2, 5, 25)
     (axis,) = (axis for axis in figures[0].axes if axis.get_title())
     drawn = [points for points in axis.collections if isinstance(points, PathCollection) and len(points.get_offsets())]

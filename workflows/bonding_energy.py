@@ -175,7 +175,7 @@ def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:
     v, e = np.array(MEASURED[case.name]).T
     is_measured = case.size == METALS[case.name][1] and case.temperature == 300.0 and v.min() <= velocity <= v.max()
     values = (
-        *case.key(velocity), s["verdict"], "" if s["restitution"] is None else round(s["restitution"], 4),
+        *case.key(velocity), s["verdict_by_bonds"], "" if s["restitution"] is None else round(s["restitution"], 4),
         round(float(np.interp(velocity, v, e)), 3) if is_measured else "", round(area / section, 3),
         *(round(energy / area, 1) if area and energy is not None else "" for energy in (s["bond_energy_J"], torn, rebound)),
     )  # fmt: skip
@@ -194,14 +194,14 @@ def placed_rows(
     rows = []
     for k, row in enumerate(rows_at(scene, velocity, folder, repeat)):
         s = Result(folder / point_name(velocity, k)).values
-        speed = row["rebound_velocity_m_s"] if row["verdict"] == REBOUNDS else None
+        speed = row["rebound_velocity_m_s"] if row["verdict_by_bonds"] == REBOUNDS else None
         history, mass = Result(folder / point_name(velocity, k)).history(), s["particle_mass_kg"]
         fastest = int(np.argmax(history["velocity_z"]))  # the net force turns: the contact lets go
         energies = (
             s["margin_J"], s["bond_energy_J"], history["bond"][-1], 0.5 * mass * history["velocity_z"][fastest] ** 2,
             history["bond"][fastest], None if speed is None else 0.5 * mass * float(str(speed)) ** 2,
         )  # fmt: skip
-        first = scene.particle.material, size, preset, velocity, k, row["verdict"], row["restitution"]
+        first = scene.particle.material, size, preset, velocity, k, row["verdict_by_bonds"], row["restitution"]
         rows.append(dict(zip(PLACED, (*first, *(None if e is None else e / section for e in energies)), strict=True)))
     return rows
 

@@ -61,9 +61,12 @@ def describe(measures: "CoatingMeasures") -> list[str]:
     um = {name: f"{1e6 * value:.1f} um" for name, value in vars(measures).items() if name.endswith("_m")}
     is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
     by_cooling = f", of it {1e-6 * measures.thermal_in_plane_Pa:+.0f} MPa by cooling" if is_cold else ""
+    least = f"{measures.least_efficiency:.1%} to " if measures.undecided else ""
+    unsettled = f", {measures.undecided} that have stayed are undecided" if measures.undecided else ""
     lines = [*measures.warnings]
     lines += [
-        f"deposition efficiency  {measures.deposition_efficiency:.1%}: {measures.rebounded} of {measures.impacts} particles have left",
+        f"deposition efficiency  {least}{measures.deposition_efficiency:.1%}: {measures.rebounded} of {measures.impacts} particles"
+        f" have left{unsettled}",
         f"thickness              {um['thickness_mean_m']} (mean), {um['thickness_min_m']} to {um['thickness_max_m']},"
         f" in a window of {um['window_radius_m']} radius; bare: {measures.bare_share:.1%} of it",
         f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",

@@ -86,8 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.repeat == 1:
         print("one placement at each velocity: that its verdict may be chance is not in the band (--repeat 3)")
     print(critical.resolution_words(scene))
-    if (formula := critical.schmidt(scene)) is not None:
-        print(f"Schmidt's formula: {formula:.4g} m/s")
+    print(critical.verdict_words(bracket, critical.formula_of(scene)))
     if not arguments.quiet:
         print(f"table in {table.path}\nfigure in {out / 'critical.png'}")
     return 0
@@ -125,7 +124,9 @@ def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: floa
         (right, "bonded_area_m2", 1.0 / section, "0.6", "that bonded"),
         (right, "bonded_area_end_m2", 1.0 / section, "k", "that holds"),
     ):
-        points = [(float(row["velocity_m_s"]), factor * float(row[key]), row["verdict"]) for row in rows if row[key]]
+        points = [
+            (float(row["velocity_m_s"]), factor * float(row[key]), row["verdict_by_bonds"]) for row in rows if row[key]
+        ]
         levels = [(v, [y for _, y, _ in own]) for v, own in groupby(points, key=lambda point: point[0])]
         at.plot([v for v, _ in levels], [sum(y) / len(y) for _, y in levels], color=colour, linewidth=0.8)
         for verdict, marker in _MARKERS.items():

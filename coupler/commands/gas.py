@@ -88,8 +88,10 @@ def read_conditions(
         problems.append(f"{_option(field)}{value} {problem}")
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
-    if arguments.material not in metals:
-        problems.append(f'--material "{arguments.material[:40]}": {materials.unknown(arguments.material[:40], metals)}')
+    for option in ("material", "substrate"):
+        name = getattr(arguments, option, None)
+        if name is not None and name not in metals:
+            problems.append(f'--{option} "{name[:40]}": {materials.unknown(name[:40], metals)}')
     diameters = []
     for text in arguments.diameter:
         try:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .. import __version__
+from ..measures import REBOUNDS, STICKS
 from . import gas
 from .arguments import Commands, add_command, add_force, path
 
@@ -23,6 +24,7 @@ def add(commands: Commands) -> None:
     gas.add_conditions(option)
     option("--powder", nargs=3, metavar=("D10", "D50", "D90"), required=True, dest="diameter",
            help='diameters below which 10, 50 and 90 %% of the mass are, such as "15 um" "25 um" "40 um"')  # fmt: skip
+    option("--substrate", metavar="NAME", help="metal under the first layer, for its verdict")
     option("--within", default="20%", metavar="PERCENT", help='uncertainty of the critical velocity (default: "20%%")')
     option("--csv", type=path, metavar="FILE", help="write a row for each class of the powder")
     option("--png", type=path, metavar="FILE", help="draw velocity over temperature at impact, with the limits")
@@ -49,9 +51,11 @@ def run(arguments: argparse.Namespace) -> int:
     if not sizes[0] <= sizes[1] <= sizes[2]:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: D10, D50 and D90 must not fall"], "window")
     metal = metals[arguments.material]
+    base = metals[arguments.substrate] if arguments.substrate is not None else None
     flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), flight.DRAG_LAWS[conditions.drag]
     spray = window.spray(
         metal,
+        base,
         (sizes[0], sizes[1], sizes[2]),
         lambda D: flight.fly_together(flow, metal, D, conditions.powder_temperature, law),
     )
@@ -76,17 +80,40 @@ def text_of(metal: "Material", spray: "Spray", within: float) -> list[str]:
             f"  {spray.diameter[i] * 1e6:>13.3g} um  {spray.velocity[i]:>5.0f} m/s  {spray.temperature[i]:>9.0f} K"
             f"  {spray.critical[i]:>5.0f} m/s  {ratio[i]:.2f}"
         )
-    low, high = spray.band(within)
-    band = f"{low:.0%} to {high:.0%} with a critical velocity {within:.0%} higher or lower"
     notes = melting(metal, spray.diameter.tolist(), spray.hottest.tolist(), spray.temperature.tolist())
-    return [*lines, "", *(f"note: {note}" for note in notes), f"deposition efficiency {spray.efficiency():.0%}; {band}"]
+    lines += ["", *(f"note: {note}" for note in notes), f"deposition efficiency {_efficiency(spray)}"]
+    for word, factor in zip(("least", "greatest"), spray.extremes(within), strict=True):
+        if factor != 1.0:
+            side = f"{abs(factor - 1.0):.0%} {'higher' if factor > 1.0 else 'lower'}"
+            lines.append(f"  {word} within {within:.0%}, critical velocity {side}: {_efficiency(spray, factor)}")
+    return [*lines, _verdict(spray)]
+
+
+def _efficiency(spray: "Spray", factor: float = 1.0) -> str:
+    """Deposition efficiency at a factor on the critical velocity, and which line the rest of the mass crosses."""
+    from ..spray.window import ERODES, EROSION
+
+    fates = spray.fates(factor)
+    return (
+        f"{fates[STICKS]:.0%}; {fates[REBOUNDS]:.0%} of the mass is below the critical velocity, {fates[ERODES]:.0%} above the erosion"
+        f" velocity ({EROSION:g} times the critical one)"
+    )
+
+
+def _verdict(spray: "Spray") -> str:
+    """Shares of the mass by their verdict on the substrate, and the formula for the median particle."""
+    median = spray.formula[len(spray.formula) // 2]
+    head = f"verdict on {median.base}" if median.base else "verdict (on another metal: --substrate NAME)"
+    shares = ", ".join(f"{share:.0%} {fate}" for fate, share in spray.fates(on_substrate=True).items() if share)
+    return f"{head}: of the mass {shares}; median: {median.words(spray.velocity[len(spray.formula) // 2])}"
 
 
 def _write_csv(arguments: argparse.Namespace, spray: "Spray") -> None:
     from ..files.outputs import MARK
     from ..studies.table import write_rows
 
-    options = shlex.join([*gas.given(arguments), "--powder", *arguments.diameter])
+    under = ["--substrate", arguments.substrate] if arguments.substrate is not None else []
+    options = shlex.join([*gas.given(arguments), "--powder", *arguments.diameter, *under])
     values = (
         spray.share, spray.diameter * 1e6, spray.velocity, spray.temperature, spray.critical, spray.ratio
     )  # fmt: skip
@@ -108,6 +135,7 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
     from matplotlib import colormaps
     from matplotlib.colors import Normalize
 
+    from ..physics.adhesion import critical_velocity
     from ..report.picture import blank, save
     from ..spray import window
 
@@ -116,7 +144,7 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
     T = np.linspace(
         min(273.0, float(spray.temperature.min())), min(float(spray.temperature.max()) + 300.0, 0.9 * metal.T_m), 60
     )
-    critical = np.array([window.critical_at(metal, t, median) for t in T])
+    critical = np.array([critical_velocity(metal, t, median) for t in T])
     axis.fill_between(T, (1.0 - within) * critical, (1.0 + within) * critical, color="0.9", linewidth=0.0)
     size = f"of {median * 1e6:.3g} µm (median)"
     for factor, style, label in (
@@ -140,8 +168,7 @@ def draw(picture: Path, metal: "Material", median: float, spray: "Spray", within
                      label=f"{count} of {n} classes of equal mass, {side} their own critical velocity")  # fmt: skip
     figure.colorbar(points, ax=axis, label="diameter (µm)")
     axis.set(xlabel="temperature at impact (K)", ylabel="velocity (m/s)", ylim=(0.0, None))
-    low, high = spray.band(within)
-    efficiency = f"deposition efficiency {spray.efficiency():.0%} ({low:.0%} to {high:.0%})"
-    axis.set_title(f"{metal.name}: {efficiency}\n{conditions}", fontsize=10)
+    efficiency, low, high = (f"{spray.fates(factor)[STICKS]:.0%}" for factor in (1.0, *spray.extremes(within)))
+    axis.set_title(f"{metal.name}: deposition efficiency {efficiency} ({low} to {high})\n{conditions}", fontsize=10)
     axis.legend(fontsize=8)
     save(figure, picture)

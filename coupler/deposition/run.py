@@ -22,7 +22,6 @@ from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.stop import terminable
 from ..impact.summary import ImpactRecord
-from ..measures import UNDECIDED
 from ..plan.planning import Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
@@ -243,12 +242,12 @@ class Deposition:
                     self._save(None, bodies.state())
             self._write_batch()
             if plan.ambient is not None and not self.undecided:
-                if self.records[-1].values["verdict"] != UNDECIDED:  # such an impact can go on
+                if self.records[-1].values["rebounded"] is not None:  # without that an impact can go on
                     self._save(None, bodies.state())
                 bodies = self._close(bodies)
             origin = provenance(Result(self.folder).scene_text, plan.engine)
             self.store.finish({**self._summary(bodies), "provenance": origin})
-            if not self.undecided and self.records[-1].values["verdict"] != UNDECIDED:
+            if not self.undecided and self.records[-1].values["rebounded"] is not None:
                 checkpoint.clear(self.folder)
                 clear(self.folder)
             result = Result(self.folder)

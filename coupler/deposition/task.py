@@ -14,7 +14,6 @@ from ..impact.bodies import BodiesState
 from ..impact.domains import restored_target
 from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
-from ..measures import UNDECIDED
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..state.threads import add_second_thread, second_thread
@@ -95,7 +94,7 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
         finally:
             outcome.domains.particle.close()
         result = TaskResult(after.state(), record, prepared, joined, store.state())
-        save(last if undecided or record.values["verdict"] == UNDECIDED else None, result)
+        save(last if undecided or record.values["rebounded"] is None else None, result)
     return result
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StoreError
-from ..measures import UNDECIDED
 from .fields import CELL_COLUMNS, Fields, opened, read_step, times_of
 from .inputs import SCENE_LIMIT, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
@@ -72,8 +71,8 @@ class Result:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether it is decided if the particle of the last impact sticks."""
-        return self.values.get("verdict") != UNDECIDED
+        """Whether the run has shown what the particle of the last impact does; without it, it can go on."""
+        return self.values.get("rebounded", False) is not None
 
     @property
     def at_own_end(self) -> bool:

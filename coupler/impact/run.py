@@ -10,7 +10,6 @@ import numpy as np
 from ..contact.hold import Hold
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
-from ..measures import UNDECIDED
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
@@ -135,7 +134,7 @@ def run_impact(
                 record = summarise(
                     impact, recorder, retries.applied, watch.wall, watch.looped, undecided, settled, is_lost
                 )
-                if undecided is not None or record.values["verdict"] == UNDECIDED:
+                if undecided is not None or record.values["rebounded"] is None:
                     save(keeper.state())
                 return ImpactOutcome(domains, impact.hold, record)
             except SolverError as error:

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..files.summary import Values
-from ..measures import REBOUNDS, STICKS, UNDECIDED, within_range
+from ..measures import STICKS, UNDECIDED, within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
 from .recorder import Recorder
@@ -89,7 +89,6 @@ def summarise(
         "energies": {name: value / ledger.kinetic_0 for name, value in ledger.rows.items() if name not in others},
         "undecided": undecided,
     }
-    refused: dict[str, str] = {}
     end: Values = {**measured}
     if not settled and not is_lost:
         reason = undecided or "the contact has not come to an end"
@@ -98,12 +97,11 @@ def summarise(
             "verdict_by": None,
             "verdict_rests_on": reason,
             "verdict_is_close": False,
+            **({"verdict_by_bonds": UNDECIDED} if "verdict_by_bonds" in own else {}),
             **dict.fromkeys(_NEED_VERDICT),
         }
-    if own["verdict"] != REBOUNDS:
-        sticks = own["verdict"] == STICKS
-        keys = ("rebound_velocity_m_s",) if sticks else ("rebounded", "restitution", "rebound_velocity_m_s")
-        refused = dict.fromkeys(keys, STUCK if sticks else str(own["verdict_rests_on"]))
+    missing = [key for key in ("rebounded", "restitution", "rebound_velocity_m_s") if own[key] is None]
+    refused = dict.fromkeys(missing, STUCK if own["verdict"] == STICKS else str(own["verdict_rests_on"]))
     if undecided is not None:
         end |= dict.fromkeys(measured.keys() - {"time_s"})
         unknown = [key for key in NEEDS_REST if key in own]

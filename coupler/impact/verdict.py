@@ -22,6 +22,8 @@ SCATTER = 0.5
 class Verdict:
     """verdict: "sticks", "rebounds" or "undecided". rests_on: the values that decide it. by: of `measures.VERDICT_BY`, what decides.
 
+    rebounded: what the particle of the run does by the scene's law, also where formula and bonds, or the two metals, disagree and the
+    verdict is undecided; None where the run does not show it. bonds: verdict of the computed bonds alone, "" where there are none.
     margin_J, margin_m_s: how far the verdict is from the other one; positive where the particle sticks: the energy that its bonds
     can take up beyond that in motion, and the velocity of the particle with this energy; or, by a criterion of velocity, the
     energy and velocity of impact above the critical ones. Negative where it rebounds: its energy and velocity off the surface, or
@@ -32,14 +34,11 @@ class Verdict:
     verdict: str
     rests_on: str
     by: str
+    rebounded: bool | None = None
+    bonds: str = ""
     margin_J: float | None = None
     margin_m_s: float | None = None
     is_close: bool = False
-
-    @property
-    def rebounded(self) -> bool | None:
-        """Whether the particle leaves; None where that is undecided."""
-        return None if self.verdict == UNDECIDED else self.verdict == REBOUNDS
 
 
 def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: Hold | None) -> Verdict:
@@ -49,20 +48,36 @@ def judge(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float, hold: 
     """
     if law.in_impact:
         decided = _by_bonds(mass, upwards, hold)
-        if hold is None or decided.margin_J is None or abs(decided.margin_J) >= SCATTER * hold.bond.dissipated:
-            return decided
-        words = f"{decided.rests_on}; so close that another placement of points and elements may change it"
-        return replace(decided, rests_on=words, is_close=True)
+        if hold is not None and decided.margin_J is not None and abs(decided.margin_J) < SCATTER * hold.bond.dissipated:
+            words = f"{decided.rests_on}; so close that another placement of points and elements may change it"
+            decided = replace(decided, rests_on=words, is_close=True)
+        return _with_formula(decided, impact)
     if law.kind == "tied" and law.criterion == "velocity":
         return _by_velocity(law, impact, mass, upwards)
     if law.kind == "tied":
-        return Verdict(STICKS, "the scene, which ties all that touches; no bond was computed", BY_SCENE)
+        return Verdict(
+            STICKS, "the scene, which ties all that touches; no bond was computed", BY_SCENE, rebounded=False
+        )
     return _unheld("there is no adhesion in the scene", BY_MOTION, mass, upwards)
+
+
+def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
+    """The verdict of computed bonds beside that of the formula: undecided where they disagree, with both said."""
+    formula, bonds = impact.formula, decided.verdict
+    words = formula.words(impact.towards)
+    if not formula.known or bonds == UNDECIDED:
+        return replace(decided, bonds=bonds, rests_on=f"{decided.rests_on}; {words}")
+    other = formula.verdict(impact.towards)
+    if other == bonds:
+        return replace(decided, bonds=bonds, rests_on=f"{decided.rests_on}; it {other} by the formula, too ({words})")
+    by_formula = "is undecided" if other == UNDECIDED else other
+    both = f"it {bonds} by computed bonds ({decided.rests_on}); by the formula it {by_formula} ({words})"
+    return replace(decided, verdict=UNDECIDED, bonds=bonds, rests_on=both)
 
 
 def is_tied(law: Adhesion, impact: ImpactPlan) -> bool:
     """Whether a particle sticks by the scene or by its velocity, whatever it does at the end of its impact."""
-    return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).verdict == STICKS
+    return law.kind == "tied" and judge(law, impact, 1.0, 0.0, None).rebounded is False
 
 
 def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
@@ -79,34 +94,34 @@ def _by_bonds(mass: float, upwards: float, hold: Hold | None) -> Verdict:
         return Verdict(UNDECIDED, few, BY_BONDS)
     resistance, energy = hold.resistance, 0.5 * mass * upwards**2 + hold.bond.stored
     if math.isinf(resistance):
-        return Verdict(STICKS, f"{whole} of {len(hold.rows)} bonds hold, which do not break", BY_BONDS)
+        return Verdict(STICKS, f"{whole} of {len(hold.rows)} bonds hold, which do not break", BY_BONDS, rebounded=False)
     words = f"bonds can take up {resistance * 1e9:.3g} nJ, {energy * 1e9:.3g} nJ are left to part them"
     if resistance <= energy:
         return Verdict(UNDECIDED, words, BY_BONDS)
     spare = resistance - energy
-    return Verdict(STICKS, words, BY_BONDS, spare, math.sqrt(2.0 * spare / mass))
+    margin = math.sqrt(2.0 * spare / mass)
+    return Verdict(STICKS, words, BY_BONDS, rebounded=False, margin_J=spare, margin_m_s=margin)
 
 
 def _by_velocity(law: Adhesion, impact: ImpactPlan, mass: float, upwards: float) -> Verdict:
-    """From the normal velocity of impact over the critical one of Schmidt's formula."""
-    ratio, threshold = impact.velocity_ratio, 1.0 if law.threshold is None else law.threshold
-    if ratio is None:
-        return Verdict(UNDECIDED, "the critical velocity is not known", BY_FORMULA)
-    velocity = abs(impact.velocity[2])
-    critical = velocity / ratio * threshold
-    words = f"Schmidt's formula: {velocity:.0f} m/s normal to the surface, critical {critical:.0f} m/s; no bond was computed"
-    margin = 0.5 * mass * (velocity**2 - critical**2), velocity - critical
-    if ratio >= threshold:
-        return Verdict(STICKS, words, BY_FORMULA, *margin)
-    if upwards <= REBOUND:
-        return Verdict(UNDECIDED, f"{words}, and it does not move off ({upwards:.2g} m/s)", BY_FORMULA, *margin)
-    return Verdict(REBOUNDS, words, BY_FORMULA, *margin)
+    """From the normal velocity of impact over the critical ones of the formula; the scene ties by that of the particle's metal."""
+    formula, velocity = impact.formula, impact.towards
+    verdict, ratio = formula.verdict(velocity, law.limit), impact.velocity_ratio
+    words, margin = f"{formula.words(velocity, law.limit)}; no bond was computed", formula.margin(velocity, law.limit)
+    rebounded = None if ratio is None else False if ratio >= law.limit else True if upwards > REBOUND else None
+    if verdict == REBOUNDS and rebounded is None:
+        return Verdict(UNDECIDED, f"{words}, and it does not move off ({upwards:.2g} m/s)", BY_FORMULA)
+    if margin is None:
+        return Verdict(verdict, words, BY_FORMULA, rebounded)
+    energy = 0.5 * mass * (velocity**2 - (velocity - margin) ** 2)
+    return Verdict(verdict, words, BY_FORMULA, rebounded, margin_J=energy, margin_m_s=margin)
 
 
 def _unheld(reason: str, by: str, mass: float, upwards: float) -> Verdict:
     if upwards <= REBOUND:
         return Verdict(UNDECIDED, f"{reason}, and it does not move off ({upwards:.2g} m/s)", by)
-    return Verdict(REBOUNDS, f"{reason}, it moves off at {upwards:.3g} m/s", by, -0.5 * mass * upwards**2, -upwards)
+    words, energy = f"{reason}, it moves off at {upwards:.3g} m/s", -0.5 * mass * upwards**2
+    return Verdict(REBOUNDS, words, by, rebounded=True, margin_J=energy, margin_m_s=-upwards)
 
 
 def verdict_values(
@@ -116,24 +131,27 @@ def verdict_values(
 
     is_lost: whether the particle has slid over the rim of the target, whatever the scene ties. rebound_velocity_m_s: velocity of the
     centre of mass off the target, None of a particle that does not rebound;
-    restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays;
+    restitution: velocity of the centre of mass off the target after the impact over that towards it before, 0 where it stays, None
+    where that is undecided and no bond was computed; verdict_by_bonds: of the computed bonds alone;
     bonded_area_m2, bonded_area_end_m2: all that bonded, and what of it holds; bond_energy_J: to tear all that bonded, in tension,
     None where a bond does not break.
     """
-    lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION)
+    lost = Verdict(REBOUNDS, "it has slid over the rim of the target", BY_MOTION, rebounded=True)
     decided = lost if is_lost else judge(law, impact, mass, upwards, hold)
     left = decided.rebounded
+    stays = left is False and (law.in_impact or decided.verdict == STICKS)
     values: Values = {
         "verdict": decided.verdict, "verdict_criterion": law.words, "verdict_by": decided.by,
         "verdict_rests_on": decided.rests_on, "verdict_is_close": decided.is_close,
         "margin_J": decided.margin_J, "margin_m_s": decided.margin_m_s, "rebounded": left,
-        "restitution": None if left is None else max(upwards, 0.0) / -impact.velocity[2] if left else 0.0,
+        "restitution": max(upwards, 0.0) / impact.towards if left else 0.0 if stays else None,
         "rebound_velocity_m_s": max(upwards, 0.0) if left else None,
     }  # fmt: skip
     if law.in_impact:
         first, last = hold.area if hold is not None else (0.0, 0.0)
         energy = 0.0 if hold is None else float(hold.bond.area @ hold.bond.energy[:, 0])
         values |= {
+            "verdict_by_bonds": decided.bonds or decided.verdict,
             "bonded_area_m2": first,
             "bonded_area_end_m2": last,
             "bond_energy_J": energy if math.isfinite(energy) else None,
@@ -141,17 +159,22 @@ def verdict_values(
     return values | {"velocity_ratio": impact.velocity_ratio, "particle_mass_kg": mass}
 
 
-def deposition_efficiency(records: Sequence[Values]) -> float | None:
-    """Mass that stayed over the mass of all particles, from the records of their impacts; None while one is undecided.
+def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
+    """Mass that stayed over the mass of all particles, from the records of their impacts: with no undecided one, and with all.
 
-    detached_mass_kg of a record: what of its splat has come off later. An undecided one that has come off as a whole is lost.
+    detached_mass_kg of a record: what of its splat has come off later.
     """
-    undecided = [record for record in records if record["rebounded"] is None]
-    if any(record.get("detached_mass_kg", 0.0) < record["particle_mass_kg"] for record in undecided):
-        return None
-    mass = [record["particle_mass_kg"] for record in records]
-    lost = [
-        m if record["rebounded"] else record.get("detached_mass_kg", 0.0)
-        for m, record in zip(mass, records, strict=True)
-    ]
-    return float(1.0 - sum(lost) / sum(mass))
+    mass = sum(record["particle_mass_kg"] for record in records)
+    decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}
+    lost = [0.0, 0.0]  # most, least
+    for record in records:
+        least = record.get("detached_mass_kg", 0.0)
+        for k, share in enumerate(decided[record["verdict"]]):
+            lost[k] += max(share * record["particle_mass_kg"], least)
+    return 1.0 - lost[0] / mass, 1.0 - lost[1] / mass
+
+
+def deposition_efficiency(records: Sequence[Values]) -> float | None:
+    """`efficiency_range` where it is one value; None while a particle is undecided that has not come off as a whole."""
+    low, high = efficiency_range(records)
+    return low if high - low < 1e-12 else None

@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import units
 from ..errors import ColdsprayError, SceneError
+from ..measures import REBOUNDS, STICKS, UNDECIDED
 from .materials import Material
 
 Kind = Literal["none", "tied", "cohesive"]
@@ -19,23 +20,29 @@ EXTRUSION = 2.0 / math.sqrt(3.0)  # pressure that brings metal through a crack, 
 # net stress of a ligament between deep cracks, over its flow stress (Prandtl)
 CONSTRAINT = (2.0 + math.pi) / math.sqrt(3.0)
 MECHANICAL, THERMAL = 1.2, 0.3  # Schmidt's F1 and F2
+REFERENCE, EXPONENT = (
+    25e-6,
+    -0.18,
+)  # m: diameter of the formula's particles; power of the critical velocity in the diameter
 # of the springs of a bonded particle, bulk moduli (of the softer metal) per spacing, as the contact's
 HELD_STIFFNESS = 1.0
 
 
-def critical_velocity(material: Material, temperature: float) -> float:
-    """Critical velocity, m/s, of particles of about 25 um that hit at `temperature` K, on their own kind.
+def critical_velocity(material: Material, temperature: float, diameter: float = REFERENCE) -> float:
+    """Critical velocity, m/s, of particles of `diameter` m that hit at `temperature` K, on their own kind.
 
-        v = sqrt(F1 4 sigma_TS (1 - (T - T_R) / (T_m - T_R)) / rho + F2 cp (T_m - T)),   F1 = 1.2, F2 = 0.3
+        v = sqrt(F1 4 sigma_TS (1 - (T - T_R) / (T_m - T_R)) / rho + F2 cp (T_m - T)) (D / 25 um)^-0.18,   F1 = 1.2, F2 = 0.3
 
     Schmidt, Gaertner, Assadi & Kreye (2006), Acta Mater. 54, 729; F1 and F2 are theirs, fitted to impact tests and spray
-    experiments. sigma_TS is that of the bulk metal. Raises ColdsprayError where the material has none.
+    experiments. The power of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161, whose factor
+    k1 = 0.64 (D / 10 um)^-0.18 is that of Schmidt's formula at 25 um. sigma_TS is that of the bulk metal. Raises ColdsprayError where
+    the material has none.
     """
     T, T_m = temperature, material.T_m
     softening = max(1.0 - (T - ROOM) / (T_m - ROOM), 0.0)
     mechanical = MECHANICAL * 4.0 * _tensile_strength(material) * softening / material.rho
     thermal = THERMAL * material.cp_at(T) * max(T_m - T, 0.0)
-    return math.sqrt(mechanical + thermal)
+    return math.sqrt(mechanical + thermal) * (diameter / REFERENCE) ** EXPONENT
 
 
 def _tensile_strength(material: Material) -> float:
@@ -45,6 +52,61 @@ def _tensile_strength(material: Material) -> float:
             f'give it under [materials.{material.name}], as in sigma_TS = "400 MPa"'
         )
     return material.sigma_TS
+
+
+@dataclass(frozen=True)
+class PairFormula:
+    """Schmidt's formula for a particle on a metal: the formula knows own kind on own kind only, so that it is asked for both metals, at
+    the particle's temperature and diameter, and decides where both agree.
+
+    metal, base: names of the particle's metal and of that which it hits, "" where none is named; critical, base_critical m/s: their
+    critical velocities, None where a metal has no tensile strength.
+    """
+
+    metal: str
+    critical: float | None
+    base: str = ""
+    base_critical: float | None = None
+
+    @property
+    def known(self) -> dict[str, float]:
+        """Critical velocities, m/s, of the metals that have one, the particle's first."""
+        return {n: v for n, v in ((self.metal, self.critical), (self.base, self.base_critical)) if v is not None}
+
+    def verdict(self, velocity: float, threshold: float = 1.0) -> str:
+        """Sticks, rebounds or undecided at a velocity (m/s) normal to the surface. threshold: factor on the critical velocities."""
+        if self.critical is None:
+            return UNDECIDED
+        reached = {velocity >= threshold * critical for critical in self.known.values()}
+        return UNDECIDED if len(reached) > 1 else STICKS if True in reached else REBOUNDS
+
+    def margin(self, velocity: float, threshold: float = 1.0) -> float | None:
+        """Velocity above the highest critical one where it sticks, negative below the lowest where it rebounds; None: undecided."""
+        verdict, limits = self.verdict(velocity, threshold), [threshold * v for v in self.known.values()]
+        return None if verdict == UNDECIDED else velocity - (max(limits) if verdict == STICKS else min(limits))
+
+    def words(self, velocity: float | None = None, threshold: float = 1.0) -> str:
+        """The formula in a sentence, without its verdict: what it considers, the velocity (m/s) and the critical ones."""
+        if self.critical is None:
+            return f"no formula: {self.metal} has no tensile strength (sigma_TS)"
+        head = "Schmidt's formula"
+        if self.base_critical is None:
+            why = f"{self.base} has no sigma_TS" if self.base else "none is named"
+            head = f"{head} of the particle's metal; the substrate is not considered ({why})"
+        limits = " and ".join(f"{threshold * v:.0f} m/s ({name})" for name, v in self.known.items())
+        speed = f"{velocity:.0f} m/s normal to the surface, " if velocity is not None else ""
+        disagree = ": the two metals disagree"
+        split = velocity is not None and self.verdict(velocity, threshold) == UNDECIDED
+        return f"{head}: {speed}critical {limits}{disagree if split else ''}"
+
+
+def pair_formula(particle: Material, base: Material | None, temperature: float, diameter: float) -> PairFormula:
+    """The formula for a particle of `temperature` K and `diameter` m on a metal, or on one that is not named."""
+    first, second = (
+        critical_velocity(metal, temperature, diameter) if metal is not None and metal.sigma_TS is not None else None
+        for metal in (particle, base)
+    )
+    return PairFormula(particle.name, first, base.name if base is not None else "", second)
 
 
 def clean_share(exposure: np.ndarray, threshold: float | np.ndarray) -> np.ndarray:
@@ -239,8 +301,13 @@ class Adhesion:
         value = values[self.criterion]
         if value is None:
             raise ValueError(f"the criterion {self.criterion!r} of adhesion needs a value, and there is none")
-        threshold = 1.0 if self.threshold is None else self.threshold
+        threshold = self.limit
         return np.broadcast_to(np.asarray(value) >= threshold, (nodes,)).copy()
+
+    @property
+    def limit(self) -> float:
+        """Threshold of the criterion: 1 of the velocity over the critical one unless given."""
+        return 1.0 if self.threshold is None else self.threshold
 
     @property
     def in_impact(self) -> bool:
@@ -261,7 +328,7 @@ class Adhesion:
             shear = (self.shear_strength, "MPa"), (self.shear_energy, "J/m2")
             of_shear = " and ".join(units.rounded(value, unit) for value, unit in shear if value is not None)
             text += f" ({of_shear} in shear)" if of_shear else ""
-        reached = 1.0 if self.threshold is None else self.threshold
+        reached = self.limit
         where = {
             "all": "wherever they touch",
             "plastic_strain": f"where the plastic strain has reached {reached:g}",

@@ -209,11 +209,13 @@ def _adhesion(d: Derived, catalogue: Mapping[str, Material]) -> Iterator[Problem
             yield (field, "adhesion.kind", "adhesion.criterion"), f"adhesion.{problem}"
         return
     scene = d.scene
+    known = [catalogue[name] for name in dict.fromkeys(p.material for p in scene.particles) if name in catalogue]
+    without = ", ".join(metal.name for metal in known if metal.sigma_TS is None)
     if scene.adhesion.kind is None and law.kind == "none" and len(scene.particles) > 1:
         yield (
             ("adhesion.kind", "particle"),
-            "adhesion: several particles need something that holds them, and the critical velocity of one is not known (no sigma_TS):"
-            ' give kind = "cohesive" with strength and energy, "tied", or "none" if nothing holds them',
+            f"adhesion: several particles need something that holds them, and the critical velocity of {without} is not known (no"
+            ' sigma_TS): give kind = "cohesive" with strength and energy, "tied", or "none" if nothing holds them',
         )
     for pair in law.pairs:
         if unknown := [name for name in pair.metals if name not in catalogue]:

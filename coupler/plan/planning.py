@@ -11,8 +11,8 @@ import numpy as np
 
 from .. import units
 from ..geometry.tetrahedra import COARSEST
-from ..measures import NEED_REST, WANTABLE
-from ..physics.adhesion import Adhesion, critical_velocity
+from ..measures import NEED_REST, REBOUNDS, WANTABLE
+from ..physics.adhesion import Adhesion, PairFormula, pair_formula
 from ..physics.materials import Material
 from ..scene.tables import End, Face, Particle
 from . import cost as estimates
@@ -37,8 +37,8 @@ class ImpactPlan:
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
     rate's smoothing; dwell, the time until the next. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. velocity_ratio: its
-    component normal to the surface over the critical velocity of material and temperature, None where the material has none.
+    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. formula: critical
+    velocities of its metal and of that which it hits, a splat or the substrate.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
     splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
     hardness. bands: accuracy of each measure at this resolution."""
@@ -62,11 +62,22 @@ class ImpactPlan:
     dwell: float
     end_at: Literal["rest", "greatest", "time"]
     window: float
-    velocity_ratio: float | None
+    formula: PairFormula
     lengths: tuple[float, float, float]
     splat_elements: int
     initial_strain: float
     bands: tuple[Band, ...]
+
+    @property
+    def towards(self) -> float:
+        """Velocity normal to the surface, m/s."""
+        return -self.velocity[2]
+
+    @property
+    def velocity_ratio(self) -> float | None:
+        """`towards` over the critical velocity of its own metal; None where that has none, infinite at its melting point."""
+        critical = self.formula.critical
+        return None if critical is None else self.towards / critical if critical else math.inf
 
 
 @dataclass(frozen=True)
@@ -252,12 +263,13 @@ def _to_greatest(impact: ImpactPlan) -> ImpactPlan:
 
 
 def _stays(scene: Scene, particle: Particle) -> bool:
-    """Whether a particle is expected to become a splat: not where its velocity decides and is below the critical one."""
-    law, normal = scene.derived.adhesion_law, particle.velocity * math.cos(particle.angle)
+    """Whether a particle is expected to become a splat: not where its velocity decides and is below the critical one of its metal."""
+    law, metal = scene.derived.adhesion_law, scene.derived.material(particle.material)
     if law.kind == "none" or law.criterion != "velocity":
         return True
-    ratio = _velocity_ratio(scene.derived.material(particle.material), particle.temperature, normal)
-    return ratio is None or ratio >= (1.0 if law.threshold is None else law.threshold)
+    normal = particle.velocity * math.cos(particle.angle)
+    formula = pair_formula(metal, None, particle.temperature, particle.diameter)
+    return formula.verdict(normal, law.limit) != REBOUNDS
 
 
 def _under(scene: Scene, i: int) -> tuple[Material, float, bool]:
@@ -303,7 +315,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         dwell=scene.derived.dwell_of(particle),
         end_at=end_at,
         window=scene.derived.window_of(particle),
-        velocity_ratio=_velocity_ratio(material, particle.temperature, v * math.cos(particle.angle)),
+        formula=pair_formula(material, base, particle.temperature, D),
         lengths=particle.form.lengths,
         splat_elements=scene.derived.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
@@ -329,11 +341,6 @@ def _solid(file: str) -> SolidPlan:
     solid = load(Path(file))
     points = tuple((x, y, z) for x, y, z in solid.points.tolist())
     return SolidPlan(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
-
-
-def _velocity_ratio(material: Material, temperature: float, velocity: float) -> float | None:
-    """Velocity (m/s) over the critical one; None for a material without a tensile strength."""
-    return None if material.sigma_TS is None else velocity / critical_velocity(material, temperature)
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:

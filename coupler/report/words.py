@@ -33,7 +33,14 @@ OF_EACH = (
     "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
 )  # fmt: skip
 NOTES = ("effects", "warnings")  # lists of words, below the table
-_ABOVE = (*NOTES, "undecided", "verdict_criterion", "verdict_by", "verdict_rests_on")  # not in the tables
+_ABOVE = (
+    *NOTES,
+    "undecided",
+    "verdict_criterion",
+    "verdict_by",
+    "verdict_by_bonds",
+    "verdict_rests_on",
+)  # not in the tables
 _BLOCKS = {"greatest": "at the greatest deformation", "end": "at the end", "at_end": "at the end of the run"}
 Block = Mapping[str, object]  # measures of one impact or run at one time
 
@@ -160,7 +167,7 @@ def _with_reason(record: Block, of_several: bool = False) -> str:
         text += " at its impact and " + ("has come off later" if lost >= _WHOLE else "parts of it have come off later")
     if record.get("verdict_rests_on"):
         text += f": {record['verdict_rests_on']}"
-    if isinstance(margin := record.get("margin_m_s"), int | float):
+    if word != UNDECIDED and isinstance(margin := record.get("margin_m_s"), int | float):
         text += f"; margin {margin:+.3g} m/s"
     return text + _bonded(record)
 
@@ -214,7 +221,9 @@ def _decided_by(records: Sequence[Block]) -> list[str]:
 def _closest(records: Sequence[Block]) -> list[str]:
     """The particle whose margin is the least, in a line."""
     margins = {
-        k: margin for k, record in enumerate(records) if isinstance(margin := record.get("margin_m_s"), int | float)
+        k: margin
+        for k, record in enumerate(records)
+        if record.get("verdict") != UNDECIDED and isinstance(margin := record.get("margin_m_s"), int | float)
     }
     if not margins:
         return []
@@ -237,7 +246,7 @@ def remarks(summary: Summary) -> list[str]:
     for number, impact in enumerate(records, 1):
         reasons: dict[str, list[str]] = {}
         for path, reason in (impact.get("refused") or {}).items():
-            if path == "rebound_velocity_m_s" and impact.get("verdict") == STICKS:
+            if path in ("rebound_velocity_m_s", "restitution") and impact.get("rebounded") is False:
                 continue  # the verdict says it
             reasons.setdefault(str(reason), []).append(_label(str(path)))
         for reason, names in reasons.items():

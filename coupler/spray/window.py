@@ -7,25 +7,17 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from ..physics.adhesion import critical_velocity
+from ..measures import REBOUNDS, STICKS, UNDECIDED
+from ..physics.adhesion import PairFormula, critical_velocity, pair_formula
 from ..physics.materials import Material
 from .flight import Flight
 
+ERODES = "erodes"  # beside the verdicts
 OPTIMAL, EROSION = 1.5, 2.0  # velocities over the critical one: of good coatings, and from which particles erode
-REFERENCE, EXPONENT = 25e-6, -0.18  # m: diameter of the formula's particles; of the critical velocity in the diameter
 FASTEST = 10.0  # velocity over the critical one, beyond which it makes no difference
 CLASSES = 25  # of equal mass
 _IN_BAND = 10  # steps from the critical velocity to either end of its band
 _FINE = 2000  # shares between which velocities are interpolated
-
-
-def critical_at(material: Material, temperature: float, diameter: float) -> float:
-    """Critical velocity, m/s, of a particle of `diameter` m at `temperature` K: Schmidt's formula times (D / 25 um)^-0.18.
-
-    The power of the diameter: Assadi, Schmidt, Richter et al. (2011), J. Therm. Spray Technol. 20, 1161, whose factor k1 = 0.64
-    (D / 10 um)^-0.18 is that of Schmidt's formula at 25 um. Raises ColdsprayError where the material has no sigma_TS.
-    """
-    return critical_velocity(material, temperature) * (diameter / REFERENCE) ** EXPONENT
 
 
 def quantile(d10: float, d50: float, d90: float, share: float) -> float:
@@ -37,14 +29,19 @@ def quantile(d10: float, d50: float, d90: float, share: float) -> float:
 @dataclass(frozen=True)
 class Spray:
     """A powder at impact, in classes of equal mass (n,): share of the mass that is smaller, diameter m, velocity m/s, temperature K,
-    critical velocity m/s, highest temperature in flight K of each."""
+    highest temperature in flight K of each, and the formula for each on the substrate."""
 
     share: NDArray[np.float64]
     diameter: NDArray[np.float64]
     velocity: NDArray[np.float64]
     temperature: NDArray[np.float64]
-    critical: NDArray[np.float64]
     hottest: NDArray[np.float64]
+    formula: tuple[PairFormula, ...]
+
+    @property
+    def critical(self) -> NDArray[np.float64]:
+        """Critical velocities of the powder's metal, m/s."""
+        return np.array([each.critical for each in self.formula], float)
 
     @property
     def ratio(self) -> NDArray[np.float64]:
@@ -52,32 +49,48 @@ class Spray:
         with np.errstate(divide="ignore"):
             return self.velocity / self.critical
 
-    def efficiency(self, factor: float = 1.0) -> float:
-        """Deposition efficiency: share of the mass between `factor` times the critical velocity and the erosion velocity."""
+    def fates(self, factor: float = 1.0, on_substrate: bool = False) -> dict[str, float]:
+        """Shares of the mass that rebound, stick, are undecided and erode (at EROSION times the critical velocity and above): on a
+        coating of the powder's own kind, or on the substrate by the formula of both metals. factor: on the critical velocities."""
         fine = (np.arange(_FINE) + 0.5) / _FINE
         least = self.velocity / FASTEST  # a particle at its melting point has a critical velocity of zero
-        ratio = np.interp(fine, self.share, self.velocity / np.maximum(factor * self.critical, least))
-        return float(np.mean((ratio >= 1.0) & (ratio < EROSION)))
+        critical = [self.critical]
+        if on_substrate and self.formula[0].base_critical is not None:
+            critical.append(np.array([each.base_critical for each in self.formula], float))
+        own, *base = (np.interp(fine, self.share, self.velocity / np.maximum(factor * v, least)) for v in critical)
+        erodes, reached = own >= EROSION, np.mean([ratio >= 1.0 for ratio in (own, *base)], axis=0)
+        shares = {REBOUNDS: reached == 0.0, STICKS: reached == 1.0, UNDECIDED: (reached > 0.0) & (reached < 1.0)}
+        return {fate: float(np.mean(here & ~erodes)) for fate, here in shares.items()} | {
+            ERODES: float(np.mean(erodes))
+        }
 
-    def band(self, within: float) -> tuple[float, float]:
-        """Least and greatest efficiency with a critical velocity up to a share `within` lower or higher: where particles erode, a lower
-        one deposits less."""
-        each = [self.efficiency(factor) for factor in 1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1)]
-        return min(*each, self.efficiency()), max(*each, self.efficiency())
+    def extremes(self, within: float) -> tuple[float, float]:
+        """Factors on the critical velocity, at most a share `within` from one, of the least and the greatest efficiency: where
+        particles erode, a lower one deposits less. The nearest to 1 of those with the same."""
+        factors = sorted(
+            (1.0, *(1.0 + within * np.linspace(-0.999, 1.0, 2 * _IN_BAND + 1))), key=lambda f: abs(f - 1.0)
+        )
+        each = [self.fates(factor)[STICKS] for factor in factors]
+        return factors[int(np.argmin(each))], factors[int(np.argmax(each))]
 
 
 def spray(
-    material: Material, sizes: tuple[float, float, float], fly: Callable[[Sequence[float]], list[Flight]]
+    material: Material,
+    base: Material | None,
+    sizes: tuple[float, float, float],
+    fly: Callable[[Sequence[float]], list[Flight]],
 ) -> Spray:
-    """A powder at impact. sizes: diameters (m) below which 10, 50 and 90 % of its mass are; fly: the flights of diameters (m).
+    """A powder at impact. base: of the substrate, None where it is not considered; sizes: diameters (m) below which 10, 50 and 90 % of
+    its mass are; fly: the flights of diameters (m).
 
     Raises ColdsprayError where a particle cannot be followed or the material has no sigma_TS.
     """
+    critical_velocity(material, 300.0)  # whether it has one
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([quantile(*sizes, u) for u in share])
     flights = fly(diameter.tolist())
     velocity, temperature = (
         np.array([getattr(flight, name) for flight in flights]) for name in ("velocity", "temperature")
     )
-    critical = [critical_at(material, T, D) for T, D in zip(temperature, diameter, strict=True)]
-    return Spray(share, diameter, velocity, temperature, np.array(critical), np.array([f.T.max() for f in flights]))
+    formula = tuple(pair_formula(material, base, T, D) for T, D in zip(temperature, diameter, strict=True))
+    return Spray(share, diameter, velocity, temperature, np.array([f.T.max() for f in flights]), formula)

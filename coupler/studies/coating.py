@@ -38,7 +38,7 @@ class Splats:
     counted from 1, 0 for the substrate. last: surface of the last particle, still made of
     points, (points (k,3) m, triangles), None if it has left; of each finished impact: mass (n,) kg, stayed (n,), the
     share of it that is in the coating; planned: impacts of the run, in so many layers; patch m: radius of the disc that particles are
-    aimed at; element_size m: of the splats; undecided: impacts without a verdict that are counted as stayed."""
+    aimed at; element_size m: of the splats; undecided: indices of the impacts that are counted as stayed without a verdict."""
 
     mesh: Fields
     body: NDArray[np.int64]
@@ -51,7 +51,7 @@ class Splats:
     patch: float
     element_size: float
     is_cold: bool = False
-    undecided: int = 0
+    undecided: tuple[int, ...] = ()
 
     @property
     def finished(self) -> int:
@@ -60,8 +60,15 @@ class Splats:
 
     @property
     def deposition_efficiency(self) -> float:
-        """Mass that stayed over that of all particles that have hit."""
+        """Mass that stayed over that of all particles that have hit, with those that are undecided."""
         return float(self.mass @ self.stayed / self.mass.sum())
+
+    @property
+    def least_efficiency(self) -> float:
+        """The same with the undecided ones lost."""
+        return self.deposition_efficiency - sum(self.mass[i] * self.stayed[i] for i in self.undecided) / float(
+            self.mass.sum()
+        )
 
 
 def read(result: Result, before: int | None = None) -> Splats:
@@ -101,7 +108,7 @@ def read(result: Result, before: int | None = None) -> Splats:
         detached = np.array([record.get("detached_mass_kg", 0.0) for record in result.summary["impacts"]])
         stayed *= 1.0 - detached[: len(mass)] / mass
     records = result.summary["impacts"][: len(left)] if before is None and result.finished else []
-    undecided = sum(r["verdict"] == UNDECIDED and not gone for r, gone in zip(records, left, strict=False))
+    undecided = tuple(i for i, record in enumerate(records) if record["verdict"] == UNDECIDED and not left[i])
     patch = units.parse(coating["radius"], "length") if coating else max(math.hypot(*p.offset) for p in impacts)
     return Splats(mesh, body, impact, last, stayed, mass, len(plan.impacts), coating["layers"] if coating else 1, patch,
                   plan.splat_element_size, is_cold, undecided)  # fmt: skip
@@ -216,7 +223,8 @@ def roughness(z: NDArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class CoatingMeasures:
-    """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; bare_share: share of the window
+    """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; undecided: impacts with that verdict,
+    which count as stayed in deposition_efficiency and as lost in least_efficiency; bare_share: share of the window
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
     the coating's volume in the window of (xx + yy) / 2, thermal_in_plane_Pa: the part of it that changes of temperature have made;
@@ -225,7 +233,9 @@ class CoatingMeasures:
     impacts: int
     of: int
     rebounded: int
+    undecided: int
     deposition_efficiency: float
+    least_efficiency: float
     window_radius_m: float
     column_m: float
     thickness_mean_m: float
@@ -255,12 +265,12 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
     return CoatingMeasures(
         impacts=splats.finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
-        deposition_efficiency=splats.deposition_efficiency, window_radius_m=radius, column_m=COLUMN * size,
+        undecided=len(splats.undecided), deposition_efficiency=splats.deposition_efficiency,
+        least_efficiency=splats.least_efficiency, window_radius_m=radius, column_m=COLUMN * size,
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
         stress_in_plane_Pa=in_plane(splats, radius, "stress"), thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress"),
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
-        + ([f"{splats.undecided} impacts have no verdict: they count as stayed"] if splats.undecided else [])
         + ([] if splats.is_cold else [NOT_COLD]),
     )  # fmt: skip
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, stdev
 
-from ..errors import ColdsprayError, SceneError, StoreError
+from ..errors import SceneError, StoreError
 from ..files.result import Result
-from ..measures import REBOUNDS, STICKS, UNDECIDED
-from ..physics.adhesion import critical_velocity
+from ..measures import REBOUNDS, STICKS, UNDECIDED, VERDICTS
+from ..physics.adhesion import PairFormula
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
@@ -43,12 +43,11 @@ WITH_GRADIENTS = {  # docs/evidence/bonding.md
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 KEY = ("velocity_m_s", "placement")
 COLUMNS = (
-    *KEY, "verdict", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
+    *KEY, "verdict_by_bonds", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
     "verdict_rests_on",
 )  # fmt: skip
 _MEASURES = COLUMNS[3:]
 _NUMBERS = _MEASURES[:-1]
-_VERDICTS = STICKS, REBOUNDS, UNDECIDED
 
 
 @dataclass(frozen=True)
@@ -198,13 +197,18 @@ def check(scene: Scene) -> None:
         raise SceneError(problems, scene.name)
 
 
-def schmidt(scene: Scene) -> float | None:
-    """Critical velocity (m/s) of the particle by Schmidt's formula; None without its data."""
-    impact = plan(scene).impact
-    try:
-        return critical_velocity(impact.material, impact.temperature)
-    except ColdsprayError:
-        return None
+def formula_of(scene: Scene) -> PairFormula:
+    """Schmidt's formula for the particle of a scene on its substrate."""
+    return plan(scene).impact.formula
+
+
+def verdict_words(found: Bracket, formula: PairFormula) -> str:
+    """The verdict of a scene over its velocity, from computed bonds and the formula: between what they say it is undecided."""
+    limits = list(formula.known.values()) if formula.critical is not None else []
+    if found.low is None or found.high is None:
+        return f"verdict: by the runs alone; {formula.words()}"
+    low, high = min([found.low, *limits]), max([found.high, *limits])
+    return f"verdict: rebounds up to {low:.0f} m/s, sticks from {high:.0f} m/s on, undecided between; {formula.words()}"
 
 
 def resolution_words(scene: Scene) -> str:
@@ -239,7 +243,7 @@ def search(
     StoreError when a run fails.
     """
     check(scene)
-    start = schmidt(scene) or UNKNOWN_START
+    start = formula_of(scene).critical or UNKNOWN_START
     while (
         velocity := next_velocity(verdicts_of(shares := shares_of(table.rows, repeat)), start, limits, tolerance)
     ) is not None:
@@ -258,9 +262,9 @@ def search(
             continue
         for row in rows:
             table.add(row)
-        sticking = [str(row["verdict"]) for row in rows].count(STICKS)
+        sticking = [str(row["verdict_by_bonds"]) for row in rows].count(STICKS)
         told, found = (
-            f"{sticking} of {repeat} stick" if repeat > 1 else rows[0]["verdict"],
+            f"{sticking} of {repeat} stick" if repeat > 1 else rows[0]["verdict_by_bonds"],
             answer_of(table.rows, repeat),
         )
         seconds, left = time.monotonic() - begun, found.halvings(tolerance)
@@ -273,7 +277,7 @@ def shares_of(rows: Iterable[Mapping[str, str]], repeat: int) -> dict[float, flo
     """Share of the placements that stick by velocity (m/s), where there are `repeat` or more; an undecided one counts as half."""
     counts: dict[float, list[float]] = {}
     for row in rows:
-        sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict"], 0.5)
+        sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict_by_bonds"], 0.5)
         counts.setdefault(float(row["velocity_m_s"]), []).append(sticks)
     return {v: sum(each) / len(each) for v, each in counts.items() if len(each) >= repeat}
 
@@ -293,7 +297,7 @@ def slowest_rebound(rows: Iterable[Mapping[str, str]]) -> str | None:
     """Where the particle leaves most slowly in the mean of the placements, in words; None without a rebound."""
     rebounds: dict[float, list[float]] = {}
     for row in rows:
-        if row["verdict"] == REBOUNDS:
+        if row["verdict_by_bonds"] == REBOUNDS:
             rebounds.setdefault(float(row["velocity_m_s"]), []).append(float(row["rebound_velocity_m_s"]))
     if not rebounds:
         return None
@@ -327,7 +331,7 @@ def rows_at(
             raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
         values = Result(folder / name).values
         rows.append(
-            {"velocity_m_s": velocity, "placement": k, "verdict": str(values["verdict"])}
+            {"velocity_m_s": velocity, "placement": k, "verdict_by_bonds": str(values["verdict_by_bonds"])}
             | {key: values.get(key) for key in _MEASURES}
         )
     return rows
@@ -338,11 +342,11 @@ def check_rows(path: Path, rows: Iterable[Mapping[str, str]]) -> None:
     for number, row in enumerate(rows, 1):
         wrong = (
             []
-            if row["verdict"] in _VERDICTS
-            else [f"verdict = {row['verdict'][:40]!r}: none of {', '.join(_VERDICTS)}"]
+            if row["verdict_by_bonds"] in VERDICTS
+            else [f"verdict_by_bonds = {row['verdict_by_bonds'][:40]!r}: none of {', '.join(VERDICTS)}"]
         )
         for key in (*KEY, *_NUMBERS):
-            needed = key in KEY or (key == "rebound_velocity_m_s" and row["verdict"] == REBOUNDS)
+            needed = key in KEY or (key == "rebound_velocity_m_s" and row["verdict_by_bonds"] == REBOUNDS)
             if not _is_number(row[key]) and (row[key] or needed):
                 wrong.append(f"{key} = {row[key][:40]!r}: no number")
         if wrong:
