@@ -20,7 +20,7 @@ from coupler.geometry.tetrahedra import volumes
 from coupler.impact import placing
 from coupler.impact.bodies import Bodies
 from coupler.impact.exchange import Impact
-from coupler.impact.verdict import deposition_efficiency, efficiency_range
+from coupler.impact.verdict import efficiency_range
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
@@ -193,6 +193,7 @@ def test_strong_bonds_hold_and_weak_ones_do_not(runs: dict[str, Result]) -> None
         assert summary["momentum_error"] < 1e-10
     assert weak["deposition_efficiency"] == 0.0
     assert strong["deposition_efficiency"] is None
+    assert strong["deposition_efficiency_range"] == [0.0, 1.0]
 
 
 def test_two_metals_bond_by_the_law_of_their_pair(runs: dict[str, Result], tmp_path: Path) -> None:
@@ -231,9 +232,9 @@ def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
 
 def test_efficiency_is_a_share_of_mass() -> None:
     records = [{"particle_mass_kg": 3.0, "verdict": "sticks"}, {"particle_mass_kg": 1.0, "verdict": "rebounds"}]
-    assert deposition_efficiency(records) == 0.75
+    assert efficiency_range(records) == (0.75, 0.75)
     undecided = {"particle_mass_kg": 4.0, "verdict": "undecided"}
     assert efficiency_range([*records, undecided]) == pytest.approx((0.375, 0.875))
-    assert deposition_efficiency([*records, undecided]) is None
-    assert deposition_efficiency([*records, undecided | {"detached_mass_kg": 3.0}]) is None
-    assert deposition_efficiency([*records, undecided | {"detached_mass_kg": 4.0}]) == 0.375  # none of it is left
+    assert efficiency_range([*records, undecided | {"detached_mass_kg": 3.0}]) == pytest.approx((0.375, 0.5))
+    gone = efficiency_range([*records, undecided | {"detached_mass_kg": 4.0}])
+    assert gone == pytest.approx((0.375, 0.375))  # none of it is left

@@ -22,6 +22,8 @@ from coupler.files import checkpoint
 from coupler.files.outputs import claim_folder
 from coupler.files.result import Result
 from coupler.files.store import Store, StoreState
+from coupler.measures import STICKS
+from coupler.physics.adhesion import PairFormula
 from coupler.plan.planning import plan
 from coupler.spray.window import Spray
 from coupler.studies.pace import Pace
@@ -92,11 +94,11 @@ def test_a_folder_of_another_command_is_not_taken(tmp_path: Path) -> None:
 def test_a_band_of_efficiency_holds_the_efficiency() -> None:
     """Also where most of it is lost to erosion: then a lower critical velocity deposits less."""
     ones = np.ones(3)
-    spray = Spray(np.array([0.0, 0.5, 1.0]), 25e-6 * ones, 900.0 * ones, 300.0 * ones, 600.0 * ones, 300.0 * ones)
-    assert spray.efficiency() == 1.0
-    assert spray.band(0.9) == (0.0, 1.0)
-    assert spray.band(0.1) == (1.0, 1.0)
-    assert spray.band(1.0)[1] == 1.0
+    formula = (PairFormula("Cu", 600.0),) * 3
+    spray = Spray(np.array([0.0, 0.5, 1.0]), 25e-6 * ones, 900.0 * ones, 300.0 * ones, 300.0 * ones, formula)
+    assert spray.fates()[STICKS] == 1.0
+    for within, band in ((0.9, [0.0, 1.0]), (0.1, [1.0, 1.0]), (1.0, [0.0, 1.0])):
+        assert [spray.fates(factor)[STICKS] for factor in spray.extremes(within)] == band
 
 
 def test_more_time_needs_a_finished_run_with_a_checkpoint(shared_run: SharedRuns, tmp_path: Path) -> None:

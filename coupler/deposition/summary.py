@@ -7,7 +7,7 @@ from .. import __version__
 from ..files.summary import FORMAT, Summary, Values
 from ..impact.summary import ImpactRecord, accepted, peak_memory
 from ..impact.validity import merged
-from ..impact.verdict import deposition_efficiency
+from ..impact.verdict import efficiency_range
 from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import Plan
 from ..plan.remarks import BEYOND_FIT
@@ -62,7 +62,7 @@ def summary(
             "engine": plan.engine,
             "effects": plan.effects.active,
             "element_size_m": plan.target.element_size,
-            "deposition_efficiency": deposition_efficiency(impacts),
+            **_efficiency(impacts),
             "undecided": undecided,
             "sim_time_s": simulated(records),
             "steps": sum(impact["steps"] for impact in impacts),
@@ -87,6 +87,14 @@ def summary(
         "joins": joins,
         **({"closing": closing} if closing is not None else {}),
     }  # fmt: skip
+
+
+def _efficiency(impacts: Sequence[Values]) -> Values:
+    """Mass that stayed over the mass of all; where undecided particles make that open, none, and what it is without and with them."""
+    least, most = efficiency_range(impacts)
+    if most - least < 1e-12:
+        return {"deposition_efficiency": least}
+    return {"deposition_efficiency": None, "deposition_efficiency_range": [least, most]}
 
 
 def unsettled(report: Values) -> list[str]:

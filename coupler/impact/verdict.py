@@ -162,7 +162,7 @@ def verdict_values(
 def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
     """Mass that stayed over the mass of all particles, from the records of their impacts: with no undecided one, and with all.
 
-    detached_mass_kg of a record: what of its splat has come off later.
+    detached_mass_kg of a record: what of its splat has come off later; an undecided one that has come off as a whole is lost.
     """
     mass = sum(record["particle_mass_kg"] for record in records)
     decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}
@@ -172,9 +172,3 @@ def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
         for k, share in enumerate(decided[record["verdict"]]):
             lost[k] += max(share * record["particle_mass_kg"], least)
     return 1.0 - lost[0] / mass, 1.0 - lost[1] / mass
-
-
-def deposition_efficiency(records: Sequence[Values]) -> float | None:
-    """`efficiency_range` where it is one value; None while a particle is undecided that has not come off as a whole."""
-    low, high = efficiency_range(records)
-    return low if high - low < 1e-12 else None

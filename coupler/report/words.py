@@ -28,7 +28,14 @@ from ..measures import (
 
 NAMED = 3  # numbers that a title names
 MOST_VERDICTS = 6  # particles whose verdicts stand in a line each
-KEYS = (*BANDED, "numerical_dissipation", "energy_drift", "deposition_efficiency", "wall_s")
+KEYS = (
+    *BANDED,
+    "numerical_dissipation",
+    "energy_drift",
+    "deposition_efficiency",
+    "deposition_efficiency_range",
+    "wall_s",
+)
 OF_EACH = (
     "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
 )  # fmt: skip
