@@ -65,7 +65,7 @@ def _with_formula(decided: Verdict, impact: ImpactPlan) -> Verdict:
     """The verdict of computed bonds beside that of the formula: undecided where they disagree, with both said."""
     formula, bonds = impact.formula, decided.verdict
     words = formula.words(impact.towards)
-    if not formula.known or bonds == UNDECIDED:
+    if formula.critical is None or bonds == UNDECIDED:
         return replace(decided, bonds=bonds, rests_on=f"{decided.rests_on}; {words}")
     other = formula.verdict(impact.towards)
     if other == bonds:
