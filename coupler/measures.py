@@ -119,6 +119,7 @@ TABLE = (
     Measure("crater_depth_m", group=SHAPE, short="crater", converges=True),
     Measure("splat_diameter_m", group=SHAPE, short="diameter", low=0.0, converges=True),
     Measure("jet_length_m", "jet, beyond the splat", SHAPE, "jet", low=0.0, converges=False),
+    Measure("unresolved_share", "surface far from any point", SHAPE, unit="%", factor=100.0, low=0.0, high=1.0, converges=False),
     Measure("velocity_z_m_s", "mean velocity upwards", SHAPE),
     Measure("verdict", group=VERDICT),
     Measure("verdict_criterion", "criterion", VERDICT),

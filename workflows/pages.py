@@ -24,6 +24,7 @@ PAGES = {
     "coating": DOCS / "evidence" / "coating.md",
     "effects": DOCS / "evidence" / "effects.md",
     "experiments": DOCS / "evidence" / "experiments.md",
+    "jets": DOCS / "evidence" / "jets.md",
     "scene": DOCS / "guide" / "scene.md",
     "solvers": DOCS / "evidence" / "solvers.md",
     "splats": DOCS / "evidence" / "splats.md",

@@ -36,7 +36,7 @@ CELL_TYPES = {1: 1, 3: 5, 4: 10}
 # Name of a data set -> its unit; columns -> their names. Attributes `units` and `components` of the data sets hold them.
 UNITS = {
     "Points": "m", "Values": "s", "velocity": "m/s", "stress": "Pa", "von_mises": "Pa", "eps_p": "1", "eps_p_rate": "1/s", "T": "K",
-    "body": "1", "impact": "1", "thermal_stress": "Pa",
+    "body": "1", "impact": "1", "thermal_stress": "Pa", "from_points": "m",
 }  # fmt: skip
 COMPONENTS = {3: ["x", "y", "z"], 6: ["xx", "yy", "zz", "xy", "yz", "xz"]}
 SPARE = 2**20  # bytes that a step may need beside its data: headers and indices

@@ -1,6 +1,7 @@
 """What is measured of an impact, always by the same words: shape, strain, temperature, stress, energy."""
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..fe.explicit import Target
 from ..geometry.extent import shape_measures
@@ -9,6 +10,7 @@ from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface
 
+FAR = 2.0  # spacings: a vertex of the surface so far from any point lies in a jet that no point resolves
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress
 
 
@@ -62,9 +64,12 @@ def measure(
     that can be touched; diameter: the particle's, m.
     """
     rho = float(particle.law["rho"][0])
-    skin = surface.positions(particle.x) - [0.0, 0.0, level]
+    vertices = surface.positions(particle.x)
+    skin = vertices - [0.0, 0.0, level]
     m = shape_measures(skin, surface.triangles, diameter)
     m["surface_volume_error"] = enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.J) - 1.0
+    away = cKDTree(particle.x).query(vertices)[0]
+    m["unresolved_share"] = float(np.mean(away > FAR * particle.spacing))
     m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..errors import SolverError
 from ..files.store import Store
@@ -138,7 +139,9 @@ class Recorder:
         }  # fmt: skip
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
-        self.store.write("surface", time, s.positions(p.x), s.triangles, skin)
+        vertices = s.positions(p.x)
+        skin["from_points"] = cKDTree(p.x).query(vertices)[0]
+        self.store.write("surface", time, vertices, s.triangles, skin)
         self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
         self._written, self.next_output = impact.time, impact.time + self.impact_plan.output_every
 

@@ -1,0 +1,88 @@
+"""Does a splat converge, and its jet: python workflows/jets.py [--docs]
+
+Five fast impacts at the presets. Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
+"""
+
+import tempfile
+import time as clock
+from pathlib import Path
+
+import numpy as np
+from pages import PAGES, markdown, marked, options, study_table, versions, write_parts
+
+from coupler import Scene, run
+from coupler.impact.exchange import Impact
+from coupler.studies.table import Row
+
+CASES = {
+    "Ni 25 µm, 1000 m/s, on SS304": ("Ni", 25, 1000, "SS304"),
+    "Cu 25 µm, 600 m/s, on Cu": ("Cu", 25, 600, "Cu"),
+    "Cu 20 µm, 750 m/s, on 42CrMo4": ("Cu", 20, 750, "42CrMo4"),
+    "Al 25 µm, 725 m/s, on SS304": ("Al", 25, 725, "SS304"),
+    "Ti64 25 µm, 1000 m/s, on SS304": ("Ti64", 25, 1000, "SS304"),
+}
+PRESETS = ("draft", "standard", "fine")
+THINNED = 0.1  # of its length: a point compressed further
+COLUMNS = (
+    "case", "preset", "points", "stretch_median", "stretch_99", "thinned", "height", "thickness", "diameter", "top", "span",
+    "jet_um", "unresolved", "cpu_s",
+)  # fmt: skip
+
+
+def scene(case: str, preset: str) -> Scene:
+    metal, size, velocity, base = CASES[case]
+    text = (
+        f'preset = "{preset}"\n[particle]\nmaterial = "{metal}"\ndiameter = "{size} um"\nvelocity = "{velocity} m/s"\n'
+    )
+    return Scene.from_text(f'{text}[substrate]\nmaterial = "{base}"\n[adhesion]\nkind = "none"\n', "jets")
+
+
+def row(case: str, preset: str) -> dict[str, object]:
+    """Run one scene to rest and measure its splat and its jet."""
+    last: dict[str, np.ndarray] = {}
+
+    def probe(impact: Impact) -> None:
+        p = impact.particle
+        last["F"], last["skin"] = p.whole("F").reshape(-1, 3, 3), impact.surface.positions(p.x)
+
+    started = clock.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        result = run(scene(case, preset), Path(folder) / "run", quiet=True, threads=1, probe=probe)
+        end, diameter = dict(result.end), CASES[case][1] * 1e-6
+    stretches = np.linalg.svd(last["F"], compute_uv=False)
+    return {
+        "case": case, "preset": preset, "points": len(stretches),
+        "stretch_median": round(float(np.median(stretches[:, 0])), 2),
+        "stretch_99": round(float(np.percentile(stretches[:, 0], 99)), 2),
+        "thinned": round(float(np.mean(stretches[:, 2] < THINNED)), 4),
+        "height": round(end["height_m"] / diameter, 3), "thickness": round(end["thickness_m"] / diameter, 3),
+        "diameter": round(end["splat_diameter_m"] / diameter, 3),
+        "top": round(float(last["skin"][:, 2].max()) / diameter, 3), "span": round(float(np.ptp(last["skin"][:, 2])) / diameter, 3),
+        "jet_um": round(end["jet_length_m"] * 1e6, 2), "unresolved": round(end["unresolved_share"], 4),
+        "cpu_s": round(clock.process_time() - started, 1),
+    }  # fmt: skip
+
+
+def page(rows: list[Row]) -> None:
+    """Write the table of the page."""
+    lines = [
+        [marked(f"{r['case']}, {r['preset']}", r), r["points"], r["stretch_median"], r["stretch_99"], f"{float(r['thinned']):.1%}",
+         f"{r['height']} ({r['top']})", f"{r['thickness']} ({r['span']})", r["diameter"], r["jet_um"]]
+        for case in CASES for r in rows if r["case"] == case
+    ]  # fmt: skip
+    head = "impact | points | s, median | s, 99 % | thinned | height | thickness | diameter | jet, µm"
+    write_parts(PAGES["jets"], {"table": [*markdown(head, lines), "", versions(rows)]})
+
+
+def main() -> None:
+    """Compute the rows that the table lacks, the cheap ones first, and write the page."""
+    table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
+    for preset in PRESETS:
+        for case in CASES:
+            if (case, preset) not in table and not options(__doc__, "docs").docs:
+                print(table.add(row(case, preset)), flush=True)
+    page(table.rows)
+
+
+if __name__ == "__main__":
+    main()
