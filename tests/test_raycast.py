@@ -42,6 +42,21 @@ def test_verticals_through_a_ball_enter_and_leave(rng: np.random.Generator) -> N
     assert len(line) == 0
 
 
+def test_places_in_two_balls_at_once_are_surrounded_twice(rng: np.random.Generator) -> None:
+    """A ball with a cavity and another ball that overlaps both; none of the places is nearer to a surface than its facets are."""
+    ball, triangles = packing.surface(20.0 * UM, 0.5 * UM)
+    hole = 0.5 * ball
+    points = np.concatenate([ball, hole, ball + np.array([12.0 * UM, 0.0, 0.0])])
+    shifted = [triangles, triangles[:, ::-1] + len(ball), triangles + 2 * len(ball)]
+    x = 30.0 * UM * (rng.random((3000, 3)) - 0.5)
+    r, s = np.linalg.norm(x, axis=1) / UM, np.linalg.norm(x - [12.0 * UM, 0.0, 0.0], axis=1) / UM
+    clear = (abs(r - 10.0) > 0.1) & (abs(r - 5.0) > 0.1) & (abs(s - 10.0) > 0.1)
+    wanted = ((r < 10.0) & (r > 5.0)).astype(int) + (s < 10.0)
+    found = RaySurface(points, np.concatenate(shifted)).windings(x)
+    assert wanted[clear].max() == 2
+    np.testing.assert_array_equal(found[clear], wanted[clear])
+
+
 def test_an_open_surface_has_no_inside() -> None:
     vertices, triangles = packing.surface(20.0 * UM, 2.0 * UM)
     with pytest.raises(SplatError, match="not closed: 3 edges have one triangle"):

@@ -12,6 +12,7 @@ from test_scene import problems_with, scene_with
 
 from coupler import Scene, run
 from coupler.geometry.triangles import enclosed_volume, surface_area
+from coupler.impact.measure import share_inside_itself
 from coupler.physics import shapes as morphology
 from coupler.plan.planning import plan
 from coupler.plan.text import describe
@@ -198,6 +199,38 @@ def test_a_cylinder_stands_on_z() -> None:
     assert np.ptp(b.vertices, axis=0) == pytest.approx([6.4e-3, 6.4e-3, 32.4e-3], rel=0.01)
     assert len(b.points) * b.volume == pytest.approx(np.pi / 4 * 6.4e-3**2 * 32.4e-3)
     assert np.ptp(b.points[:, 2]) == pytest.approx(32.4e-3, abs=1.2 * b.spacing)
+
+
+@pytest.mark.parametrize("turn", [0.8, 1.2])
+def test_a_rod_that_is_bent_through_itself_is_found(turn: float) -> None:
+    """Bent round a circle, its length once round `turn` times. A place of it is taken twice where the straight rod reaches once round
+    further, or back; both ends overlap within a circle that is shorter than the rod."""
+    b = shapes.shape("rod", D, 4000)
+    length, _, d = morphology.form("rod", D).lengths
+    once = turn * length
+    radius = once / (2 * np.pi)
+    far = b.points + radius * np.array([0.0, 0.0, 1.0])
+    bent = np.stack(
+        [far[:, 2] * np.sin(b.points[:, 0] / radius), far[:, 1], far[:, 2] * np.cos(b.points[:, 0] / radius)], 1
+    )
+
+    def holds(x: np.ndarray) -> np.ndarray:
+        beyond = np.maximum(np.abs(x[:, 0]) - 0.5 * (length - d), 0.0)
+        return np.hypot(np.hypot(x[:, 1], x[:, 2]), beyond) < 0.5 * d
+
+    there = np.array([once, 0.0, 0.0])
+    twice = np.mean(holds(b.points + there) | holds(b.points - there))
+    assert (twice > 0.3) == (turn < 1.0)
+    surface = CarriedSurface(b.points, b.vertices, b.triangles, b.spacing)
+    share = share_inside_itself(b, np.zeros(3), surface, bent)
+    assert share == pytest.approx(twice, rel=0.05)  # of the outermost layer a few points lie outside facets
+
+
+def test_no_shape_is_in_itself_as_it_begins_and_as_it_is_pressed(body: tuple[str, shapes.Body]) -> None:
+    _, b = body
+    surface = CarriedSurface(b.points, b.vertices, b.triangles, b.spacing)
+    for height in (1.0, 0.3):
+        assert share_inside_itself(b, np.zeros(3), surface, b.points * [1.5, 1.5, height]) == 0.0
 
 
 # through the scene

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import SplatError
 from ..state.arrays import occurring
 from .library import open3d
-from .triangles import open_or_double
+from .triangles import area_vectors, open_or_double
 
 if TYPE_CHECKING:
     from open3d.core import Tensor
@@ -34,6 +34,7 @@ class RaySurface:
         number = np.zeros(len(points), np.uint32)
         number[used] = np.arange(len(used))
         points, triangles = points[used], number[triangles]
+        self._upwards = np.sign(area_vectors(points, triangles)[:, 2])
         low, high = points.min(axis=0), points.max(axis=0)
         self.middle, self.unit = 0.5 * (low + high), float((high - low).max()) / 100.0
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
@@ -52,6 +53,15 @@ class RaySurface:
     def inside(self, x: NDArray) -> NDArray[np.bool_]:
         """Which places x (k,3) m lie inside a closed surface (k,)."""
         return self._scene.compute_occupancy(self._single(x), nthreads=1).numpy() > 0.5
+
+    def windings(self, x: NDArray) -> NDArray[np.int64]:
+        """How many times a closed surface surrounds each of places x (k,3) m: 0 outside, 1 inside, 2 where it holds metal twice."""
+        aside = (
+            1e-3 * self.unit * np.array([0.731, 1.237])
+        )  # no line then passes through an edge of a symmetric surface
+        line, height, triangle = self.on_verticals(*(x[:, :2] + aside).T)
+        above = height > x[line, 2]
+        return np.bincount(line[above], self._upwards[triangle[above]], len(x)).astype(np.int64)
 
     def closest(self, x: NDArray) -> NDArray[np.float64]:
         """The point (k,3) m of the surface closest to each of x (k,3) m."""

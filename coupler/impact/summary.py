@@ -11,6 +11,7 @@ from ..files.summary import Values
 from ..measures import STICKS, UNDECIDED, within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
+from .measure import share_inside_itself
 from .recorder import Recorder
 from .retry import Retry
 from .verdict import verdict_values
@@ -19,6 +20,8 @@ V = TypeVar("V")
 # beside the measures of the end
 _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
+FOLDING = ("hollow_sphere", "rod", "flake", "file")  # shapes whose parts can pass through each other
+INSIDE_ITSELF = 0.002  # of the points: fewer are single ones that leave the surface near an edge
 STUCK = "the particle sticks"  # why it has no rebound velocity
 
 
@@ -131,6 +134,14 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
     beyond = recorder.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
+    domains = impact.domains
+    if impact_plan.shape in FOLDING:
+        share = share_inside_itself(domains.body, domains.place, domains.surface, impact.particle.x)
+        if share > INSIDE_ITSELF:
+            beyond.append(
+                f"impact {number}: {share:.1%} of the particle's points lie in another part of it, as a particle does not touch itself:"
+                " its shape and strain are not those of a real one"
+            )
     if recorder.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
