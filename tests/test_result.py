@@ -42,6 +42,14 @@ def folder(tmp_path):
     return tmp_path / "run"
 
 
+def test_a_result_stays_where_it_is(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Opened by a relative name, read from another working folder, as after %cd in a notebook."""
+    monkeypatch.chdir(folder.parent)
+    result = Result("run")
+    monkeypatch.chdir("/")
+    assert (len(result.times()), len(result.history("time"))) == (3, 3)
+
+
 def finish(folder: Path, summary: dict) -> None:
     Store(folder).finish(summary)
 

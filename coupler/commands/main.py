@@ -1,6 +1,7 @@
 """The command `coldspray`. Heavy packages are imported where used, so that --help answers at once."""
 
 import argparse
+import codecs
 import errno
 import io
 import os
@@ -42,6 +43,7 @@ _EXTRAS = {"sklearn": "maps", "pandas": "fields", "pyvista": "fields"}  # option
 _INTERRUPTED = 130  # as shells do: 128 + SIGINT
 _BROKEN_PIPE = 141
 _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
+_PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals that lack these
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
@@ -98,8 +100,11 @@ def _prepare() -> None:
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r"))
+    codecs.register_error(
+        "plain", lambda error: ("".join(_PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end)
+    )
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
+        sys.stdout.reconfigure(errors="plain")
     os.environ.pop("MPLBACKEND", None)
 
 
