@@ -173,7 +173,7 @@ TABLE = (
     Measure("memory_peak_bytes", "most memory", unit="MB", factor=1e-6),
     Measure("kinetic_energy_0_J", "kinetic energy at the start"),
     Measure("deposition_efficiency", low=0.0, high=1.0),
-    Measure("deposition_efficiency_range", "deposition efficiency without and with undecided particles"),
+    Measure("deposition_efficiency_range", "deposition efficiency, without and with undecided particles"),
     Measure("sim_time_s", "simulated time"),
     Measure("wall_s", "wall time", unit="s", factor=1.0),
     Measure("wall_loop_s", "wall time of the steps", unit="s", factor=1.0),

@@ -347,7 +347,9 @@ def of_run(summary: Summary) -> str:
     """The main measures of a whole run of several impacts, in a line; "" of one impact."""
     whole = plain(summary["run"]) if len(summary["impacts"]) > 1 else {}
     return ", ".join(
-        f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip() for key in KEYS if key in whole
+        f"{measure(key).label} {shown(key, whole[key])} {measure(key).unit}".strip()
+        for key in KEYS
+        if whole.get(key) is not None
     )
 
 
