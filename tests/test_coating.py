@@ -18,7 +18,8 @@ from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.report.picture import _most_cut
 from coupler.studies import coating_growth
-from coupler.studies.coating import Columns, Splats, measure, over_depth, per_layer, read, roughness
+from coupler.studies.coating import Columns, Splats, in_plane, lines, measure, over_depth, per_layer, read, roughness
+from coupler.studies.coating_files import _seen, micrograph
 from coupler.studies.coating_growth import growth
 
 COATING = """
@@ -272,5 +273,51 @@ def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
 def test_what_cooling_adds_is_told_of_cold_coatings_alone(built: Splats) -> None:
     for is_cold in (False, True):
         said = "\n".join(describe(measure(replace(built, is_cold=is_cold))))
-        assert ("by cooling" in said) == is_cold
+        assert ("of cooling" in said) == is_cold
         assert ("have not cooled" in said) != is_cold
+
+
+def test_thickness_counts_from_the_old_surface(built: Splats) -> None:
+    """All bodies 4 um deeper, as in a crater: a coating that is 10 um thick rises 6 um above the old surface."""
+    deeper = replace(built, mesh=replace(built.mesh, points=built.mesh.points - [0.0, 0.0, 4e-6]))
+    assert measure(built).thickness_mean_m == pytest.approx(10e-6, abs=0.26e-6)
+    assert measure(deeper).thickness_mean_m == pytest.approx(6e-6, abs=0.26e-6)
+    assert measure(deeper).bare_share == 0.0
+
+
+def test_the_error_of_the_stress_is_that_of_a_mean_over_splats(built: Splats) -> None:
+    """Of splats of equal volume the jackknife is the standard error of their mean, s / sqrt(n) (Efron & Tibshirani 1993, 11.2)."""
+    points, cells, count = built.mesh.points, built.mesh.cells, len(built.mesh.cells)
+    one = cells[built.body == 1]
+    body = np.repeat([0, 1, 2, 3], [count - len(one), *[len(one)] * 3])
+    of_each = np.array([0.0, -30e6, 60e6, 0.0])
+    stress = np.zeros((len(body), 6))
+    stress[:, :2] = of_each[body][:, None]
+    mesh = Fields(0.0, points, np.concatenate([cells[built.body != 1], one, one, one]), {"stress": stress})
+    mean, error = in_plane(replace(built, mesh=mesh, body=body), 1.0, "stress")
+    assert mean == pytest.approx(10e6)
+    assert error == pytest.approx(of_each[1:].std(ddof=1) / np.sqrt(3.0))
+    assert in_plane(replace(built, mesh=mesh, body=np.minimum(body, 1)), 1.0, "stress")[1] is None
+
+
+@pytest.mark.parametrize(("left", "says"), [(0, "all 4 particles stay"), (1, "3 of 4 particles stay")])
+def test_words_count_the_particles_that_stay(built: Splats, left: int, says: str) -> None:
+    stayed = np.array([1.0] * (4 - left) + [0.0] * left)
+    assert dict(lines(measure(replace(built, stayed=stayed))))["deposition efficiency"].endswith(says)
+
+
+def test_the_micrograph_shows_the_deepest_splat_and_tells_pores_from_the_outside(built: Splats, tmp_path: Path) -> None:
+    """Splats sunk by 30 um, more than a third of what is seen: the picture reaches below them; the pore under the bridge is black."""
+    from matplotlib.image import imread
+
+    sunk = replace(built, mesh=replace(built.mesh, points=built.mesh.points - [0.0, 0.0, 30e-6]))
+    assert _seen(sunk, 25e-6)[2] < -33.0
+    left, right, bottom, top = _seen(built, 25e-6)
+    picture = imread(micrograph(built, tmp_path / "m.png", 25e-6))[..., :3]
+    rows, columns = picture.shape[:2]
+    pore, outside = (
+        picture[int((top - z) / (top - bottom) * rows), int((x - left) / (right - left) * columns)]
+        for x, z in ((-12.0, 7.5), (12.0, 11.0))
+    )
+    assert pore.tolist() == [0.0, 0.0, 0.0]
+    assert outside[2] > outside[0] + 0.1  # blue

@@ -275,9 +275,9 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1}
     assert rows["greatest plastic strain"] == ["-", "-", ""]
     assert notes(result)[0][:3] == [
-        "impact 1: no value of greatest plastic strain at the end: 85 is above 20",
+        "impact 1: greatest plastic strain at the end is undefined: 85 is above 20",
         "impact 1: at the end, flattening, above surface is 1.2: the top lies below the surface: the particle is embedded",
-        "impact 2: no value of all measures of the end, rebound velocity / impact velocity: not at rest",
+        "impact 2: all measures at the end, rebound velocity / impact velocity are undefined: not at rest",
     ]
     assert alerts(result.summary) == [doubt]
     page = report(result)
@@ -290,7 +290,7 @@ def test_impacts_of_one_remark_share_it(tmp_path) -> None:
     """Impacts 1, 2, 4, 5, 6 of a run that is undecided: their splats do not rest."""
     waits, done = {"end": {}, "refused": {"at_end": "not at rest"}}, {"end": {}, "refused": {}}
     assert remarks(summary_of(waits, waits, done, waits, waits, waits)) == [
-        "impacts 1, 2, 4 to 6: no value of all measures at the end of the run: not at rest"
+        "impacts 1, 2, 4 to 6: all measures at the end of the run are undefined: not at rest"
     ]
 
 
@@ -456,3 +456,23 @@ def test_a_long_title_is_not_broken_at_the_width_of_the_table(tmp_path):
 def test_a_change_below_its_digits_has_no_minus():
     assert [_change(1000.0, after) for after in (999.9, 999.0, 1001.0)] == ["+0.0%", "-0.1%", "+0.1%"]
     assert _change(True, 1.0) == _change(0.0, 1.0) == ""
+
+
+def test_a_picture_keeps_its_size_while_the_particle_flies_away(folder) -> None:
+    """30 and 300 um above the surface, also aside: the same window, in which the crater stays as large."""
+    result = Result(folder)
+    at, fields = stage(result), result.fields
+
+    def seen_from(height: float, aside: float) -> tuple[float, float, float, float]:
+        class Away:
+            def fields(self, step, domain):
+                seen = fields(step, domain)
+                return dataclasses.replace(
+                    seen, points=seen.points + np.array([aside, 0, height]) * (domain == "surface")
+                )
+
+        return window(Away(), [-1], at)
+
+    near = seen_from(30e-6, 0.0)
+    assert near == seen_from(300e-6, 200e-6)
+    assert near[3] - near[2] < 3.0 * at.diameter

@@ -25,6 +25,7 @@ from coupler.report import charts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import Range, stage
 from coupler.report.solid import TOP, frames, solid, thinned
+from coupler.studies import coating
 
 
 @pytest.fixture(scope="module")
@@ -158,11 +159,28 @@ def test_the_ledger_is_whole():
         assert ("other" in named) == bool(further)
         if further:  # energy in an entry that is not known here
             assert named["other"][-1] == pytest.approx(10)
-    # given, the initial energy is not guessed
-    figure = charts.energy(history(), 20e-6)
-    assert np.sum([trace["y"] for trace in figure["traces"]], axis=0)[0] == pytest.approx(100)
     assert charts.energy({}) is None
     assert charts.energy({"time": np.zeros(0)}) is None
+
+
+def test_each_impact_is_drawn_in_percent_of_its_own_energy():
+    """A second impact with a quarter of the first's energy: both stacks are whole, no term is negative, nothing joins them."""
+    first, second = history(), history()
+    for name in second.keys() & {name for names, _, _ in charts.LEDGER for name in names}:
+        second[name] = 0.25 * second[name]
+    second["time"] = second["time"] + first["time"][-1] + 1e-9
+    both = {name: np.concatenate([first[name], second[name]]) for name in first}
+    both["impact"] = np.repeat([1.0, 2.0], len(first["time"]))
+    figure = charts.energy(both)
+    drawn = np.array([trace["y"] for trace in figure["traces"]])
+    between = drawn.sum(axis=0) == 0.0
+    assert np.flatnonzero(between).tolist() == [11, 12]
+    np.testing.assert_allclose(drawn.sum(axis=0)[~between], 100 * (1 + both["drift"]), rtol=1e-4)
+    assert drawn.min() >= 0.0
+    alone = np.array([trace["y"] for trace in charts.energy(history())["traces"]])
+    np.testing.assert_allclose(drawn[:, :11], alone)
+    np.testing.assert_allclose(drawn[:, 13:], alone, rtol=1e-6)
+    assert charts.over_time(both, "velocity")["traces"][0]["y"][11:13] == [None, None]
 
 
 def test_curves_have_gaps_where_there_is_no_number():
@@ -424,10 +442,11 @@ def test_a_browser_shows_a_real_run(tmp_path, shared_run):
 
 
 def test_a_cold_run_shows_its_residual_stress(shared_run: SharedRuns) -> None:
-    """The cut through all bodies after the closing stage, by in-plane stress too, and its mean."""
+    """The cut through all bodies after the closing stage, by in-plane stress too, and the one number that the coating has."""
     result = shared_run(COLD)
-    page = report(result)
+    page = report(result, coating=coating.lines_of(result))
     section = page[page.index('<section id="cold">') :].split("</section>")[0]
     assert section.count("<img") == 3
     assert "in-plane stress" in section
-    assert f"{result.summary['closing']['residual_stress_Pa'] * 1e-6:.4g}" in section
+    assert f"{coating.measure(coating.read(result)).stress_in_plane_Pa * 1e-6:+.0f}" in section
+    assert "away from the rim" in section

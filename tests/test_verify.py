@@ -161,7 +161,6 @@ COLD_FAULTS: list[dict[str, tuple[Tamper, str]]] = [
     },
     {
         "a splat of another size": (field("cold", "Points", about_centre(1.03)), "against its mass"),
-        "residual stresses": (field("cold", "CellData/stress", lambda s: 1.01 * s), "cold: residual_stress_Pa is"),
     },
 ]
 

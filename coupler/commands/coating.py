@@ -21,8 +21,8 @@ def add(commands: Commands) -> None:
     option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
     option("--window", type=quantity("--window", "length"), metavar="L",
            help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
-    option("--section", type=quantity("--section", "length", positive=False), metavar="L", default=0.0,
-           help="the plane y of the cut (default: 0 um)")  # fmt: skip
+    option("--section", type=quantity("--section", "length", positive=False), metavar="L",
+           help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
     add_force(option)
 
 
@@ -30,6 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_folder
     from ..files.result import Result
+    from ..report.picture import stage
     from ..studies import coating, coating_files, coating_growth
 
     result = Result(arguments.run)
@@ -44,8 +45,9 @@ def run(arguments: argparse.Namespace) -> int:
         progress.stage("drawing and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
         radius = 1.3 * measures.window_radius_m / coating.WINDOW
-        coating_files.section(result, folder / "section.png", radius, heading, arguments.section)
-        coating_files.micrograph(splats, folder / "micrograph.png", radius, arguments.section)
+        plane = stage(result).plane if arguments.section is None else arguments.section
+        coating_files.section(result, splats, folder / "section.png", radius, heading, plane)
+        coating_files.micrograph(splats, folder / "micrograph.png", radius, plane)
         coating_files.stress_profile(measures, folder / "stress.png")
         with contextlib.redirect_stdout(io.StringIO()):  # meshio prints remarks on the fields
             meshes = coating_files.write_meshes(splats, folder)
@@ -56,31 +58,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def describe(measures: "CoatingMeasures") -> list[str]:
     """The measures as lines for a terminal."""
-    from ..studies.coating import NOT_COLD
+    from ..studies.coating import lines
 
-    um = {name: f"{1e6 * value:.1f} um" for name, value in vars(measures).items() if name.endswith("_m")}
-    is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
-    by_cooling = f", of it {1e-6 * measures.thermal_in_plane_Pa:+.0f} MPa by cooling" if is_cold else ""
-    least = f"{measures.least_efficiency:.1%} to " if measures.undecided else ""
-    unsettled = f", {measures.undecided} that have stayed are undecided" if measures.undecided else ""
-    lines = [*measures.warnings]
-    lines += [
-        f"deposition efficiency  {least}{measures.deposition_efficiency:.1%}: {measures.rebounded} of {measures.impacts} particles"
-        f" have left{unsettled}",
-        f"thickness              {um['thickness_mean_m']} (mean), {um['thickness_min_m']} to {um['thickness_max_m']},"
-        f" in a window of {um['window_radius_m']} radius; bare: {measures.bare_share:.1%} of it",
-        f"roughness              Sa {um['Sa_m']}, Sq {um['Sq_m']}",
-        f"porosity               {measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open, too high by up to"
-        f" {measures.overlap_share:.2%}, where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} um are not resolved",
-        f"stress in the surface  {1e-6 * measures.stress_in_plane_Pa:+.0f} MPa (mean)" + by_cooling,
+    table = [
+        *measures.warnings,
+        *(f"{label:33}{value}" for label, value in lines(measures)),
         "",
         "layer      splats   strain: mean   99 %    max   T (K): mean   99 %    max   von Mises (MPa): mean   99 %    max",
     ]
     for row in measures.layers:
         name = f"{row['layer']}" if row["layer"] else "substrate"
-        lines.append(
+        table.append(
             f"{name:9} {row['splats']:7d} {row['eps_p_mean']:14.2f} {row['eps_p_p99']:6.2f} {row['eps_p_max']:6.2f}"
             f" {row['T_mean']:13.0f} {row['T_p99']:6.0f} {row['T_max']:6.0f}"
             f" {row['von_mises_mean'] * 1e-6:23.0f} {row['von_mises_p99'] * 1e-6:6.0f} {row['von_mises_max'] * 1e-6:6.0f}"
         )
-    return lines
+    return table

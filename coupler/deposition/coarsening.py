@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import SplatError
 from ..fe.assemble import domain_now, merge
+from ..fe.explicit import Target
 from ..fe.remeshed import base_surface, with_base
 from ..files.summary import Values
 from ..geometry import mesher
@@ -20,7 +21,6 @@ from ..impact.bodies import Bodies
 from ..impact.domains import MESHING_LIMIT
 from ..plan.batches import covering
 from ..plan.planning import Plan
-from .pause import in_plane
 
 REFINED = 0.25  # of the depth to which elements are as fine as at the surface
 
@@ -72,4 +72,10 @@ def _measures(bodies: Bodies) -> dict[str, float]:
     """Of the substrate: number of elements, mean temperature (K) and mean in-plane stress (Pa)."""
     t, own = bodies.target, bodies.body == 0
     mean = float(np.average(t.T[own], weights=t.mesh.V0[own]))
-    return {"elements": float(own.sum()), "T_mean_K": mean, "stress_Pa": in_plane(t, own)}
+    return {"elements": float(own.sum()), "T_mean_K": mean, "stress_Pa": _in_plane(t, own)}
+
+
+def _in_plane(t: Target, which: np.ndarray) -> float:
+    """Mean over volume of the in-plane stress (xx + yy) / 2, Pa; 0 without elements."""
+    stress = t.stress()[which]
+    return float(np.average(0.5 * (stress[:, 0] + stress[:, 1]), weights=t.volume[which])) if which.any() else 0.0

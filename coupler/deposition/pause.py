@@ -78,8 +78,6 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
     before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
-    splats = bodies.body > 0
-    deposited = in_plane(t, splats)
     missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
     missing *= t.laws["expansion"][t.law_of]
     t.heat += missing
@@ -97,10 +95,6 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
         report |= {"coolings": number, "off_ambient_K": float(np.abs(t.T - ambient).max())}
         if report["off_ambient_K"] <= AT_AMBIENT:
             break
-    splats = bodies.body > 0
-    report |= {"stress_before_Pa": deposited, "residual_stress_Pa": in_plane(t, splats)}
-    thermal = t.thermal_stress[splats, :2].mean(axis=1)
-    report["thermal_stress_Pa"] = float(np.average(thermal, weights=t.volume[splats])) if splats.any() else 0.0
     report["overlap_m"] = float(overlaps(bodies.surfaces, t.x, range(bodies.count)).max())
     return bodies, report | {"wall_s": clock.perf_counter() - started}
 
@@ -113,12 +107,6 @@ def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> V
     settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
     t.thermal_stress += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
-
-
-def in_plane(t: Target, which: np.ndarray) -> float:
-    """Mean over volume of the in-plane stress (xx + yy) / 2, Pa; 0 without elements."""
-    stress = t.stress()[which]
-    return float(np.average(0.5 * (stress[:, 0] + stress[:, 1]), weights=t.volume[which])) if which.any() else 0.0
 
 
 def _take_heat_away(t: Target, ambient: float) -> None:

@@ -20,7 +20,7 @@ LIMITS = (
     ("numerical_dissipation", DISSIPATION_LIMIT, "viscosity and hourglass control took {share:.0%} of the kinetic energy, more than"
      " {limit:.0%}: they shape the splat beside the metal's own strength, try a finer preset"),
     ("dissipation_of_plastic", PLASTIC_SHARE_LIMIT, "in the particle viscosity and hourglass control took {share:.0%} of the plastic"
-     " work, more than {limit:.0%}: plastic strains are too low by about that share, try a finer preset"),
+     " work, more than {limit:.0%}: plastic strains are too low, try a finer preset"),
 )  # fmt: skip
 
 
@@ -127,5 +127,5 @@ def _above(impacts: Sequence[Values], key: str, limit: float, words: str) -> lis
     return [
         f"impact {number}: {words.format(share=impact[key], limit=limit)}"
         for number, impact in enumerate(impacts, 1)
-        if impact[key] > limit
+        if impact[key] is not None and impact[key] > limit
     ]

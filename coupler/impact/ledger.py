@@ -14,6 +14,7 @@ DRIFT_BOUND = 0.01  # of the initial kinetic energy: a run that ends beyond it h
 DRIFT_ALARM = 4.0 * DRIFT_BOUND  # during the run, where part of the drift may come back
 MOMENTUM_BOUND = 1e-6  # of the initial momentum
 DISSIPATION_BOUND = -0.01  # numerical dissipation below it: the scheme generates energy and is unstable
+FLOWS = 0.01  # of the initial kinetic energy: the least plastic work that a share of it says something about
 SOUND = 0.4  # of the bounds: a state beyond that is not kept for a retry
 
 _STORED = (
@@ -75,9 +76,10 @@ class Ledger:
         return (self.rows["numerical_particle"] + self.rows["numerical_target"]) / self.kinetic_0
 
     @property
-    def dissipation_of_plastic(self) -> float:
-        """Numerical dissipation of the particle over its plastic work."""
-        return self.rows["numerical_particle"] / max(self.rows["plastic_particle"], 1e-9 * self.kinetic_0)
+    def dissipation_of_plastic(self) -> float | None:
+        """Numerical dissipation of the particle over its plastic work; None where it hardly flows, by less than FLOWS."""
+        plastic = self.rows["plastic_particle"]
+        return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
 
     @property
     def is_sound(self) -> bool:

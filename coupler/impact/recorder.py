@@ -1,6 +1,7 @@
 """What is written of an impact while it runs: rows of the history, fields in time, and the ranges that it has left."""
 
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,7 +12,7 @@ from ..geometry.extent import UP, extent
 from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..state.records import collect
+from ..state.records import Shape, collect
 from .bodies import Bodies
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
@@ -25,7 +26,7 @@ VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as Pa
 @dataclass(frozen=True)
 class RecorderState:
     """next_row, next_output: times in s; greatest: measures at the greatest deformation, None before it; extremes: by body;
-    over_rim, in_layer: see `Recorder`."""
+    over_rim, in_layer, met: see `Recorder`."""
 
     next_row: float
     next_output: float
@@ -33,6 +34,7 @@ class RecorderState:
     extremes: dict[str, dict[str, float]]
     over_rim: bool
     in_layer: bool
+    met: Annotated[np.ndarray, Shape(-1)]
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
@@ -48,7 +50,7 @@ class Recorder:
 
     before: simulated time (s) of the impacts before it. greatest: measures at the greatest deformation, None before it. over_rim:
     the particle has reached beyond the substrate's edge and below its surface. in_layer: it has touched the layer where the
-    target's window damps velocities.
+    target's window damps velocities. met (k,): heights, m, of the surface that the particle meets, at its nodes, before the impact.
     """
 
     def __init__(self, plan: Plan, i: int, store: Store, progress: Progress, before: float):
@@ -56,6 +58,7 @@ class Recorder:
         self.store, self.progress, self.before = store, progress, before
         self.extremes = Extremes()
         self.over_rim = self.in_layer = False
+        self.met = np.zeros(0)
         self.greatest: dict[str, float] | None = None
         self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
         self.next_row = self.next_output = 0.0
@@ -65,6 +68,7 @@ class Recorder:
         """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
         where not their end alone is written."""
         if self.next_output == 0.0:
+            self.met = impact.target.x[_surface_nodes(impact), 2]
             if self.i == 0 or np.isfinite(self.impact_plan.output_every):
                 self.write_fields(impact)
             self.next_output = self.impact_plan.output_every
@@ -87,7 +91,7 @@ class Recorder:
 
     def write_row(self, impact: Impact, dt: float) -> None:
         """One row of history.csv, and a look at the ranges of the models."""
-        particle, target = impact.particle, impact.target
+        particle = impact.particle
         ledger = impact.update_ledger()
         skin = impact.surface.positions(particle.x)
         row = {
@@ -99,7 +103,7 @@ class Recorder:
         }
         bottom, row["height"] = extent(skin, impact.surface.triangles, UP)
         row["thickness"] = row["height"] - bottom
-        row["crater_depth"] = crater_depth(target.x[self._crater_nodes(impact)])
+        row["crater_depth"] = self._crater(impact)
         row["velocity_z"] = -impact.sinking
         row["contact_force"] = float(impact.force[2])
         row["T_max"] = float(particle.T.max())
@@ -147,13 +151,14 @@ class Recorder:
 
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""
-        nodes, level = self._crater_nodes(impact), impact.domains.level
+        nodes, level = _surface_nodes(impact), impact.domains.level
         m = measure(impact.particle, impact.target, impact.surface, nodes, self.impact_plan.diameter, level)
-        return {"time_s": impact.time, **m}
+        return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
-    def _crater_nodes(self, impact: Impact) -> np.ndarray:
-        mesh = impact.target.mesh
-        return np.unique(mesh.facets[mesh.sets["top"]])
+    def _crater(self, impact: Impact) -> float:
+        """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before."""
+        x = impact.target.x[_surface_nodes(impact)]
+        return crater_depth(np.column_stack([x[:, :2], x[:, 2] - self.met]))
 
     def state(self) -> RecorderState:
         """What is due next, and what was noticed so far."""
@@ -165,3 +170,8 @@ class Recorder:
         for f in fields(state):
             if f.name != "extremes":
                 setattr(self, f.name, getattr(state, f.name))
+
+
+def _surface_nodes(impact: Impact) -> np.ndarray:
+    """Nodes (k,) of the surface that the particle can hit."""
+    return np.unique(impact.target.mesh.facets[impact.bodies.reachable()])

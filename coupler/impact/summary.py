@@ -11,6 +11,7 @@ from ..files.summary import Values
 from ..measures import STICKS, UNDECIDED, within_range
 from ..plan.bands import half_widths
 from .exchange import Impact
+from .ledger import FLOWS
 from .measure import share_inside_itself
 from .recorder import Recorder
 from .retry import Retry
@@ -110,6 +111,10 @@ def summarise(
         unknown = [key for key in NEEDS_REST if key in own]
         own |= dict.fromkeys(unknown)
         refused = dict.fromkeys([*unknown, *(f"end.{key}" for key in end if key != "time_s")], undecided)
+    if own["dissipation_of_plastic"] is None:
+        refused["dissipation_of_plastic"] = (
+            f"the plastic work of the particle is below {FLOWS:.0%} of its kinetic energy"
+        )
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
     greatest = accepted(recorder.greatest, refused, "greatest.") if recorder.greatest is not None else None

@@ -27,7 +27,7 @@ LEDGER: tuple[tuple[tuple[str, ...], str, str], ...] = (
     (("numerical_particle",), "dissipated by the SPH scheme", "#cc79a7"),
     (("numerical_target",), "bulk viscosity and scaled inertia, target", "#e8c6d8"),
     (("boundary",), "absorbed at boundaries", "#999999"),
-    (("contact",), "contact springs", "#444444"),
+    (("contact", "bodies", "bond"), "springs of contact and bonds", "#444444"),
     (("elastic_particle", "elastic_target"), "elastic, both", "#009e73"),
     (("kinetic_target",), "kinetic, target", "#56b4e9"),
     (("kinetic_particle",), "kinetic, particle", "#0072b2"),
@@ -44,45 +44,58 @@ CURVES: dict[str, tuple[str, float, dict[str, str]]] = {
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#444444")
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 PART_OF_OTHER = 1e-3  # of the initial kinetic energy: a smaller rest is rounding
+MOMENT = 1e-13  # s: less than a page shows, and more than its digits leave out
 
 
-def energy(history: History, kinetic_0: float | None = None) -> Figure | None:
-    """The ledger over time, stacked, in % of the initial kinetic energy; None without its columns.
+def energy(history: History) -> Figure | None:
+    """The ledger over time, stacked, each impact in % of the kinetic energy of its own particle; None without its columns.
 
-    kinetic_0: J; from the first row if not given. What the columns that are known here leave of the whole is shown as
-    "other", so that the stack is always the total that was booked.
+    What the columns that are known here leave of the whole is shown as "other", so that the stack is always the total that was booked.
     """
     if not len(history.get("time", ())) or not {"kinetic_particle", "drift"} <= history.keys():
         return None
-    shares = [
+    history, starts = _apart(history)
+    terms = [
         (np.sum([history[name] for name in names if name in history], axis=0), words, colour)
         for names, words, colour in LEDGER
         if any(name in history for name in names)
     ]
-    total = np.sum([share for share, _, _ in shares], axis=0)
-    kinetic_0 = kinetic_0 or float(total[0] / (1 + history["drift"][0]))
+    total = np.sum([term for term, _, _ in terms], axis=0)
+    first = np.clip(np.searchsorted(starts, np.arange(len(total)), side="right") - 1, 0, None)
+    kinetic_0 = (total / (1 + history["drift"]))[starts][first]
     other = (1 + history["drift"]) * kinetic_0 - total
-    if np.abs(other).max() > PART_OF_OTHER * kinetic_0:
-        shares.insert(-2, (other, "other", "#bbbbbb"))
+    if np.nanmax(np.abs(other / kinetic_0)) > PART_OF_OTHER:
+        terms.insert(-2, (other, "other", "#bbbbbb"))
     traces = [
-        trace(history["time"] * 1e9, 100 * share / kinetic_0, words, color=colour, width=0.6)
+        trace(history["time"] * 1e9, np.nan_to_num(100 * term / kinetic_0), words, color=colour, width=0.6)
         | {"stackgroup": "all", "fillcolor": colour, "hovertemplate": "%{y:.2f} %"}
-        for share, words, colour in shares
+        for term, words, colour in terms
     ]
     layout = {
         "xaxis": axis("time (ns)", traces, "x"),
         "yaxis": {
             "title": "% of the initial kinetic energy",
-            "range": [-3, 103 + 100 * max(history["drift"].max(), 0)],
+            "range": [-3, 103 + 100 * max(np.nanmax(history["drift"]), 0)],
         },
         "legend": {"traceorder": "reversed"},
     }
     return {"traces": traces, "layout": layout, "height": 420}
 
 
+def _apart(history: History) -> tuple[dict[str, NDArray], NDArray]:
+    """A history with two rows that hold no numbers between impacts, so that no curve joins them, and the first row of each impact."""
+    time = history["time"]
+    firsts = np.flatnonzero(np.diff(history.get("impact", np.ones(len(time))))) + 1
+    apart = {name: np.insert(column.astype(float), np.repeat(firsts, 2), np.nan) for name, column in history.items()}
+    starts = firsts + 2 * np.arange(1, len(firsts) + 1)
+    apart["time"][starts - 2], apart["time"][starts - 1] = time[firsts - 1] + MOMENT, time[firsts] - MOMENT
+    return apart, np.insert(starts, 0, 0)
+
+
 def over_time(history: History, name: str) -> Figure | None:
     """A figure of CURVES; None without its columns."""
     label, factor, columns = CURVES[name]
+    history = _apart(history)[0] if len(history.get("time", ())) else history
     traces = [
         trace(history["time"] * 1e9, history[column] * factor, words, color=LINES[k], dash=DASHES[k])
         for k, (column, words) in enumerate(columns.items())
@@ -97,7 +110,7 @@ def compared(histories: Mapping[str, History], column: str, label: str, factor: 
     for k, (name, history) in enumerate(histories.items()):
         if column in history and "time" in history:
             style = {"color": LINES[k % len(LINES)], "dash": DASHES[k // len(LINES) % len(DASHES)]}
-            words = name.replace("<", "&lt;")  # a folder's name is text, not markup
+            words, history = name.replace("<", "&lt;"), _apart(history)[0]  # a folder's name is text, not markup
             traces.append(trace(history["time"] * 1e9, history[column] * factor, words, **style))
     return _of_time(traces, label, 300) if traces else None
 
@@ -169,9 +182,9 @@ def axis(title: str, traces: Sequence[Trace], key: str) -> dict[str, object]:
 
 
 def trace(x: NDArray, y: NDArray, name: str, **line: str | float) -> Trace:
-    """One line. Five digits are more than a screen shows; what is not a number is a gap."""
+    """One line. Seven digits are more than a screen shows; what is not a number is a gap."""
     places = {
-        key: [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
+        key: [float(f"{value:.7g}") if np.isfinite(value) else None for value in values]
         for key, values in (("x", x), ("y", y))
     }
     return {**places, "name": name, "mode": "lines", "line": {"width": 1.8, **line}}

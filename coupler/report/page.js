@@ -107,7 +107,7 @@ class Solid {
     const z = [whole ? Math.max(bottom, this.solid.lowest) : bottom, top]; // below it a whole target shows nothing
     const depth = whole ? y : [plane - 0.1, y[1]];
     const size = x[1] - x[0];
-    const style = { showbackground: false, showspikes: false, showgrid: false, zeroline: false, ticks: "outside", nticks: 5, tickfont: { size: 11 }, color: "#5b6470" };
+    const style = { showbackground: false, showspikes: false, showgrid: false, zeroline: false, ticks: "outside", ticklen: 12, nticks: 5, tickfont: { size: 11 }, color: "#5b6470" };
     return {
       xaxis: { ...style, range: x, title: { text: "x (µm)" } }, yaxis: { ...style, range: depth, title: { text: "y (µm)" } },
       zaxis: { ...style, range: z, title: { text: "z (µm)" } }, dragmode: "orbit", camera,
@@ -116,8 +116,9 @@ class Solid {
   }
 
   camera(whole) {
-    const far = NARROW ? 1.5 : 1;
-    return { eye: { x: -0.66 * far, y: (whole ? -2.3 : -2.15) * far, z: 0.95 * far }, center: { x: 0, y: 0, z: whole ? -0.28 : -0.22 }, up: { x: 0, y: 0, z: 1 } };
+    const [x, , z] = this.solid.box, high = (2 * (z[1] - z[0])) / (x[1] - x[0]);
+    const far = (NARROW ? 1.5 : 1) * (0.78 + 0.2 * high); // so that the labels below are inside
+    return { eye: { x: -0.9 * far, y: (whole ? -2.3 : -2.2) * far, z: 1.0 * far }, center: { x: 0, y: 0, z: whole ? -0.34 : -0.32 }, up: { x: 0, y: 0, z: 1 } };
   }
 
   async start() {

@@ -77,35 +77,39 @@ class Page:
 
 
 def write_report(
-    result: Result, path: str | Path | None = None, stage: Callable[[str], None] = lambda text: None
+    result: Result,
+    path: str | Path | None = None,
+    stage: Callable[[str], None] = lambda text: None,
+    coating: Sequence[tuple[str, str]] = (),
 ) -> Path:
     """Write the page about a run, finished or not. path: `report.html` in the run's folder unless given. stage(text): told what
-    comes next.
+    comes next. coating: what the splats make together, label and value each (`studies.coating.lines`).
 
     Returns the path. Raises StoreError if a file of the run is damaged or the page cannot be written.
     """
     path = Path(path) if path is not None else result.directory / "report.html"
-    write_text(path, report(result, stage))
+    write_text(path, report(result, stage, coating))
     return path
 
 
-def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> str:
-    """The page about a run as HTML. stage(text): told what comes next."""
+def report(
+    result: Result, stage: Callable[[str], None] = lambda text: None, coating: Sequence[tuple[str, str]] = ()
+) -> str:
+    """The page about a run as HTML. stage(text): told what comes next. coating: as of `write_report`."""
     page, summary, values = Page(), result.summary, result.values
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     conditions = parts.conditions(result)
+    count, places = len(summary.get("impacts", [])), {tuple(body["offset"]) for body in result.plan.get("impacts", [])}
     front = parts.front(summary) if summary else _so_far(history)
-    front = (
-        f'<div class="two"><div>{front}</div>{conditions}</div>'
-        if len(summary.get("impacts", [])) < 2
-        else front + conditions
-    )
+    if len(places) > 1 and coating:
+        front = parts.definitions(coating) + (front if count <= parts.SIDE_BY_SIDE else "")
+    front = f'<div class="two"><div>{front}</div>{conditions}</div>' if count < 2 else front + conditions
     warned = (values if result.finished else result.plan).get("warnings") or []
     warned = [str(text) for text in warned if text not in alerts(summary)]
     more = f"{len(warned) - FRONT_WARNINGS} more below" if len(warned) > FRONT_WARNINGS else ""
-    page.section("warnings", "Warnings", parts.warnings(warned) if more else "")
-    page.section("measures", "Measures", parts.measures(summary))
+    page.section("warnings", "Further warnings", parts.warnings(warned[FRONT_WARNINGS:]))
     page.section("impacts", "Impacts", parts.each_impact(summary))
+    page.section("measures", "Measures" if count < 2 else "Whole run", parts.measures(summary))
     if names := picture.drawable(result):
         at, picked = picture.stage(result), picks(result)
         seen = picture.window(result, picked, at)
@@ -117,18 +121,19 @@ def report(result: Result, stage: Callable[[str], None] = lambda text: None) -> 
         page.section("in3d", "In 3D", SOLID)
         stage("drawing the cuts")
         main = {name: ranges[name] for name in names if name in ("T", "eps_p")}
-        lower = replace(cuts[-1], window=(*seen[:3], picture.window(result, picked[-1:], at)[3]))
-        front = _cuts([lower], main, {}) + front
+        lower, caption = replace(cuts[-1], window=(*seen[:3], picture.window(result, picked[-1:], at)[3])), {}
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
         if len(result.times(COLD)):
-            section, colours = picture.cut_cold(result, at, seen)
+            section, colours = picture.cut_cold(result, at, lower.window)
             caption = {"after the closing stage, at ambient temperature": section.time}
-            page.section("cold", "Residual stress", parts.cold(summary) + _cuts([section], colours, caption))
+            page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
+            lower, main = section, {name: colours[name] for name in ("eps_p", "in_plane")}
+        front = _cuts([lower], main, caption) + front
         stage("drawing the profiles")
         page.section("depth", "Along the axis", _depth(page, result, picked, at))
     else:
         front = '<p class="note">No step of particle, surface and target is stored yet.</p>' + front
-    page.section("energy", "Energy", _energy(page, history, values))
+    page.section("energy", "Energy", _energy(page, history))
     motion = [page.chart(name, charts.over_time(history, name)) for name in ("lengths", "velocity", "force", "step")]
     over_time = f'<div class="two">{"".join(motion)}</div>{parts.pace(values)}' if any(motion) else ""
     page.section("motion", "Motion and time step", over_time)
@@ -274,14 +279,13 @@ def _depth(page: Page, result: Result, steps: Sequence[int], at: picture.Stage) 
     return f'{head}<div class="four">{places}</div>' if places else ""
 
 
-def _energy(page: Page, history: Mapping[str, NDArray], values: Mapping[str, object]) -> str:
-    kinetic_0 = values.get("kinetic_energy_0_J")
-    stack = page.chart("ledger", charts.energy(history, float(kinetic_0) if isinstance(kinetic_0, float) else None))
+def _energy(page: Page, history: Mapping[str, NDArray]) -> str:
+    stack = page.chart("ledger", charts.energy(history))
     if not stack:
         return ""
     caption = (
-        "Where the initial kinetic energy is at each time. The stack is the sum of all terms of the ledger; its distance from 100 % "
-        "is the drift below."
+        "Where the kinetic energy of the particle is at each time after its start; each impact is drawn in % of its own. The stack is "
+        "the sum of all terms of the ledger; its distance from 100 % is the drift below."
     )
     return f'<p class="caption">{caption}</p>{stack}{page.chart("drift", charts.over_time(history, "drift"), "Drift of the ledger")}'
 

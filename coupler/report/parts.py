@@ -11,7 +11,7 @@ from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
-from .words import Block, bands, brief, columns, impacts, of_run, remarks, shown, span, table_lines, title
+from .words import Block, bands, brief, columns, impacts, of_run, plain, remarks, shown, span, table_lines, title
 
 FRONT_ROWS = 8  # of particles, that the first sheet has room for
 SIDE_BY_SIDE = 6  # impacts
@@ -70,8 +70,11 @@ def front(summary: Summary) -> str:
 
 
 def measures(summary: Summary) -> str:
-    """All measures of a summary, a table for each group, with bands where there are any."""
-    blocks, band = columns(summary), bands(summary)
+    """All measures of a run, a table for each group: those of its one impact with bands where there are any, of several impacts those
+    of the whole."""
+    is_one = len(summary.get("impacts", [])) == 1
+    blocks = columns(summary) if is_one or not summary else {"": plain(summary["run"])}
+    band = bands(summary) if is_one else {}
     tables = []
     for group, lines in table_lines(list(blocks.values()), band).items():
         used = [k for k in range(len(blocks)) if any(line.cells[k] for line in lines)]
@@ -82,9 +85,7 @@ def measures(summary: Summary) -> str:
     note = f'<p class="caption">What drives the bands: {escape("; ".join(drives))}.</p>' if drives else ""
     items = "".join(f"<li>{escape(text)}</li>" for text in remarks(summary))
     note += f'<ul class="caption">{items}</ul>' if items else ""
-    count = len(summary.get("impacts", []))
-    of = f'<p class="caption">Of the last impact, number {count}.</p>' if count > 1 else ""
-    return f'{of}<div class="measures">{"".join(tables)}</div>{note}' if tables else ""
+    return f'<div class="measures">{"".join(tables)}</div>{note}' if tables or note else ""
 
 
 def several(entries: Sequence[Block], headings: Sequence[str]) -> str:
@@ -110,21 +111,18 @@ def each_impact(summary: Summary) -> str:
 
 
 COLD_ROWS = (
-    ("residual_stress_Pa", "residual stress in the plane, mean over the splats"),
-    ("thermal_stress_Pa", "of it by cooling, in the pauses and at the end"),
-    ("stress_before_Pa", "stress in the plane before the closing stage"),
-    ("T_max_before_K", "hottest before it"),
+    ("T_max_before_K", "hottest before the closing stage"),
     ("ambient_K", "ambient"),
     ("overlap_m", "deepest overlap of bodies"),
 )
 
 
-def cold(summary: Summary) -> str:
-    """What the closing stage has left, a row for each of COLD_ROWS."""
+def cold(summary: Summary, coating: Sequence[tuple[str, str]]) -> str:
+    """What the closing stage has left: the lines on stress of the coating, and COLD_ROWS."""
     closing = summary.get("closing", {})
     known = [(measure(key), label, closing[key]) for key, label in COLD_ROWS if key in closing]
-    rows = [(label, f"{value * m.factor:.4g}", m.unit) for m, label, value in known]
-    return table(("", "", ""), rows, numbers=(1,)) if rows else ""
+    stress = [line for line in coating if "stress" in line[0] or line[0] == "measured"]
+    return definitions([*stress, *((label, f"{value * m.factor:.4g} {m.unit}") for m, label, value in known)])
 
 
 def scene_of(result: Result) -> Values:
@@ -137,7 +135,7 @@ def scene_of(result: Result) -> Values:
 
 def conditions(result: Result) -> str:
     """Particles, target, contact, adhesion, end and resolution, from the plan of the run; "" without one."""
-    plan, values = result.plan, result.values
+    plan = result.plan
     if not plan:
         return ""
     bodies, target, gas = plan["impacts"], plan["target"], plan["gas"]
@@ -160,15 +158,28 @@ def conditions(result: Result) -> str:
         bodies[0]["end_at"], ""
     )
     lines += [("ends", f"{end}{span([1e9 * body['end_time'] for body in bodies])} ns after the start of an impact")]
-    counts = [
-        f"{shown(count, values[count])} {text} of {shown(size, values[size])} µm"
-        for count, size, text in (("points", "spacing_m", "points"), ("elements", "element_size_m", "tetrahedra"))
-        if values.get(count) and values.get(size)
+    lines += [
+        (
+            "resolution",
+            ", ".join([f"preset {plan['preset']}", *_resolution(plan, result.summary), f"engine {plan['engine']}"]),
+        )
     ]
-    lines += [("resolution", ", ".join([f"preset {plan['preset']}", *counts, f"engine {plan['engine']}"]))]
     off = [name.replace("_", " ") for name, on in plan["effects"].items() if on is False]
     lines += [("effects", f"without {', '.join(off)}" if off else "all on")]
     return definitions(lines)
+
+
+def _resolution(plan: Values, summary: Summary) -> list[str]:
+    """Points of all particles with their spacings, and elements of the substrate with their size, in words."""
+    both = list(zip(plan["impacts"], summary.get("impacts") or [{}] * len(plan["impacts"]), strict=False))
+    points = [own.get("points", planned["points"]) for planned, own in both]
+    spacings = [own.get("spacing_m", planned["spacing"]) for planned, own in both]
+    ends = [f"{n:,}".replace(",", " ") for n in sorted({min(points), max(points)})]
+    size = plan["target"]["element_size"]
+    return [
+        f"{' to '.join(ends)} points {'a particle ' if len(points) > 1 else ''}of {span([1e6 * s for s in spacings])} µm",
+        f"elements of {1e6 * size:.3g} µm in the substrate",
+    ]
 
 
 def definitions(lines: Iterable[tuple[str, str]]) -> str:

@@ -37,6 +37,7 @@ from .words import title
 MICRO = 1e6
 VOID = 1.6  # spacings: twice what lies between the points of a lattice
 RAISED = 0.03  # diameters above the surface: a part of the target so high belongs to a rim, a jet or a splat
+FAR = 1.3  # diameters above the target: a particle that is higher has left the picture
 PIXELS = 500  # along the longer side of the particle
 READABLE = 8.0  # points
 LETTER = 0.6  # width of a letter over the size of its font, at most, in words
@@ -68,8 +69,9 @@ class Stage:
 class Cut:
     """The cut at one time (s). Lengths in um, values in the units of `FIELDS`.
 
-    loops: outline of the particle, (k, 2) each. corners: polygons of the target, (q, 4, 2). rim: surface of the
-    target, (r, 2, 2). values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`.
+    loops: outline of the particle, (k, 2) each. corners: polygons of the target, (q, 4, 2). rim: surfaces of
+    substrate and splats, (r, 2, 2); is_substrate (r,): the substrate's, where there are splats.
+    values: name -> at the corners, (q, 4). images: name -> pixels of the particle over `extent`.
     """
 
     time: float
@@ -78,6 +80,7 @@ class Cut:
     loops: list[NDArray]
     corners: NDArray
     rim: NDArray
+    is_substrate: NDArray[np.bool_]
     extent: Window
     values: dict[str, NDArray]
     images: dict[str, NDArray]
@@ -123,17 +126,31 @@ def _most_cut(plan: Values, first: float) -> float:
 
 
 def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
-    """What a picture shows, um: the particle, the splats and the jets of the target at all the given steps, and room around."""
+    """What a picture shows, um: the particle, the splats and the jets of the target at all the given steps, and room around.
+
+    While a particle flies away it keeps its size (`reach`).
+    """
     ends, D = [], at.diameter
     for step in steps:
-        skin, target = (result.fields(step, domain).points * MICRO for domain in ("surface", "target"))
-        raised = target[target[:, 2] > at.level + RAISED * D]
-        places = np.concatenate([skin, raised])
-        ends.append((places.min(0), places.max(0), skin[:, 2].min()))
+        skin, target = result.fields(step, "surface").points * MICRO, result.fields(step, "target")
+        points = target.points * MICRO
+        raised = points[points[:, 2] > at.level + RAISED * D]
+        limit = reach(raised, at)
+        is_away, skin = skin[:, 2].min() > limit - FAR * D, skin[skin[:, 2] < limit]
+        splats = points[target.cells[target.data["body"] > 0].ravel(), 2] if "body" in target.data else points[:0, 2]
+        places = np.concatenate([skin, raised, points[[int(np.argmax(points[:, 2]))]]])
+        deepest = min(skin[:, 2].min(initial=at.level), splats.min(initial=at.level))
+        highest = [*places[:, :2].max(0), limit if is_away else places[:, 2].max()]
+        ends.append((places.min(0), highest, deepest))
     low, high = np.min([least for least, _, _ in ends], axis=0), np.max([most for _, most, _ in ends], axis=0)
     middle, half = (low[0] + high[0]) / 2, max(1.5 * D, (high[0] - low[0]) / 2 + 0.4 * D)
     bottom = min(at.level - 0.9 * D, min(deepest for _, _, deepest in ends) - 0.3 * D)
     return float(middle - half), float(middle + half), float(bottom), float(max(high[2], at.level) + 0.15 * D)
+
+
+def reach(raised: NDArray, at: Stage) -> float:
+    """Height (um) up to which a picture follows a particle: FAR diameters above all that is raised, (m, 3) um."""
+    return float(max(raised[:, 2].max(initial=at.level), at.level) + FAR * at.diameter)
 
 
 def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window, pixels: int = PIXELS) -> Cut:
@@ -159,10 +176,22 @@ def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: Window) ->
     for name in names:
         ends = at_nodes(target, name)[polygons] * FIELDS[name].factor
         values[name] = ends[..., 0] + share * (ends[..., 1] - ends[..., 0])
-    skin, _ = boundary_faces(target.cells)
-    rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
+    rim, is_substrate = surfaces_cut(target, at)
     nothing = {name: np.zeros((0, 0)) for name in names}
-    return Cut(target.time, at.level, seen, [], corners, rim, (0.0, 1.0, 0.0, 1.0), values, nothing)
+    return Cut(target.time, at.level, seen, [], corners, rim, is_substrate, (0.0, 1.0, 0.0, 1.0), values, nothing)
+
+
+def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Where the plane cuts the surfaces of substrate and splats, (r, 2, 2) um, and which lines (r,) are the substrate's, if there are
+    splats."""
+    skin, owner = boundary_faces(target.cells)
+    body = target.data["body"][owner] if "body" in target.data else np.zeros(len(skin))
+    parts = [
+        crossing(target.points, cut_triangles(target.points, skin[which], at.plane), at.plane)[0] * MICRO
+        for which in (body == 0, body > 0)
+    ]
+    is_substrate = np.repeat([len(parts[1]) > 0, False], [len(part) for part in parts])
+    return np.concatenate(parts), is_substrate
 
 
 def cut_cold(result: Result, at: Stage, seen: Window) -> tuple[Cut, dict[str, Range]]:
@@ -245,7 +274,10 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     if thick.any():
         grid = Triangulation(flat[:, 0], flat[:, 1], halves[thick])
         axis.tripcolor(grid, values.ravel(), cmap=colours, norm=scale, shading="gouraud")
-    axis.add_collection(LineCollection(list(section.rim), colors="black", linewidths=1.0, capstyle="round", zorder=2))
+    widths = np.where(section.is_substrate, 2.2, 1.0)
+    axis.add_collection(
+        LineCollection(list(section.rim), colors="black", linewidths=widths, capstyle="round", zorder=2)
+    )
     if section.loops:
         outline = Outline.make_compound_path(
             *(Outline(np.vstack([loop, loop[:1]]), closed=True) for loop in section.loops)
@@ -257,6 +289,9 @@ def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
         for artist in inside:
             artist.set_clip_path(outline, axis.transData)
         axis.add_patch(PathPatch(outline, fill=False, edgecolor="black", linewidth=1.3, zorder=5))
+        if (lowest := min(float(loop[:, 1].min()) for loop in section.loops)) > top:
+            words = f"particle {lowest - section.level:.0f} µm above the surface"
+            axis.text(0.5 * (left + right), top, words, ha="center", va="top", fontsize=10)
     axis.plot([left, right], [section.level] * 2, color="0.3", linewidth=0.9, dashes=(6, 4), zorder=6)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     axis.set_axis_off()
@@ -292,7 +327,15 @@ def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
     length = power * max(step for step in (1, 2, 5) if step * power <= wanted)
     x, z = left + 0.03 * (right - left), bottom + 0.06 * (top - bottom)
     axis.plot([x, x + length], [z, z], color="black", linewidth=3, solid_capstyle="butt", zorder=7)
-    axis.text(x + length / 2, z + 0.03 * (top - bottom), f"{length:g} µm", ha="center", fontsize=fontsize, zorder=7)
+    axis.annotate(
+        f"{length:g} µm",
+        (x + length / 2, z),
+        (0.0, 4.0),
+        textcoords="offset points",
+        ha="center",
+        fontsize=fontsize,
+        zorder=7,
+    )
 
 
 def blank(width: float, height: float, dpi: float, layout: Literal["constrained"] | None = None) -> Figure:

@@ -18,10 +18,10 @@ from scipy.spatial import Delaunay, cKDTree
 
 from ..files.fields import Fields
 from ..files.result import Result
-from ..geometry.sections import crossing, cut_tets, cut_triangles, section_loops
+from ..geometry.sections import crossing, cut_tets, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
-from .picture import MICRO, Range, Stage, read
+from .picture import MICRO, Range, Stage, read, surfaces_cut, window
 
 FRAMES = 26  # of the time slider, at most
 VERTICES = 2500  # of the particle's surface: more are merged
@@ -46,7 +46,8 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
     "particle", "target cut" and "particle cut", each with the number of its triangles, its points (in a box three times
     as large about the same middle) and values, and `lines`, x and z (um) of what outlines the cut.
     """
-    box = _box([result.fields(step, "surface").points * MICRO for step in steps], at)
+    seen = window(result, steps, at)
+    box = _box([result.fields(step, "surface").points * MICRO for step in steps], seen[3], at)
     cells, kept = np.zeros((0, 3), int), (np.zeros(0, int), np.zeros((0, 3), int))
     times, shown, lines = [], [], []
     for step in steps:
@@ -57,7 +58,7 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
         cloud = {name: at_nodes(particle, name) * FIELDS[name].factor for name in ranges}
         skin, _ = boundary_faces(target.cells)
         loops = [loop * MICRO for loop in section_loops(surface.points, surface.cells, at.plane)]
-        rim = crossing(target.points, cut_triangles(target.points, skin, at.plane), at.plane)[0] * MICRO
+        rim, _ = surfaces_cut(target, at)
         shown.append(
             {
                 "target": _target(target.points * MICRO, skin, nodal, box),
@@ -108,15 +109,16 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
     return kept, merged[np.sort(first)]
 
 
-def _box(skins: Sequence[NDArray], at: Stage) -> NDArray:
-    """Low and high corner (2, 3), um, of what is shown: the particle at all times and the target near it."""
+def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
+    """Low and high corner (2, 3), um, of what is shown: the particle up to the height `top` at all times, and the target near it."""
+    skins = [below for skin in skins if len(below := skin[skin[:, 2] < top])]
     low, high = (np.array([getattr(skin, end)(0) for skin in skins]) for end in ("min", "max"))
     plane, D = at.plane * MICRO, at.diameter
     half = max(plane - low[:, 1].min(), high[:, 1].max() - plane) + 0.9 * D
     return np.array(
         [
             [low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D],
-            [high[:, 0].max() + 0.9 * D, plane + half, max(high[:, 2].max(), at.level) + 0.1 * D],
+            [high[:, 0].max() + 0.9 * D, plane + half, top],
         ]
     )
 

@@ -259,8 +259,9 @@ def remarks(summary: Summary) -> list[str]:
         for reason, names in reasons.items():
             of_end = {_label(f"end.{key}") for key in impact["end"] if key != "time_s"}
             if of_end and of_end <= set(names):
-                names = ["all measures of the end", *(name for name in names if name not in of_end)]
-            lines.setdefault(f"no value of {', '.join(names)}: {reason}", []).append(number)
+                names = [_label("end"), *(name for name in names if name not in of_end)]
+            verb = "are" if len(names) > 1 or names[0].startswith("all") else "is"
+            lines.setdefault(f"{', '.join(names)} {verb} undefined: {reason}", []).append(number)
         for block, moment in _BLOCKS.items():
             for key, value in (impact.get(block) or {}).items():
                 remark = measure(key).remark(value) if isinstance(value, int | float) else None

@@ -224,11 +224,13 @@ def roughness(z: NDArray) -> tuple[float, float]:
 @dataclass(frozen=True)
 class CoatingMeasures:
     """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; undecided: impacts with that verdict,
-    which count as stayed in deposition_efficiency and as lost in least_efficiency; bare_share: share of the window
+    which count as stayed in deposition_efficiency and as lost in least_efficiency; thickness: height of the coating above the old
+    surface of the substrate, z = 0, so that metal inside craters does not count, 0 where there is none; height_mean_m: mean height
+    of the surface, craters included, as a profilometer steps from the old surface; bare_share: share of the window
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
-    the coating's volume in the window of (xx + yy) / 2, thermal_in_plane_Pa: the part of it that changes of temperature have made;
-    layers, depth: rows of `per_layer`, `over_depth`."""
+    the coating's volume in the window of (xx + yy) / 2, residual once cold, and its standard error, None of one splat (`in_plane`);
+    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`."""
 
     impacts: int
     of: int
@@ -250,6 +252,7 @@ class CoatingMeasures:
     overlap_share: float
     void_limit_m: float
     stress_in_plane_Pa: float
+    stress_error_Pa: float | None
     thermal_in_plane_Pa: float
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
@@ -263,12 +266,13 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     size, planned = splats.element_size, splats.planned
     radius = radius or window_radius(splats)
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
+    stress, error = in_plane(splats, radius, "stress")
     return CoatingMeasures(
         impacts=splats.finished, of=planned, rebounded=int((splats.stayed <= 0.0).sum()),
         undecided=len(splats.undecided), deposition_efficiency=splats.deposition_efficiency,
         least_efficiency=splats.least_efficiency, window_radius_m=radius, column_m=COLUMN * size,
         **shape(splats, radius, COLUMN * size), void_limit_m=FINEST * size,
-        stress_in_plane_Pa=in_plane(splats, radius, "stress"), thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress"),
+        stress_in_plane_Pa=stress, stress_error_Pa=error, thermal_in_plane_Pa=in_plane(splats, radius, "thermal_stress")[0],
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
         + ([] if splats.is_cold else [NOT_COLD]),
@@ -284,28 +288,82 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
     """Thickness, heights, roughness, m, and the shares of voids and overlap in a window of `radius` m, from columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
     top = columns.top()
-    thickness = top - columns.interface()
+    is_bare = columns.interface() > top - step
+    thickness = np.where(is_bare, 0.0, np.maximum(top, 0.0))
     Sa, Sq = roughness(top)
     opened, closed = columns.voids(FINEST * splats.element_size)
     volume = max(float((columns.splat & ~columns.substrate).sum() + opened.sum() + closed.sum()), 1.0)
     return {
         "thickness_mean_m": float(thickness.mean()), "thickness_min_m": float(thickness.min()),
-        "thickness_max_m": float(thickness.max()), "height_mean_m": float(top.mean()), "bare_share": float((thickness < step).mean()),
+        "thickness_max_m": float(thickness.max()), "height_mean_m": float(top.mean()), "bare_share": float(is_bare.mean()),
         "Sa_m": Sa, "Sq_m": Sq, "porosity_open": float(opened.sum()) / volume, "porosity_closed": float(closed.sum()) / volume,
         "overlap_share": float(columns.double.sum()) / volume,
     }  # fmt: skip
 
 
-def in_plane(splats: Splats, radius: float, name: str) -> float:
-    """Mean over the coating's volume in the window of (xx + yy) / 2 of a stress, Pa; 0 where the mesh has none. radius m."""
+def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
+    """Mean over the coating's volume in the window of (xx + yy) / 2 of a stress, Pa, and its standard error; 0 where the mesh has none.
+
+    radius m. The error is that from splat to splat, of a mean with the volumes as weights with each splat left out in turn (delete-one
+    jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed., section 6.17); None with fewer than two splats.
+    """
     mesh = splats.mesh
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
     own = (np.hypot(x, y) <= radius) & (splats.body > 0)
     if name not in mesh.data or not own.any():
-        return 0.0
-    return float(
-        np.average(0.5 * mesh.data[name][own, :2].sum(axis=1), weights=np.abs(volumes(mesh.points, mesh.cells[own])))
-    )
+        return 0.0, None
+    of_tet = np.abs(volumes(mesh.points, mesh.cells[own]))
+    volume = np.bincount(splats.body[own], of_tet)
+    load = np.bincount(splats.body[own], of_tet * 0.5 * mesh.data[name][own, :2].sum(axis=1))
+    mean, is_there = float(load.sum() / volume.sum()), volume > 0.0
+    n = int(is_there.sum())
+    if n < 2:
+        return mean, None
+    without = ((load.sum() - load) / (volume.sum() - volume))[is_there]
+    return mean, float(np.sqrt((n - 1) * without.var()))
+
+
+def lines_of(result: Result) -> list[tuple[str, str]]:
+    """The `lines` of a run, finished or not; none where no splat can be measured, or it is a single one that has not cooled."""
+    if len(result.plan.get("impacts", [])) < 2 and not len(result.times(COLD)):
+        return []
+    try:
+        return lines(measure(read(result)))
+    except StoreError:
+        return []
+
+
+def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
+    """What a coating is, in words: label and value with its unit, for the terminal and the page."""
+    um = {name: f"{1e6 * value:.1f} µm" for name, value in vars(measures).items() if name.endswith("_m")}
+    count, left = measures.impacts, measures.rebounded
+    stay = f"all {count} particles stay" if not left else f"{count - left} of {count} particles stay"
+    if measures.undecided:
+        stay += f", {measures.undecided} of these are undecided"
+    least = f"{measures.least_efficiency:.1%} to " if measures.undecided else ""
+    is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
+    error = "" if measures.stress_error_Pa is None else f" ± {1e-6 * measures.stress_error_Pa:.0f}"
+    stress, thermal = 1e-6 * measures.stress_in_plane_Pa, 1e-6 * measures.thermal_in_plane_Pa
+    parts = f" = {stress - thermal:+.0f} MPa of the impacts {thermal:+.0f} MPa of cooling" if is_cold else ""
+    return [
+        (
+            "thickness above the old surface",
+            f"{um['thickness_mean_m']} in the mean, {um['thickness_min_m']} to {um['thickness_max_m']};"
+            f" {measures.bare_share:.1%} of the surface is bare",
+        ),
+        ("roughness", f"Sa {um['Sa_m']}, Sq {um['Sq_m']}"),
+        (
+            "porosity",
+            f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; too high by up to {measures.overlap_share:.2%},"
+            f" where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved",
+        ),
+        ("deposition efficiency", f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}"),
+        (
+            f"{'residual stress' if is_cold else 'stress before cooling'}, in plane",
+            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from splat to splat",
+        ),
+        ("measured", f"within {um['window_radius_m']} of the axis, away from the rim of the patch"),
+    ]
 
 
 def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import meshio
 import numpy as np
+from matplotlib.colors import ListedColormap
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
-from numpy.typing import NDArray
+from scipy import ndimage
 
 from ..errors import StoreError
 from ..files.outputs import write_text
@@ -45,36 +46,39 @@ def write_growth(folder: Path, rows: list[Row]) -> list[Path]:
     return [folder / "coating_growth.csv", draw(rows, folder / "growth.png")]
 
 
-def section(result: Result, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
+def section(result: Result, splats: Splats, path: Path, radius: float, heading: str, plane: float = 0.0) -> Path:
     """The cut at y = plane (m) by strain, temperature and stress, as a PNG. radius: of what is shown, m.
 
     A cold coating is drawn by strain, von Mises and in-plane stress; else the last particle is drawn where the cut meets it. Raises
     StoreError where there is nothing to draw.
     """
     if len(result.times(COLD)):
-        seen = _seen(result.fields(-1, COLD).points, radius)
-        save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), seen), heading), path)
+        save(panels(*cut_cold(result, Stage(plane, 0.0, radius * MICRO, 0.0), _seen(splats, radius)), heading), path)
         return path
     read(result, -1, _DRAWN)
-    mesh, surface = result.fields(-1, "target"), result.fields(-1, "surface")
-    seen = _seen(mesh.points, radius)
-    points = result.fields(-1, "particle").points
+    surface, points = result.fields(-1, "surface"), result.fields(-1, "particle").points
     spacing = float(np.cbrt(abs(enclosed_volume(surface.points, surface.cells)) / max(len(points), 1)))
-    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, radius * MICRO, 1.6 * spacing), seen)
+    section_cut = cut(result, -1, _DRAWN, Stage(plane, 0.0, radius * MICRO, 1.6 * spacing), _seen(splats, radius))
     save(panels(section_cut, {name: colour_range([section_cut], name) for name in _DRAWN}, heading), path)
     return path
 
 
-def _seen(points: NDArray, radius: float) -> tuple[float, float, float, float]:
-    """What of the section is shown, um: left, right, bottom, top. points (n,3) m of the bodies, radius m."""
-    inside = points[np.hypot(points[:, 0], points[:, 1]) < radius]
-    across = radius * MICRO
-    return -across, across, -0.35 * across, max(float(inside[:, 2].max()), 0.0) * MICRO + 0.08 * across
+def _seen(splats: Splats, radius: float) -> tuple[float, float, float, float]:
+    """What of the section is shown, um, radius m about the axis: left, right, bottom, top; the deepest splat is inside."""
+    mesh, across = splats.mesh, radius * MICRO
+    is_near = np.hypot(*mesh.points[:, :2].T) < radius
+    of_splat = np.isin(np.arange(len(mesh.points)), mesh.cells[splats.body > 0])
+    deepest, top = (
+        mesh.points[is_near & of_splat, 2].min(initial=0.0) * MICRO,
+        mesh.points[is_near, 2].max(initial=0.0) * MICRO,
+    )
+    return -across, across, min(-0.35 * across, float(deepest) - 0.15 * across), float(top) + 0.08 * across
 
 
 def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) -> Path:
-    """The section at y = plane (m) as an etched one under a microscope: boundaries of splats dark, pores black. radius m: shown."""
-    seen = _seen(splats.mesh.points, radius)
+    """The section at y = plane (m) as an etched one under a microscope: boundaries of splats dark, that of the substrate thick, pores
+    black, and blue (the mount) what is open to the outside in this plane. radius m: shown."""
+    seen = _seen(splats, radius)
     left, right, bottom, top = seen
     figure = blank(7.0, 7.0 * (top - bottom) / (right - left), 200)
     axis = figure.add_axes((0.0, 0.0, 1.0, 1.0), facecolor="black")
@@ -82,12 +86,19 @@ def micrograph(splats: Splats, path: Path, radius: float, plane: float = 0.0) ->
         (splats.mesh.points, boundary_faces(splats.mesh.cells[splats.body == b])[0]) for b in range(len(splats.impact))
     ]
     skins += [splats.last] if splats.last is not None else []
+    x, z = (np.linspace(*ends, pixels) for ends, pixels in (((left, right), 1400), ((bottom, top), 600)))
+    places = np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
+    metal = np.zeros(len(places), bool)
     for number, (points, faces) in enumerate(skins):
-        tone = 0.55 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
-        outlines = [Outline(loop * MICRO, closed=True) for loop in section_loops(points, faces, plane)]
-        if outlines:
-            outline = Outline.make_compound_path(*outlines)
-            axis.add_patch(PathPatch(outline, facecolor=str(tone), edgecolor="0.1", linewidth=0.8))
+        tone = 0.45 if number == 0 else 0.72 + 0.2 * (0.618034 * number % 1.0)  # neighbours in number differ
+        loops = [loop * MICRO for loop in section_loops(points, faces, plane)]
+        if loops:
+            outline = Outline.make_compound_path(*(Outline(loop, closed=True) for loop in loops))
+            axis.add_patch(PathPatch(outline, facecolor=str(tone), edgecolor="0.1", linewidth=0.8 if number else 2.0))
+            metal |= outline.contains_points(places)
+    empty, _ = ndimage.label(~metal.reshape(len(z), len(x)))
+    sky = (empty > 0) & np.isin(empty, empty[-1])
+    axis.imshow(np.where(sky, 1.0, np.nan), extent=seen, origin="lower", cmap=ListedColormap(["#b9cfe4"]), zorder=0)
     axis.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[])
     scale_bar(axis, seen)
     save(figure, path)
