@@ -37,6 +37,7 @@ from coupler.physics.materials import material
 from coupler.sph import compiled, frequency, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
+from coupler.studies.coating import first_step
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
 
@@ -258,6 +259,12 @@ def test_a_double(double: Result) -> None:
     )  # the second one has pressed it flatter
     assert second["surface_level_m"] == pytest.approx(first["height_m"], abs=1.5e-6)
     assert double.flattening_ratio == second["flattening_ratio"]
+    # Its crater is its own, not the hole that the first has left: how far nodes have gone down since; a paraboloid through 16 nodes,
+    # some 5 um apart on the splat, lies within a fifth of the lowest.
+    met, end = double.fields(first_step(double, 2), "target"), double.fields(-1, "target")
+    lowered = (met.points - end.points)[:, 2].max()
+    assert second["crater_depth_m"] == pytest.approx(lowered, rel=0.2)
+    assert abs(second["crater_depth_m"] - first["crater_depth_m"]) > 0.05 * lowered
     (join,) = s["joins"]
     assert join["bodies"] == 1
     assert join["bonds"] > 20

@@ -19,6 +19,7 @@ from .ledger import DRIFT_ALARM
 from .measure import crater_depth, measure
 from .validity import Extremes
 
+FITTED = 16  # nodes that `crater_depth` fits
 ROWS = 400  # rows of the history in D / v
 VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
 
@@ -156,9 +157,17 @@ class Recorder:
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
 
     def _crater(self, impact: Impact) -> float:
-        """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before."""
+        """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before.
+
+        `crater_depth` fits the substrate's nodes; of a crater in splats, whose nodes are sparse, those in its lower half, and where
+        these are too few, the lowest counts.
+        """
         x = impact.target.x[_surface_nodes(impact)]
-        return crater_depth(np.column_stack([x[:, :2], x[:, 2] - self.met]))
+        lowered = self.met - x[:, 2]
+        inner = lowered > (0.5 * lowered.max(initial=0.0) if impact.bodies.count > 1 else -np.inf)
+        if impact.bodies.count > 1 and inner.sum() < FITTED:
+            return float(lowered.max(initial=0.0))
+        return crater_depth(np.column_stack([x[inner, :2], -lowered[inner]]))
 
     def state(self) -> RecorderState:
         """What is due next, and what was noticed so far."""

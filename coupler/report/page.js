@@ -117,8 +117,8 @@ class Solid {
 
   camera(whole) {
     const [x, , z] = this.solid.box, high = (2 * (z[1] - z[0])) / (x[1] - x[0]);
-    const far = (NARROW ? 1.5 : 1) * (0.78 + 0.2 * high); // so that the labels below are inside
-    return { eye: { x: -0.9 * far, y: (whole ? -2.3 : -2.2) * far, z: 1.0 * far }, center: { x: 0, y: 0, z: whole ? -0.34 : -0.32 }, up: { x: 0, y: 0, z: 1 } };
+    const far = (NARROW ? 1.5 : 1) * (0.8 + 0.2 * high); // so that the labels below are inside
+    return { eye: { x: -0.9 * far, y: (whole ? -2.3 : -2.2) * far, z: 1.0 * far }, center: { x: 0, y: 0, z: whole ? -0.4 : -0.38 }, up: { x: 0, y: 0, z: 1 } };
   }
 
   async start() {

@@ -149,7 +149,8 @@ def conditions(result: Result) -> str:
     lines += [("target", f"{target['material']['name']} cylinder, {size}, {faces}")]
     lines += [("gas", "; ".join(map(str, gas)))] if gas and len(gas) <= 2 else []
     lines += [("spray", str(plan.get("spray", "")))]
-    bond = {key: value for key, value in plan["adhesion"].items() if value not in (None, [], "none")}
+    is_held = plan["adhesion"]["kind"] != "none"
+    bond = {key: value for key, value in plan["adhesion"].items() if is_held and value not in (None, [])}
     adhesion = ", ".join(
         f"{key.replace('_', ' ')} {shown(key, value)}".removeprefix("kind ") for key, value in bond.items()
     )
