@@ -43,6 +43,10 @@ FORMS = {
     "savetxt.txt": text(" ", "# made by numpy\n# x y z T"),
     "paraview.csv": text(head='"Points:0","Points:1","Points:2","T"'),
     "paraview_6.csv": text(head='"Points_0","Points_1","Points_2","T"'),
+    "words.csv": text(head="element,x,y,z,T")
+    .replace("\n", "\nNi,")
+    .replace("Ni,element", "element")
+    .removesuffix("Ni,"),
     "title.csv": text(head="the ball of yesterday\nx,y,z,T"),
     "numbered.csv": text(head="id,x,y,z,T", index=True),
     "only_numbers.csv": text(),
@@ -74,6 +78,7 @@ def test_the_same_points_in_every_form(name: str, tmp_path: Path) -> None:
         ("x,y,z\n1,2,3\n1,two,3\n", "line 3, column 2: 'two' is no number"),
         ("\n".join(f"{k},0.5,{k}.5" for k in range(20)), "no three columns"),
         ("x,y\n1,2\n", "no line of it has three numbers"),
+        ("x,y,z,X\n1,2,3,4\n", "two of its columns have one name"),
     ],
 )
 def test_what_is_not_sure_is_refused(content: str, told: str, tmp_path: Path) -> None:

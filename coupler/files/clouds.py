@@ -20,7 +20,7 @@ from .tables import read_table
 
 LARGEST_FILE = 2 * 1024**3  # bytes
 TEXT = (".csv", ".tsv", ".xyz", ".txt", ".dat")
-_TEXT_MEMORY = 20  # bytes while reading over bytes of the file: the words of the text as objects
+_TEXT_MEMORY = 25  # bytes while reading over bytes of the file: the words of the text as objects
 _MESHIO_MEMORY = 8
 _MOST_ARRAYS = 1000  # in one .npz
 _FLAT = ("triangle", "quad", "polygon")  # how cells of surfaces are called

@@ -53,7 +53,11 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
         raise ValueError(f"it has {len(rows[0])} columns, {len(names)} names are given")
     bare = [_UNIT.fullmatch(name) for name in names]
     plain = [name if unit is None else unit[1] for name, unit in zip(names, bare, strict=True)]
-    taken = {name: columns[k] for k, name in enumerate(plain) if k in columns and name != "-"}
+    wanted = [(k, name) for k, name in enumerate(plain) if name != "-"]
+    if len({name.lower() for _, name in wanted}) < len(wanted):
+        raise ValueError("two of its columns have one name: name them with --columns, - leaves one out")
+    notes += [f"column {name!r} left out: {rows[0][k][:30]!r} is no number" for k, name in wanted if k not in columns]
+    taken = {name: columns[k] for k, name in wanted if k in columns}
     return Table(taken, {name: unit[2] for name, unit in zip(plain, bare, strict=True) if unit is not None}, notes)
 
 
