@@ -32,7 +32,8 @@ DEFAULTS = {  # numbers of the plan, in words
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
 MATERIAL = {
-    "rho": "density; or `density`", "G": "shear modulus; or `E` (GPa) and `nu`, which give `c0`, too", "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
+    "rho": "density; or `density`", "G": "shear modulus; or `E` (GPa) and `nu`, which give `c0`, too",
+    "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
     "Gamma0": "Grüneisen's parameter", "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
     "thermal_expansion": "linear; one value, or two pairs [T, value], linear between; 0: not known",
     "sigma_TS": "tensile strength at 293 K, for critical velocities",
