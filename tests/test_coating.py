@@ -266,7 +266,7 @@ def test_impacts_without_a_verdict_are_told(built: Splats) -> None:
     doubtful = measure(replace(built, undecided=(0, 3)))
     assert (doubtful.least_efficiency, doubtful.deposition_efficiency) == pytest.approx((0.25, 0.75))
     line = next(text for text in describe(doubtful) if text.startswith("deposition efficiency"))
-    assert line == "deposition efficiency  25.0% to 75.0%: 1 of 4 particles have left, 2 that have stayed are undecided"
+    assert line.endswith("25.0% to 75.0% of the mass: 3 of 4 particles stay, 2 of these are undecided")
     assert not any("undecided" in text for text in describe(measure(built)))
 
 

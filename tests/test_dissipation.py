@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from conftest import elastic
 
+from coupler.deposition.summary import LIMITS, _above
 from coupler.errors import SolverError
 from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
@@ -155,3 +156,14 @@ def test_metal_that_could_melt_is_not_heated_by_dissipation(velocity: float, on:
         height = "60 um"
     """
     assert plan(Scene.from_text(scene, "hot")).effects.dissipation_heat is on
+
+
+@pytest.mark.parametrize(("plastic", "expected"), [(0.2, 0.25), (0.009, None), (0.0, None)])
+def test_a_particle_that_hardly_flows_has_no_share_of_its_plastic_work(plastic: float, expected: float | None) -> None:
+    """A share of a plastic work of rounding size is a number without meaning (149295024 %), and no warning comes of it."""
+    ledger = Ledger.__new__(Ledger)
+    ledger.kinetic_0, ledger.rows = 1.0, {"numerical_particle": 0.05, "plastic_particle": plastic}
+    assert ledger.dissipation_of_plastic == expected
+    impact = {"numerical_dissipation": 0.05, "dissipation_of_plastic": ledger.dissipation_of_plastic}
+    warnings = [text for limit in LIMITS for text in _above([impact], *limit)]
+    assert len(warnings) == (expected is not None)
