@@ -216,6 +216,11 @@ def test_all_problems_of_a_material_at_once():
             {"base": "Cu", "strength": "zerilli_armstrong", "C_0": "0 MPa"},
             "give no yield stress above zero at 300 K",
         ),
+        (
+            "X",
+            {"base": "Ni", "C_high": 0.02, "eps_dot_0": "1e6 1/s"},
+            "eps_dot_high (1000 1/s) must not be below eps_dot_0 (1e+06 1/s)",
+        ),
         ("X", {"base": "Ni", "law": "johnson-cook"}, 'did you mean "johnson_cook"'),
         ("X", {"base": "Ni", "law": "preston_tonks_wallace"}, "missing: theta, p, s_0"),
         ("X", {"base": "Ni", "theta": 0.02}, "'theta': unknown key"),

@@ -269,6 +269,11 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     metal = library.read_record(Material, name, rest, _read, values | {"strength": strength}, hint, problems, lacks)
     if metal.T_m <= metal.T_ref:
         problems.append(f"T_m ({metal.T_m:g} K) must be above T_ref ({metal.T_ref:g} K)")
+    if strength.numbers.get("C_high", 0.0) > 0.0 and strength["eps_dot_high"] < strength["eps_dot_0"]:
+        high, low = strength["eps_dot_high"], strength["eps_dot_0"]
+        problems.append(
+            f"eps_dot_high ({high:g} 1/s) must not be below eps_dot_0 ({low:g} 1/s): the metal would soften with the rate"
+        )
     if metal.hardened_by_gradients and metal.burgers is None:
         problems.append("taylor_alpha needs the Burgers vector: give burgers, too")
     if metal.nu < 0:
