@@ -40,7 +40,7 @@ def _environment(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     from coupler.studies import pace
 
     folder = tmp_path_factory.mktemp("cache")
-    (folder / "pace.json").write_text(json.dumps({pace.machine(): {"steps": 1.0, "points": 1.0, "date": "2026-01-01"}}))
+    (folder / "pace.json").write_text(json.dumps({pace.machine(): {"factor": 1.0, "date": "2026-01-01"}}))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLDSPRAY_CACHE", str(folder))
         patch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)

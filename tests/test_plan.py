@@ -1,4 +1,5 @@
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ from test_coating import COATING
 from test_scene import scene_with, several
 
 from coupler.errors import StoreError
+from coupler.physics.materials import Material, material
 from coupler.plan import cost as estimates
 from coupler.plan import effects, forecast
 from coupler.plan.batches import batches
@@ -20,6 +22,8 @@ from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text, read_plan
 from coupler.plan.text import describe
 from coupler.scene.effects import NAMES, check_request
+
+WORKFLOWS = Path(__file__).parents[1] / "workflows"
 
 
 def row(made, name):
@@ -115,9 +119,9 @@ def test_what_lies_between_impacts_costs_time():
     for made, closed in ((plain, False), (cold, True)):
         cooled = made.effects.cooling
         between = estimates.between_impacts((E, E + splat), (splat, splat), {0, 1} if cooled else set(), closed)
-        assert made.cost.rest == pytest.approx(estimates.run_time(E) + sum(between))
         (first, own), (second, last) = made.shares
-        whole = made.cost.steps + made.cost.points + sum(between) + estimates.SECONDS_PER_RUN
+        whole = made.wall_estimate - estimates.run_time(E) + estimates.SECONDS_PER_RUN
+        assert (own + last) * whole + sum(between) == pytest.approx(whole - estimates.SECONDS_PER_RUN, rel=0.01)
         end = second + last + (between[1] + estimates.SECONDS_PER_RUN) / whole
         assert (first, end) == (0.0, pytest.approx(1.0, rel=0.01))
         assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
@@ -136,6 +140,50 @@ def test_impacts_on_cuts_cost_what_is_in_their_window_and_one_pause_for_a_batch(
     without = forecast.time_between(made.impacts, made.target, False, False)
     paused = [i for i, (a, b) in enumerate(zip(between, without, strict=True)) if a > b]
     assert paused == [each[-1] for each in ranges[:-1]]  # the last needs none
+
+
+def test_a_soft_particle_on_a_hard_target_needs_small_steps_and_more_so_a_finer_one():
+    """Battery of hard scenes: 1550 steps where the particle is soft, 270 where both are hard (docs/tables/stability.csv)."""
+    nickel = material("Ni")
+
+    def strong(factor: float) -> Material:
+        numbers = nickel.strength.numbers
+        scaled = numbers | {name: factor * numbers[name] for name in ("A", "B")}
+        return replace(nickel, strength=replace(nickel.strength, numbers=scaled))
+
+    soft, hard = strong(0.1), strong(3.0)
+    temperatures, steps = (300.0, 300.0), {}
+    for name, pair in {"soft on hard": (soft, hard), "hard on hard": (hard, hard)}.items():
+        load = estimates.loads(pair, temperatures, 500.0, 25e-6)
+        for points in (1000.0, 8000.0):
+            spacing = estimates.spacing(8.18e-15, round(points))
+            dt = estimates.time_step(spacing, soft.wave_speed, load, points, 0.0, "enriched")
+            steps[name, points] = estimates.expected_time(1.0, 25e-6, 500.0, "rest", load, 0.0) / dt
+    assert steps["soft on hard", 1000.0] > 2.0 * steps["hard on hard", 1000.0]
+    finer = [steps[name, 8000.0] / steps[name, 1000.0] for name in ("soft on hard", "hard on hard")]
+    assert finer[0] > 1.2 * finer[1] > 1.2 * 2.0  # twice as many steps to the spacing alone
+
+
+def test_what_is_written_more_often_than_it_can_be_is_said():
+    """Fields are written between windows of ten time steps."""
+    often, seldom = (plan(scene_with(output__every=every, end__time="20 ns")) for every in ("0.05 ns", "5 ns"))
+    note = "output.every = 0.05 ns is less than 10 time steps"
+    assert [any(note in warning for warning in made.warnings) for made in (often, seldom)] == [True, False]
+    assert "a step written every 0.05 ns" not in describe(often)
+    assert "a step written every 5 ns" in describe(seldom)
+    written = [forecast.file_bytes(made.impacts, made.target) for made in (often, seldom)]
+    assert written[0] < 20.0 * written[1]  # not a hundred times
+
+
+def test_heat_is_conducted_in_the_target_where_it_leaves_an_element_whatever_else_is_asked():
+    """Cases A to D of the paper have one rule; the number of a fast, small impact is below it."""
+    cases = [
+        plan(Scene.load(WORKFLOWS / f"{name}.toml")) for name in ("single_ni", "single_ti", "double_ni_ti", "triple_ni")
+    ]
+    assert all(made.effects.conduction for made in cases)
+    short = plan(scene_with(end__time="2 ns"))
+    row = next(row for row in short.budget.rows if row.name == "conduction")
+    assert (row.on, row.why) == (False, "it cannot act here")
 
 
 def test_a_particle_that_rebounds_leaves_no_splat_in_the_forecast():
@@ -209,14 +257,18 @@ def test_absorbing_faces_only_where_waves_come_back():
 @pytest.mark.parametrize(
     ("request_", "active"),
     [
-        ("all", set(NAMES)),
+        (
+            "all",
+            set(NAMES) - {"gradient_hardening"},
+        ),  # a choice of the model: where bonds form by exposure, or by its name
+        (["all", "+gradient_hardening"], set(NAMES)),
         ("none", set()),
         (["friction"], {"friction"}),
         ([], set()),
         (["auto", "-friction", *(f"+{name}" for name in NAMES[:5])], None),
         (["-friction"], None),
         (["none", "+friction", "mie_gruneisen"], {"friction", "mie_gruneisen"}),
-        (["all", "-mie_gruneisen"], set(NAMES) - {"mie_gruneisen"}),
+        (["all", "-mie_gruneisen"], set(NAMES) - {"mie_gruneisen", "gradient_hardening"}),
     ],
 )
 def test_what_the_user_says_goes(request_, active):
@@ -227,7 +279,10 @@ def test_what_the_user_says_goes(request_, active):
         assert all(getattr(made.effects, item[1:]) for item in request_ if item.startswith("+"))
     else:
         assert set(made.effects.active) == active
-        assert all(row.why == "as the scene says" for row in made.budget.rows if row.name in NAMES)
+        said = set(NAMES) - (
+            {"gradient_hardening"} if "all" in request_ and "+gradient_hardening" not in request_ else set()
+        )
+        assert all(row.why == "as the scene says" for row in made.budget.rows if row.name in said)
 
 
 @pytest.mark.parametrize("request_", ["some", ["+-friction"], ["friction", "auto"], ["frictoin"], ["+x", "-x"]])
@@ -388,4 +443,4 @@ def test_the_size_of_the_files_is_told(shared_run: SharedRuns) -> None:
     ends = plan(Scene.from_text(scenes.NI.replace('every = "2 ns"', 'at = "ends"'), "files"))
     assert forecast.file_bytes(ends.impacts, ends.target) < 0.1 * written
     assert "a step written at the end\n" in describe(ends)
-    assert "files about 5 MB" in describe(made)
+    assert re.search(r"files about \d(\.\d)? MB", describe(made))

@@ -217,7 +217,7 @@ def test_a_resolution_that_is_chosen_says_what_it_takes_the_place_of() -> None:
 
 def test_a_band_outside_its_table_is_called_a_guess() -> None:
     fast = plan(Scene.from_text(scenes.NI, "x", [("particle.velocity", '"1200 m/s"')]))
-    pace = Pace(1.0, 1.0, "")
+    pace = Pace(1.0, "")
     assert "a guess: 1200 m/s is outside the table" in forecast(fast, pace, verbose=False)
     assert "guess" not in forecast(plan(Scene.from_text(scenes.NI, "x")), pace, verbose=False)
 

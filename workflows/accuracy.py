@@ -190,15 +190,14 @@ def presets_part() -> list[str]:
 def pace_part() -> list[str]:
     """The estimates of time (workflows/pace.py) against the times taken."""
     rows = table_rows("pace")
-    lines = []
-    for number in dict.fromkeys(row["round"] for row in rows):
-        off = [abs(float(row["off_percent"])) for row in rows if row["round"] == number]
-        lines.append(f"- Round {number}: {sum(x <= 30 for x in off)} of {len(off)} scenes within 30 %.")
+    steps = [abs(float(row["steps_said"]) / float(row["steps"]) - 1.0) for row in rows]
+    within = [sum(x <= 0.3 for x in off) for off in (steps, [abs(float(row["off_percent"])) / 100.0 for row in rows])]
+    line = f"Of {len(rows)} scenes {within[0]} are within 30 % in steps, {within[1]} in time."
     cells = [
-        [marked(f"{r['round']}, {r['scene']}", r), r["steps_said"], r["steps"], r["said_s"], r["took_s"],
-         f"{float(r['off_percent']):+.0f} %"] for r in rows
+        [marked(r["scene"], r), r["steps_said"], r["steps"], r["said_s"], r["took_s"], f"{float(r['off_percent']):+.0f} %"]
+        for r in rows
     ]  # fmt: skip
-    return [*lines, "", *markdown(["round, scene", "steps estimated", "steps", "s estimated", "s", "off"], cells)]
+    return [line, "", *markdown(["scene", "steps estimated", "steps", "s estimated", "s", "off"], cells)]
 
 
 def main() -> None:

@@ -1,10 +1,11 @@
-"""How well `coldspray check` predicts time: twenty scenes that nothing was fitted on, and the fits themselves.
+"""How well `coldspray check` predicts steps and time: scenes that nothing was fitted on, and the fit itself.
 
     python workflows/pace.py            # the scenes, each run in one thread: docs/tables/pace.csv
+    python workflows/pace.py --sample   # impacts drawn at random, for the fit: docs/tables/pace_sample.csv
     python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/plan/cost.py to docs/tables and prints them
 
 The machine is timed again before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
-start of the program and the loading of compiled kernels. Rows in the table are not computed again.
+start of the program; kernels that are missing are compiled in them. Rows in the tables are not computed again.
 """
 
 import math
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import stability
-from pages import ROOT, column, options, study_table, table_rows
+from pages import ROOT, options, study_table, table_rows
 from scipy.optimize import least_squares
 
 from coupler import run
@@ -25,158 +26,178 @@ from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
 
 TIMED = 4
-LADDERS = {"single_ni": "ni500", "single_ti": "ti500", "fast_ni": "ni1000"}  # scene of workflows/: its accuracy table
-COLUMNS = (
-    "round", "scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "pace_steps", "pace_points",
-)  # fmt: skip
+LADDERS = {
+    "single_ni": "ni500",
+    "single_ti": "ti500",
+    "fast_ni": "ni1000",
+    "al_on_steel": "al725",
+}  # scene of workflows/: its accuracy table
+COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
+DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
+METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
+SAMPLE = 39
+SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
 Table = dict[str, object]
 
 
-def scene(particles: list[Table], on: str, preset: str = "draft", **more: object) -> Table:
-    """A scene as nested dicts; diameters um, velocities m/s, temperatures K, angles deg."""
-    units = {"diameter": "um", "velocity": "m/s", "temperature": "K", "angle": "deg", "tilt": "deg"}
-    tables = [{k: f"{v} {units[k]}" if k in units else v for k, v in p.items()} for p in particles]
-    wide = max(float(str(p["diameter"])) for p in particles)
-    base = {"material": on, "diameter": f"{8 * wide} um", "height": f"{4 * wide} um"}
-    return {"particle": tables, "substrate": base, "preset": preset, **more}
+def scene(metal: str, diameter: float, velocity: float, on: str, preset: str = "draft", T: float = 300.0,
+          T_target: float = 300.0, angle: float = 0.0) -> Table:  # fmt: skip
+    """A scene as nested dicts; diameter um, velocity m/s, temperatures K, angle deg."""
+    particle = {"material": metal, "diameter": f"{diameter} um", "velocity": f"{velocity} m/s", "temperature": f"{T} K"}
+    base = {
+        "material": on,
+        "diameter": f"{8 * diameter} um",
+        "height": f"{4 * diameter} um",
+        "temperature": f"{T_target} K",
+    }
+    return {"particle": [particle | {"angle": f"{angle} deg"}], "substrate": base, "preset": preset}
 
 
-def p(material: str, diameter: float, velocity: float, **more: object) -> Table:
-    return {"material": material, "diameter": diameter, "velocity": velocity, **more}
-
-
-FIRST = {
-    "Cu 20 um on SS304, 450 m/s": scene([p("OFHC_Cu", 20, 450)], "SS304"),
-    "Al 35 um on Cu, 650 m/s": scene([p("Al", 35, 650)], "OFHC_Cu"),
-    "SS304 15 um at 500 K on Ti, 800 m/s": scene([p("SS304", 15, 800, temperature=500)], "Ti"),
-    "Ti 45 um on Al, 350 m/s": scene([p("Ti", 45, 350)], "Al"),
-    "Ni 30 um on Cu at 25 degrees, 600 m/s": scene([p("Ni", 30, 600, angle=25)], "OFHC_Cu"),
-    "42CrMo4 25 um on SS304, 700 m/s": scene([p("42CrMo4", 25, 700)], "SS304"),
-    "Ti 25 um on Ti, 650 m/s, standard": scene([p("Ti", 25, 650)], "Ti", "standard"),
-    "Ni 25 um on Ti to greatest deformation": scene([p("Ni", 25, 550)], "Ti", end={"at": "greatest"}),
-    "Ti 30 um flake on SS304, 400 m/s": scene([p("Ti", 30, 400, shape="flake")], "SS304"),
-    "Ti 25 um on a splat of Ti, 500 m/s": scene([p("Ti", 25, 500), p("Ti", 25, 500)], "SS304"),
+SCENES = {
+    "Al 25 um on SS304, 620 m/s": scene("Al", 25, 620, "SS304"),
+    "Al 25 um on SS304, 620 m/s, standard": scene("Al", 25, 620, "SS304", "standard"),
+    "Cu 20 um on SS304, 450 m/s": scene("OFHC_Cu", 20, 450, "SS304"),
+    "Cu 25 um on Cu, 575 m/s": scene("OFHC_Cu", 25, 575, "OFHC_Cu"),
+    "Cu 20 um at 700 K on 42CrMo4, 400 m/s": scene("OFHC_Cu", 20, 400, "42CrMo4", T=700),
+    "Al 35 um on Cu, 650 m/s": scene("Al", 35, 650, "OFHC_Cu"),
+    "Ti 25 um at 800 K on Ti at 500 K, 650 m/s": scene("Ti", 25, 650, "Ti", T=800, T_target=500),
+    "Ni 30 um on Cu at 25 degrees, 600 m/s": scene("Ni", 30, 600, "OFHC_Cu", angle=25),
+    "SS316L 25 um on SS316L, 750 m/s": scene("SS316L", 25, 750, "SS316L"),
+    "IN718 30 um at 600 K on Al, 500 m/s": scene("IN718", 30, 500, "Al", T=600),
+    "Ti 25 um on Ti, 650 m/s, standard": scene("Ti", 25, 650, "Ti", "standard"),
+    "Ni 25 um on SS304, 500 m/s, fine": scene("Ni", 25, 500, "SS304", "fine"),
 }
-SECOND = {
-    "Cu 30 um on Al, 400 m/s": scene([p("OFHC_Cu", 30, 400)], "Al"),
-    "Al 25 um on Al, 600 m/s": scene([p("Al", 25, 600)], "Al"),
-    "SS304 40 um on SS304, 650 m/s": scene([p("SS304", 40, 650)], "SS304"),
-    "Ti 20 um at 600 K on SS304, 600 m/s": scene([p("Ti", 20, 600, temperature=600)], "SS304"),
-    "Ni 15 um on Al, 700 m/s": scene([p("Ni", 15, 700)], "Al"),
-    "42CrMo4 30 um on Al, 450 m/s": scene([p("42CrMo4", 30, 450)], "Al"),
-    "Ni 40 um on Cu, 400 m/s": scene([p("Ni", 40, 400)], "OFHC_Cu"),
-    "Ti 35 um on SS304 to greatest deformation, 600 m/s": scene([p("Ti", 35, 600)], "SS304", end={"at": "greatest"}),
-    "Ni 25 um oblate on SS304, 550 m/s": scene([p("Ni", 25, 550, shape="oblate")], "SS304"),
-    "Ti 30 um on Ti at 15 degrees, 500 m/s": scene([p("Ti", 30, 500, angle=15)], "Ti"),
-}
-SCENES = {**FIRST, **SECOND}
+
+
+def draw(count: int) -> list[Table]:
+    """Impacts by the columns DRAWN, drawn from one seed."""
+    rng, drawn = np.random.default_rng(1), []
+    for _ in range(count):
+        metal, on = (str(rng.choice(METALS)) for _ in range(2))
+        diameter, velocity = round(float(rng.uniform(12, 45)), 1), round(float(rng.uniform(250, 900)))
+        T = 300 if rng.random() < 0.6 else round(float(rng.uniform(350, 0.6 * material(metal).T_m)))
+        T_target = 300 if rng.random() < 0.7 else round(float(rng.uniform(350, 700)))
+        angle = 0 if rng.random() < 0.75 else round(float(rng.uniform(5, 45)))
+        drawn.append(dict(zip(DRAWN, (metal, on, diameter, velocity, T, T_target, angle), strict=True)))
+    return drawn
+
+
+def computed(made: Table) -> tuple[dict[str, object], float]:
+    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        before = ladder_runs.spent()
+        result = run(Scene.from_dict({**made, "name": "pace"}), Path(folder) / "run", threads=1)
+        return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder_runs.spent() - before
 
 
 def judge(name: str, here: pace.Pace) -> Table:
     """Estimate, run, compare."""
-    checked = Scene.from_dict({**SCENES[name], "name": "pace"})
-    planned = plan(checked)
-    with tempfile.TemporaryDirectory() as folder:
-        before = ladder_runs.spent()
-        result = run(checked, Path(folder) / "run", threads=1)
-        took = ladder_runs.spent() - before
-    estimate = here.seconds(planned)
+    planned = plan(Scene.from_dict({**SCENES[name], "name": "pace"}))
+    estimate, (impact, took) = here.seconds(planned), computed(SCENES[name])
     values = (
-        1 if name in FIRST else 2, name, checked.derived.points, planned.steps_estimate, result.steps, round(estimate, 2),
-        round(took, 2), round(100 * (estimate / took - 1), 1), round(here.steps, 3), round(here.points, 3),
+        name, planned.impact.points, planned.steps_estimate, impact["steps"], round(estimate, 2), round(took, 2),
+        round(100 * (estimate / took - 1)), impact["retries"], round(here.factor, 3),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def terms(
-    first: Material, base: Material, T: float, T_base: float, v: float, D: float, points: float, angle: float
-) -> list[float]:
-    d = cost.damage_numbers((first, base), (T, T_base), v, D)
-    return [1.0, math.log(d[0]), math.log(d[1]), math.log(points / 1000.0), math.sin(angle) ** 2]
+def sample() -> None:
+    """Run the impacts that are drawn."""
+    table = study_table(
+        "pace_sample", (*DRAWN, "steps", "time_ns", "retries"), DRAWN, "python workflows/pace.py --sample"
+    )
+    for drawn in draw(SAMPLE):
+        key = tuple(str(value) for value in drawn.values())
+        if key not in table:
+            metal, on, diameter, velocity, T, T_target, angle = drawn.values()
+            impact, _ = computed(scene(metal, diameter, velocity, on, "draft", T, T_target, angle))  # type: ignore[arg-type]
+            found = {"steps": impact["steps"], "time_ns": 1e9 * impact["time_s"], "retries": impact["retries"]}  # type: ignore[operator]
+            print(table.add({**drawn, **found}), flush=True)
 
 
-def impacts() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Terms (n, 5), ln(time to rest v / height) (n,), ln(c dt / spacing) (n,) of the single impacts in docs/tables."""
-    data = []
+def impacts() -> tuple[np.ndarray, ...]:
+    """Damage numbers d_p, d_t, points N, angle (rad), ln(time to rest v / D), ln(spacing / (c dt)), each (n,), of the single impacts in
+    docs/tables that nothing has rescued."""
+    singles: list[tuple[Material, Material, float, float, float, float, float, float, float, float]] = []
+    steel = material("SS304")
     battery = stability.battery()
     for row in table_rows("stability"):
-        if row["scene"] not in battery or row["rescues"] != "0" or row["verdict"] != "passes":
+        if row["scene"] not in battery or row["rescues"] != "0" or not row["steps"]:
             continue
-        checked = Scene.from_dict(battery[row["scene"]], "battery")
-        p = checked.particle
-        odd = "friction" in row["scene"] or "elements" in row["scene"] or p.shape != "sphere"
-        if odd or len(checked.particles) > 1 or checked.end.time:
+        made = Scene.from_dict(battery[row["scene"]], "battery")
+        p, d = made.particle, made.derived
+        odd = "friction" in row["scene"] or "elements" in row["scene"] or p.shape != "sphere" or len(made.particles) > 1
+        if odd or made.end.time or made.resolution.engine != "enriched":
             continue
-        first, base = (checked.derived.material(name) for name in (p.material, checked.substrate.material))
-        end, points = float(row["end ns"]) * 1e-9, p.volume / checked.derived.spacing**3
-        T = checked.substrate.temperature
-        row_terms = terms(first, base, p.temperature, T, p.velocity, p.diameter, points, p.angle)
-        cfl = end / int(row["steps"]) * first.wave_speed / checked.derived.spacing
-        data.append((row_terms, math.log(end * p.velocity / p.diameter), math.log(cfl)))
-    singles = [
-        (r["material"], r["diameter_um"], r["speed_m_s"], r["temperature_K"], r["points"], r["steps"], r["dt_ps"])
-        for name in ("validation", "validation_trends") for r in table_rows(name)
-        if r["impact"] == "1" and r["steps"] and r["engine"] == "enriched" and "shape" not in r["run"]
-    ]  # fmt: skip
-    for name in LADDERS:
+        pair = d.material(p.material), d.material(made.substrate.material)
+        hot = p.temperature, made.substrate.temperature
+        N, steps, time = p.volume / d.spacing**3, float(row["steps"]), 1e-9 * float(row["end ns"])
+        singles.append((*pair, p.diameter, p.velocity, *hot, p.angle, N, steps, time))
+    for row in (r for name in ("validation", "validation_trends") for r in table_rows(name)):
+        if row["impact"] == "1" and row["steps"] and row["engine"] == "enriched" and "shape" not in row["run"]:
+            D, v, T, N, steps, dt = (
+                float(row[c]) for c in ("diameter_um", "speed_m_s", "temperature_K", "points", "steps", "dt_ps")
+            )
+            singles.append((material(row["material"]), steel, 1e-6 * D, v, T, 300.0, 0.0, N, steps, 1e-12 * steps * dt))
+    for name, ladder in LADDERS.items():
         p = Scene.load(ROOT / "workflows" / f"{name}.toml").particle
-        at = (p.material, p.diameter * 1e6, p.velocity, p.temperature)
-        rows = [
-            r
-            for r in table_rows(f"accuracy_{LADDERS[name]}")
-            if r["axis"] in ("points", "reference") and not r["failed"]
-        ]
-        singles += [(*at, r["points_used"], r["steps"], 1e12 * float(r["dt_mean_s"])) for r in rows]
-    for name, *numbers in singles:
-        D, v, T, points, steps, dt = map(float, numbers)
-        first, time = material(name), steps * dt * 1e-12
-        spacing = cost.spacing(sphere_volume(D * 1e-6), int(points))
-        row_terms = terms(first, material("SS304"), T, 300.0, v, D * 1e-6, points, 0.0)
-        cfl = dt * 1e-12 * first.wave_speed / spacing
-        data.append((row_terms, math.log(time * v / (D * 1e-6)), math.log(cfl)))
-    F, rest, courant = zip(*data, strict=True)
-    return np.array(F), np.array(rest), np.array(courant)
+        for row in table_rows(f"accuracy_{ladder}"):
+            if row["axis"] in ("points", "reference") and not row["failed"]:
+                N, steps, time = (float(row[c]) for c in ("points_used", "steps", "sim_time_s"))
+                singles.append(
+                    (material(p.material), steel, p.diameter, p.velocity, p.temperature, 300.0, 0.0, N, steps, time)
+                )
+    for row in table_rows("pace_sample"):
+        if row["retries"] == "0":
+            D, v, T, T_t, angle, steps, time = (float(row[c]) for c in (*DRAWN[2:], "steps", "time_ns"))
+            pair = material(row["particle"]), material(row["target"])
+            singles.append((*pair, 1e-6 * D, v, T, T_t, math.radians(angle), 1000.0, steps, 1e-9 * time))
+    data = []
+    for first, base, D, v, T, T_t, angle, N, steps, time in singles:
+        pair = first, base
+        spacing = cost.spacing(sphere_volume(D), round(N))
+        inverse = steps * spacing / (pair[0].wave_speed * time)
+        data.append((*cost.loads(pair, (T, T_t), v, D), N, angle, math.log(time * v / D), math.log(inverse)))
+    return tuple(np.array(data).T)
 
 
 def fit() -> None:
     """Print the constants for coupler/plan/cost.py."""
-    F, rest, cfl = impacts()
-    k = np.linalg.lstsq(F, rest, rcond=None)[0]
-    print(f"{len(F)} impacts\nREST_FIT = {tuple(float(round(x, 3)) for x in k)}  # rms {np.std(rest - F @ k):.1%}")
+    w_p, w_t, N, angle, rest, inverse = impacts()
 
-    def model(k: np.ndarray) -> np.ndarray:
-        return -np.log(1.0 / cost.CFL["enriched"][0] + np.exp(np.clip(F @ k, -20.0, 20.0)))
+    def crossings(k: np.ndarray) -> np.ndarray:
+        return np.log(np.exp(k[0]) * w_p ** k[1] + np.exp(k[2]) * w_t ** k[3]) + k[4] * np.sin(angle) ** 2
 
-    start = np.array([0.0, 0.5, 0.0, 0.0, 0.0])
-    # soft_l1: a few impacts defy any such law
-    best = least_squares(lambda k: model(k) - cfl, start, loss="soft_l1", f_scale=0.1).x
-    off = np.abs(cfl - model(best))
-    print(f"CFL, of enriched = {tuple(float(round(x, 3)) for x in best)}  # half within {np.median(off):.1%}, 9 of 10 within "
-          f"{np.percentile(off, 90):.1%}")  # fmt: skip
-    rows = [row for name in LADDERS.values() for row in table_rows(f"accuracy_{name}") if not row["failed"]]
-    N, E, n, loop, whole = (column(rows, c) for c in ("points_used", "elements", "steps", "cpu_loop_s", "cpu_s"))
-    A = np.stack([N, E, np.ones_like(N)], axis=1)
-    weight = n / loop  # relative errors
-    seconds = np.linalg.lstsq(A * weight[:, None], np.ones_like(N), rcond=None)[0]
-    print("SECONDS_PER_POINT, _ELEMENT, _STEP =", seconds, f"rms {np.std(A @ seconds * weight):.1%}")
-    rest_of = np.linalg.lstsq(np.stack([np.ones_like(E), E], axis=1), whole - loop, rcond=None)[0]
-    print("a run but its loop, s: constant, per element =", rest_of)
+    def steps(k: np.ndarray) -> np.ndarray:
+        pressed = np.cos(angle) * (np.cos(angle) + k[5] * np.sin(angle))
+        excess = np.exp(k[0]) * (pressed * w_p) ** k[1] + np.exp(k[2]) * (pressed * w_t) ** k[3]
+        return np.log(1.0 / cost.CFL["enriched"] + excess * (N / 1000.0) ** (k[4] * np.log(1.0 + w_p + w_t)))
+
+    print(len(rest), "impacts; a, b of the particle, a, b of the target, and the last ones")
+    parts = []
+    for name, model, wanted, start in (("REST_FIT", crossings, rest, [-1, 0.3, -1, 0.5, 1]),
+                                       ("STEP_FIT, SHEARED", steps, inverse, [-1, 1, -1, 0.6, 0.2, 1.5])):  # fmt: skip
+        k = least_squares(lambda k, f=model, y=wanted: f(k) - y, start, loss="soft_l1", f_scale=SCATTER).x
+        parts.append(model(k) - wanted)
+        print(name, [round(float(x), 3) for x in (math.exp(k[0]), k[1], math.exp(k[2]), *k[3:])])
+    off = np.abs(parts[0] + parts[1])
+    print(f"steps: half within {np.median(off):.0%}, {np.mean(off < math.log(1.3)):.0%} within 30 %")
 
 
 def main() -> None:
-    """Judge the ten scenes, or fit."""
-    if options(__doc__, "fit").fit:
-        fit()
-        return
+    """Judge the scenes, draw the sample, or fit."""
+    chosen = options(__doc__, "fit", "sample")
+    if chosen.fit or chosen.sample:
+        return fit() if chosen.fit else sample()
     table = study_table("pace", COLUMNS, ("scene",), "python workflows/pace.py")
     here = None
     for number, name in enumerate(name for name in SCENES if (name,) not in table):
         if here is None or number % TIMED == 0:
-            here = pace.Pace(*timing.measure(), "")
+            here = pace.Pace(timing.measure(), "")
         print(table.add(judge(name, here)), flush=True)
-    for number in ("1", "2"):
-        off = [abs(float(row["off_percent"])) for row in table.rows if row["round"] == number]
-        print(f"round {number}: {sum(x <= 30 for x in off)} of {len(off)} within 30 %")
+    off = [abs(float(row["off_percent"])) for row in table.rows]
+    print(f"{sum(x <= 30 for x in off)} of {len(off)} within 30 %")
+    return None
 
 
 if __name__ == "__main__":

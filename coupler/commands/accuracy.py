@@ -97,10 +97,10 @@ def here(recalibrate: bool = False) -> "Pace":
     """The pace of this machine; measured where it is not known."""
     from ..studies import pace
 
-    def measure() -> tuple[float, float]:
+    def measure() -> float:
         from ..studies.timing import measure
 
-        with working("timing two small impacts, once for this machine"):
+        with working("timing a small impact, once for this machine"):
             return measure()
 
     return pace.of_this_machine(measure, recalibrate)

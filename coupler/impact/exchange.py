@@ -21,6 +21,7 @@ from ..geometry.triangles import rings
 from ..physics.adhesion import HELD_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
+from ..plan.cost import WINDOW
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..state.records import Shape, assign, check_indices, collect
@@ -31,8 +32,6 @@ from .exposure import Exposure, ExposureState
 from .ledger import Ledger, LedgerState
 from .touching import Touching
 
-# Steps with one dt and one contact search: at a Courant factor of 0.9 a dt kept for longer becomes unstable.
-WINDOW = 10
 APPROACH = 0.5  # spacings that a point may move in a window of steps, in which its stable step is not computed again
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ..plan.cost import WINDOW
 from .ending import EndCriterion
-from .exchange import WINDOW, Impact
+from .exchange import Impact
 from .recorder import Recorder
 from .touching import Touching
 

@@ -12,7 +12,7 @@ from ..measures import BANDED
 from ..measures import measure as record
 from .bands import SHAPE, Band, table
 from .cost import flow_stress
-from .effects import NUMBERS, Effects, Situation, numbers
+from .effects import GRADIENTS, NUMBERS, Effects, Situation, numbers
 
 ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # asked for by each preset
 SHAPES = ("flattening_ratio", "flattening_ratio_total", *SHAPE[1:])
@@ -20,10 +20,10 @@ REST = "way_to_rest"  # from the greatest deformation on: left out, an impact en
 LEFT_TO_EFFECTS = 0.25  # of the discretisation's share, where that alone takes up the accuracy asked for
 CASES = 3  # measured ones that an estimate rests on
 LEAST_SAVING = 0.01  # of a step's time: what saves less stays in
-# Below these numbers an effect cannot act: no wave is back yet; the pause is too short for heat to leave the splat.
-CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05}
-GRADIENTS = "gradient_hardening"  # by default only with bonds by exposure, whose verdicts depend on it
-NOT_LEFT_OUT = ("adhesion", "friction", "cooling", GRADIENTS)  # a scene has it or not
+# Below these numbers an effect does not act: no wave is back yet; the pause is too short for heat to leave the splat; heat that does
+# not leave its element changes the rise of the temperature by less than 2 % (docs/evidence/effects.md).
+CANNOT_ACT_BELOW = {"absorbing_boundaries": 1.0, "cooling": 0.05, "conduction": 0.05}
+NOT_LEFT_OUT = ("adhesion", "friction", "cooling", "conduction", GRADIENTS)  # a scene has it or not
 # Where plastic work may heat a metal by more than this share of the way to melting, an impact is followed to rest: at the greatest
 # deformation of the fast case of the study (1.1) the pressure holds 8 % of the points deeper than a spacing in the target.
 HOT = 0.3

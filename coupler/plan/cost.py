@@ -3,7 +3,6 @@
 import math
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +13,9 @@ from ..physics.materials import Material
 PRESETS = {"draft": 1000, "standard": 5000, "fine": 16000}
 LEAST_POINTS = 200
 LEAST_LAYERS = 2.0  # spacings across the thinnest part of a shape
+# Steps with one dt and one contact search, between which nothing is written: at a Courant factor of 0.9 a dt kept for longer becomes
+# unstable.
+WINDOW = 10
 
 # Facets finer than the points let the points indent them one by one: elements are larger than the spacing.
 ELEMENT_SIZE_OVER_SPACING = 1.7
@@ -29,19 +31,19 @@ ON_SPLATS = (
 )
 HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
-# Fits (workflows/pace.py) to the single impacts in docs/tables (stability, validation, validation_trends, accuracy): the
-# logarithms of (time to rest) v / height, and of what spacing / (c dt) has more than at rest, are these coefficients times
-# [1, ln d_p, ln d_t, ln(N / 1000), sin^2 angle]; d: `damage_numbers`, N: points in a sphere of the particle's diameter.
-REST_FIT = (-0.198, 0.133, 0.233, -0.046, 0.927)
-# By engine: c dt / spacing as long as nothing is deformed, and the fit. Those of the smallest stretch are of `compiled` and `machdyn`.
-_BY_STRETCH = 0.41, (-1.242, 1.044, 0.343, 0.403, -0.68)
-CFL = {"enriched": (0.54, (-0.562, 0.352, 0.733, 0.239, 0.001)), "compiled": _BY_STRETCH, "machdyn": _BY_STRETCH}
+# Fits (workflows/pace.py --fit) of sums over particle and target, of `loads` w. (Time to rest) v / height: a w^b of each, times
+# exp(c sin^2 angle). What spacing / (c dt) has more than at rest: a w^b of each, w times cos^2 angle + SHEARED sin angle cos angle,
+# times (N / 1000)^(c ln(1 + both w)), N points in a sphere of the particle's diameter: the finer, the farther rims are stretched.
+REST_FIT = (0.724, 0.329), (0.293, 0.654), 0.862
+STEP_FIT = (0.646, 1.122), (0.478, 0.851), 0.146
+SHEARED = 1.914
+CFL = {"enriched": 0.54, "compiled": 0.41, "machdyn": 0.41}  # c dt / spacing as long as nothing is deformed, by engine
 STEP_ON_SPLAT = 0.69  # of an impact on a splat over that on a substrate: 0.58 to 0.78 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
+STRAIN_OF_RIM = 1.5  # of a particle
 SPLAT_TETS_PER_H3 = 5.5  # in meshes of splats, whose surface holds a good part: 4.2 to 7 counted
 # wall time of one step, one core, by engine
 SECONDS_PER_POINT = {"compiled": 0.7e-6, "enriched": 1.0e-6, "machdyn": 2.6e-6}
-TIMED_ENGINE = "enriched"  # of the impacts that time a machine
 SECONDS_PER_ELEMENT = 0.12e-6
 SECONDS_PER_CONTACT_POINT = 0.3e-6
 SECONDS_PER_STEP = 6e-4
@@ -65,19 +67,6 @@ BYTES_AT_LEAST = 4e8  # the program and its libraries
 FILE_BYTES_PER_ELEMENT = 36.0
 FILE_BYTES_PER_POINT = 58.0
 VERTICES = 6.5  # of a particle's surface over points^(2/3)
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Time of a run on one core, s: of its steps by themselves and by their elements, of their points, and of all else."""
-
-    steps: float
-    points: float
-    rest: float
-
-    @property
-    def whole(self) -> float:
-        return self.steps + self.points + self.rest
 
 
 def spacing(volume: float, points: int) -> float:
@@ -106,24 +95,29 @@ def splat_elements(volume: float, element_size: float) -> int:
     return round(SPLAT_TETS_PER_H3 * volume / element_size**3)
 
 
-def flow_stress(material: Material, T: float, rate: float) -> float:
-    """Flow stress, Pa, at a plastic strain of STRAIN_OF_FLOW. T: K, short of melting; rate: 1/s."""
+def flow_stress(material: Material, T: float, rate: float, strain: float = STRAIN_OF_FLOW) -> float:
+    """Flow stress, Pa, at a plastic strain. T: K, short of melting; rate: 1/s."""
     hottest = material.T_ref + 0.95 * (material.T_m - material.T_ref)
-    return material.flow_stress(STRAIN_OF_FLOW, rate, min(T, hottest))
+    return material.flow_stress(strain, rate, min(T, hottest))
 
 
-def damage_numbers(
+def loads(
     materials: tuple[Material, Material], temperatures: tuple[float, float], velocity: float, diameter: float
 ) -> tuple[float, float]:
-    """Johnson's damage numbers rho v^2 / Y of an impact: the particle's density over the flow stress of particle and target.
+    """How much an impact asks of particle and target: the energy that each takes over its flow stress, of the particle's volume.
 
-    materials, temperatures (K): of particle and target; velocity m/s, diameter m.
+    Johnson's damage number rho v^2 / Y, the particle's density over the body's flow stress, times its share of the energy, which is
+    that of the compliances 1 / Y; the particle's rim is heated by a strain of STRAIN_OF_RIM. materials, temperatures (K): of
+    particle and target; velocity m/s, diameter m.
     """
-    inertia = materials[0].rho * velocity**2
-    first, second = (
-        inertia / flow_stress(m, T, velocity / diameter) for m, T in zip(materials, temperatures, strict=True)
-    )
-    return first, second
+    metal, rate, inertia = materials[0], velocity / diameter, materials[0].rho * velocity**2
+    Y, Y_base = (flow_stress(m, T, rate) for m, T in zip(materials, temperatures, strict=True))
+    share = Y_base / (Y + Y_base)
+    T, part = temperatures[0], STRAIN_OF_RIM / 3
+    for strain in (part, 2 * part, 3 * part):
+        heat = metal.taylor_quinney * part * flow_stress(metal, T, rate, strain)
+        T += heat / (metal.rho * metal.cp_at(min(T, metal.T_m)))
+    return share * inertia / flow_stress(metal, T, rate, STRAIN_OF_RIM), (1.0 - share) * inertia / Y_base
 
 
 def stopping_time(
@@ -141,36 +135,34 @@ def stopping_time(
     return 2.0 / 3.0 * particle.rho * diameter / math.sqrt(0.5 * H * target.rho) * slowing
 
 
-def _fitted(fit: tuple[float, ...], damage: tuple[float, float], points: float, angle: float) -> float:
-    terms = (1.0, math.log(damage[0]), math.log(damage[1]), math.log(points / 1000.0), math.sin(angle) ** 2)
-    return math.exp(sum(a * b for a, b in zip(fit, terms, strict=True)))
-
-
 def expected_time(
-    cap: float, height: float, velocity: float, end_at: str, damage: tuple[float, float], points: float, angle: float
+    cap: float, height: float, velocity: float, end_at: str, load: tuple[float, float], angle: float
 ) -> float:
     """Simulated time, s, that an impact may be expected to take of its `cap` s. height m, velocity m/s; end_at: "rest",
-    "greatest" or "time"; damage: of `damage_numbers`; points: of a sphere of its size; angle: rad, from the normal."""
+    "greatest" or "time"; load: of `loads`; angle: rad, from the normal."""
     if end_at == "time":
         return cap
-    rest = _fitted(REST_FIT, damage, points, angle) * height / velocity
-    return min(cap, rest * (GREATEST_OVER_REST if end_at == "greatest" else 1.0))
+    (a, b), (c, d), oblique = REST_FIT
+    crossings = (a * load[0] ** b + c * load[1] ** d) * math.exp(oblique * math.sin(angle) ** 2)
+    return min(cap, crossings * height / velocity * (GREATEST_OVER_REST if end_at == "greatest" else 1.0))
 
 
 def time_step(
     spacing: float,
     wave_speed: float,
-    damage: tuple[float, float],
+    load: tuple[float, float],
     points: float,
     angle: float,
     engine: str,
     slenderness: float = 1.0,
 ) -> float:
-    """Mean time step of an impact to rest, s: the spacing shrinks as the particle deforms. spacing m, wave_speed m/s;
-    slenderness: height over the diameter of the sphere of equal volume; the rest as for `expected_time`."""
-    at_rest, fit = CFL[engine]
-    excess = _fitted(fit, damage, points, angle) * max(slenderness, 1.0)
-    return spacing / wave_speed / (1.0 / at_rest + excess)
+    """Mean time step of an impact to rest, s: the spacing shrinks as the particle deforms. spacing m, wave_speed m/s; points: of a
+    sphere of its size; slenderness: height over the diameter of the sphere of equal volume; the rest as for `expected_time`."""
+    (a, b), (c, d), finer = STEP_FIT
+    pressed = math.cos(angle) * (math.cos(angle) + SHEARED * math.sin(angle))
+    excess = a * (pressed * load[0]) ** b + c * (pressed * load[1]) ** d
+    excess *= (points / 1000.0) ** (finer * math.log(1.0 + sum(load)))
+    return spacing / wave_speed / (1.0 / CFL[engine] + excess * max(slenderness, 1.0))
 
 
 def memory(points: float, n_elements: float) -> float:
@@ -210,14 +202,9 @@ def between_impacts(
     return tuple(times)
 
 
-def step_time(steps: float, n_elements: float) -> float:
-    """Time of so many steps by themselves and by their elements, on one core, s."""
-    return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements)
-
-
-def point_time(steps: float, points: float, engine: str) -> float:
-    """Time of so many steps by the particle's points, on one core, s."""
-    return steps * SECONDS_PER_POINT[engine] * points
+def step_time(steps: float, points: float, n_elements: float, engine: str) -> float:
+    """Time of so many steps on one core, s."""
+    return steps * (SECONDS_PER_STEP + SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_POINT[engine] * points)
 
 
 def target_load(points: float, n_elements: float, engine: str) -> float:

@@ -9,6 +9,7 @@ from ..physics.materials import Material
 from ..scene.effects import NAMES, WHOLE, Switches
 from .cost import STRAIN_OF_FLOW
 
+GRADIENTS = "gradient_hardening"  # a choice of the model: unless it is named, only with bonds by exposure, whose verdicts depend on it
 # The number of each effect, in words.
 NUMBERS = {
     "thermal_softening": "heating or preheat / (T_m - T)",
@@ -73,8 +74,8 @@ class Effects(Switches):
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
     """What a scene says about each effect; those that it leaves to the budget are not in it.
 
-    request: "auto" (the budget decides), "all", "none", or a list: names alone mean these and no other;
-    a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
+    request: "auto" (the budget decides), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean
+    these and no other; a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
     one of signed names only changes "auto".
     """
     if isinstance(request, str):
@@ -85,6 +86,8 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
         if items and items[0] in WHOLE:
             base = items.pop(0)
     whole = {} if base == "auto" else dict.fromkeys(NAMES, base == "all")
+    if base == "all":
+        del whole[GRADIENTS]
     return whole | {item.lstrip("+-"): not item.startswith("-") for item in items}
 
 

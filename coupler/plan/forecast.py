@@ -9,7 +9,8 @@ from . import batches, cost
 
 
 class Impact(batches.Impact, Protocol):
-    """What the forecast depends on. splat_elements: tetrahedra of its splat, 0 where it rebounds; expected, output_every: s."""
+    """What the forecast depends on. splat_elements: tetrahedra of its splat, 0 where it rebounds; expected, output_every,
+    dt_expected: s."""
 
     @property
     def splat_elements(self) -> int: ...
@@ -19,6 +20,8 @@ class Impact(batches.Impact, Protocol):
     def expected(self) -> float: ...
     @property
     def output_every(self) -> float: ...
+    @property
+    def dt_expected(self) -> float: ...
 
 
 class Sizes(Protocol):
@@ -62,7 +65,7 @@ def file_bytes(impacts: Sequence[Impact], target: Sizes) -> float:
     end alone."""
     written = 0.0
     for impact, elements in zip(impacts, elements_met(impacts, target), strict=True):
-        every = impact.output_every
+        every = max(impact.output_every, cost.WINDOW * impact.dt_expected)
         steps = impact.expected // every + 3.0 if math.isfinite(every) else 1.0
         vertices = cost.VERTICES * impact.points ** (2.0 / 3.0)
         written += steps * (

@@ -121,10 +121,11 @@ class Plan:
     """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
     impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
-    wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
-    about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
-    ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
-    (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
+    wall time (on one core of the machine of the constants in `estimates`) and memory are those of all; target_load: cost of the target
+    and the contact over that of the particles. gas: lines about what the gas gives. engine: of the particles (`coupler.sph.engine`).
+    solids: shapes from files, by the name of the file. ambient: temperature (K) to which all cools after the last impact, None where
+    it does not; surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts;
+    spray: about the time between impacts, "" for one.
     skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
     """
 
@@ -142,7 +143,7 @@ class Plan:
     dt_estimate: float
     steps_estimate: int
     memory_bytes: float
-    cost: estimates.Cost
+    wall_estimate: float
     target_load: float
     preset: str
     engine: str
@@ -159,11 +160,6 @@ class Plan:
         return i > 0 and math.isfinite(self.impacts[i].window)
 
     @property
-    def wall_estimate(self) -> float:
-        """Time of all on one core of the machine that the constants of `estimates` were fitted on, s."""
-        return self.cost.whole
-
-    @property
     def shares(self) -> tuple[tuple[float, float], ...]:
         """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it. The whole
         includes the files and pictures at the end."""
@@ -172,7 +168,7 @@ class Plan:
         own = []
         for impact, met in zip(self.impacts, elements, strict=True):
             steps = impact.expected / impact.dt_expected
-            own.append(estimates.step_time(steps, met) + estimates.point_time(steps, impact.points, self.engine))
+            own.append(estimates.step_time(steps, impact.points, met, self.engine))
         ends = list(itertools.accumulate(a + b for a, b in zip(own, after, strict=True)))
         whole = ends[-1] + estimates.SECONDS_PER_RUN
         return tuple((begin / whole, time / whole) for begin, time in zip([0.0, *ends], own, strict=False))
@@ -223,11 +219,9 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         dt_estimate=min(i.dt_expected for i in impacts),
         steps_estimate=sum(steps),
         memory_bytes=estimates.memory(scene.derived.points, forecast.elements_met(impacts, target)[-1]),
-        cost=estimates.Cost(
-            steps=sum(estimates.step_time(n, E) for n, _, E in costs),
-            points=sum(estimates.point_time(n, N, scene.resolution.engine) for n, N, _ in costs),
-            rest=estimates.run_time(target.elements_estimate) + sum(between),
-        ),
+        wall_estimate=sum(estimates.step_time(*each, scene.resolution.engine) for each in costs)
+        + estimates.run_time(target.elements_estimate)
+        + sum(between),
         target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
         engine=scene.resolution.engine,
@@ -244,8 +238,6 @@ def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Bu
     """What is left out, within the accuracy asked for. The way to rest stays where the scene says how to end, or something needs it."""
     wanted = scene.want.measures or WANTABLE
     settled = effects.requested(scene.effects)
-    if scene.resolution.engine == "machdyn":  # it knows none, "all" or not
-        settled.pop("gradient_hardening", None)
     if scene.derived.ambient is not None:  # residual stresses come from these
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
     if any(p.dwell is None for p in scene.particles[:-1]):
@@ -288,12 +280,12 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         "rest" if scene.end.at == "cold" else scene.end.at or ("time" if scene.end.time is not None else "rest")
     )
     material, (base, T, on_splat) = scene.derived.material(particle.material), _under(scene, i)
-    damage = estimates.damage_numbers((material, base), (particle.temperature, T), v, D)
+    load = estimates.loads((material, base), (particle.temperature, T), v, D)
     points = particle.volume / scene.derived.spacing**3
     tall = particle.form.height(particle.tilt) / D
     height = D * max(tall, math.sqrt(tall))  # flat shapes come to rest sooner, but not as soon as they are flat
     dt = estimates.time_step(
-        scene.derived.spacing, material.wave_speed, damage, points, particle.angle, scene.resolution.engine, tall
+        scene.derived.spacing, material.wave_speed, load, points, particle.angle, scene.resolution.engine, tall
     )
     return ImpactPlan(
         material=material,
@@ -308,7 +300,7 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         spacing=scene.derived.spacing,
         points=scene.derived.points_of(particle),
         end_time=cap * (estimates.ON_SPLATS if i > 0 and scene.end.time is None else 1.0),
-        expected=estimates.expected_time(cap, height, v, end_at, damage, points, particle.angle),
+        expected=estimates.expected_time(cap, height, v, end_at, load, particle.angle),
         dt_expected=dt * (estimates.STEP_ON_SPLAT if on_splat else 1.0),
         rate_filter=RATE_FILTER_OVER_CROSSING * D / v,
         output_every=scene.derived.output_every_of(particle),

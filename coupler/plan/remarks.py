@@ -7,6 +7,7 @@ from typing import Protocol
 from .. import units
 from ..physics.materials import Material, fitted_at
 from . import cost, effects
+from .cost import WINDOW
 from .effects import Effects
 from .reading import Scene
 
@@ -16,7 +17,8 @@ EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so li
 
 
 class Impact(Protocol):
-    """What warnings depend on. velocity (vx, vy, vz) m/s; diameter m; temperature K; points: about that many."""
+    """What warnings depend on. velocity (vx, vy, vz) m/s; diameter m; temperature K; points: about that many;
+    output_every, dt_expected: s."""
 
     @property
     def material(self) -> Material: ...
@@ -28,6 +30,10 @@ class Impact(Protocol):
     def temperature(self) -> float: ...
     @property
     def points(self) -> int: ...
+    @property
+    def output_every(self) -> float: ...
+    @property
+    def dt_expected(self) -> float: ...
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
@@ -48,6 +54,12 @@ def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Ef
     if scene.resolution.spacing is None and scene.derived.points > 1.05 * (usual := cost.PRESETS[scene.preset]):
         points = f"{scene.derived.points} points in place of {usual}"
         warnings.append(f"the smallest or thinnest particle sets the spacing: the largest has {points}")
+    shortest = max(WINDOW * i.dt_expected for i in impacts)
+    if scene.output.every is not None and scene.output.every < shortest:
+        warnings.append(
+            f"output.every = {units.rounded(scene.output.every, 'ns')} is less than {WINDOW} time steps, some"
+            f" {units.rounded(shortest, 'ns')}: fields are written every {WINDOW} time steps"
+        )
     if scene.derived.element_size < scene.derived.spacing:
         warnings.append("element_size is smaller than the spacing: single points indent facets finer than themselves")
     hot: dict[str, list[tuple[str, float]]] = {}  # by metal: who reaches what

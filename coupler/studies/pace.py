@@ -1,7 +1,7 @@
 """The speed of this machine, measured once (`timing.measure`) and kept in the user's cache folder.
 
-`coupler.plan.cost` has the costs of steps, elements and points of the machine on which its constants were fitted. Two factors
-transfer them to this one: for the cost of a step and its elements, and for that of its points.
+`coupler.plan.cost` has the costs of steps, elements and points of the machine on which its constants were fitted; one factor
+transfers them to this one.
 """
 
 from __future__ import annotations
@@ -20,44 +20,38 @@ from ..errors import ColdsprayError, StoreError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
 from ..files.provenance import processor
-from ..plan import cost
 from ..plan.planning import Plan
 
 FACTORS = (0.05, 50.0)  # limits of what is accepted
-USUAL = (1000.0, 5000.0)  # points and elements of a step that stands for all that is no step
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Times on this machine over those of the constants of `plan.cost`. steps: of a step and its elements; points: of the points
-    of a step; source: the origin of both, for messages."""
+    """factor: time on this machine over that of the constants of `plan.cost`; source: its origin, for messages."""
 
-    steps: float
-    points: float
+    factor: float
     source: str
 
     def seconds(self, plan: Plan) -> float:
         """Processor time of a plan in one thread here, s."""
-        own = cost.step_time(1.0, USUAL[1]), cost.point_time(1.0, USUAL[0], cost.TIMED_ENGINE)
-        of_all_else = (self.steps * own[0] + self.points * own[1]) / sum(own)
-        return plan.cost.steps * self.steps + plan.cost.points * self.points + plan.cost.rest * of_all_else
+        return self.factor * plan.wall_estimate
 
 
-def of_this_machine(measure: Callable[[], tuple[float, float]], anew: bool = False) -> Pace:
+def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
     """The pace of this machine, from the cache or measured now (some seconds; half a minute where kernels have to be compiled).
 
-    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impacts cannot be computed the
-    factors are 1 and `source` has the reason.
+    measure: `timing.measure`, called where the cache has nothing, and with `anew`. Where the small impact cannot be computed the
+    factor is 1 and `source` has the reason.
     """
     path, key = user_folder() / "pace.json", machine()
     known = _read(path)
     if not anew and key in known:
         return _pace(known[key])
     try:
-        steps, points = measure()
+        factor = measure()
     except (ColdsprayError, ImportError, OSError) as error:
-        return Pace(1.0, 1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
-    entry: _Entry = {"steps": steps, "points": points, "date": date.today().isoformat()}
+        return Pace(1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
+    entry: _Entry = {"factor": factor, "date": date.today().isoformat()}
     _write(path, known | {key: entry})
     return _pace(entry)
 
@@ -65,8 +59,7 @@ def of_this_machine(measure: Callable[[], tuple[float, float]], anew: bool = Fal
 class _Entry(TypedDict, total=False):
     """The pace of one machine in the cache."""
 
-    steps: float
-    points: float
+    factor: float
     date: str
 
 
@@ -76,8 +69,7 @@ def machine() -> str:
 
 
 def _pace(entry: _Entry) -> Pace:
-    origin = f"timed on {entry['date']} (--recalibrate repeats it)"
-    return Pace(float(entry["steps"]), float(entry["points"]), origin)
+    return Pace(float(entry["factor"]), f"timed on {entry['date']} (--recalibrate repeats it)")
 
 
 def _read(path: Path) -> dict[str, _Entry]:
@@ -88,8 +80,8 @@ def _read(path: Path) -> dict[str, _Entry]:
         return {}
     low, high = FACTORS
     return {
-        k: _Entry(steps=v["steps"], points=v["points"], date=str(v.get("date", "an unknown day"))) for k, v in known.items()
-        if isinstance(v, dict) and all(isinstance(v.get(n), float) and low <= v[n] <= high for n in ("steps", "points"))
+        k: _Entry(factor=v["factor"], date=str(v.get("date", "an unknown day"))) for k, v in known.items()
+        if isinstance(v, dict) and isinstance(v.get("factor"), float) and low <= v["factor"] <= high
     }  # fmt: skip
 
 
