@@ -1,10 +1,9 @@
-"""Accuracy against time: the ladder, what is fitted to it, bands and choices, the pace of a machine, the command."""
+"""Accuracy against time: the ladder, what is fitted to it, choices, the pace of a machine, the command."""
 
 import json
 import re
 from pathlib import Path
 
-import accuracy as study  # workflows/accuracy.py
 import numpy as np
 import pytest
 from test_scene import scene_with, several
@@ -12,10 +11,10 @@ from test_scene import scene_with, several
 from coupler import __version__
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
-from coupler.errors import ColdsprayError, SolverError, StoreError
+from coupler.errors import SolverError, StoreError
 from coupler.measures import BANDED
-from coupler.plan import bands
 from coupler.plan import cost as estimates
+from coupler.plan import refinement
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.progress import Progress
@@ -136,65 +135,6 @@ def test_orders_and_limits_that_are_there_are_found(rows):
     assert not scatter.is_determined
 
 
-def test_what_is_packaged_says_slopes_and_knobs(rows):
-    found = {r["measure"]: r for r in study.packaged([study.StudyCase("a case", 1, 500.0, 300.0, rows)])}
-    assert not {"eps_p_max", "T_max_K"} & set(found)  # local maxima do not converge
-    crater, h = found["crater_depth_m"], ladder.REFERENCE ** (-ORDER / 3)
-    assert crater["limit"] == pytest.approx(1 / (1 + 0.6 * h), rel=1e-3)
-    assert crater["slope"] == pytest.approx(0.6 / (1 + 0.6 * h), rel=0.05)
-    assert crater["scatter"] < 1e-4
-    assert crater["viscosity"] == pytest.approx(0.01 / (1 + 0.6 * h), rel=0.01)
-    assert crater["dt"] == pytest.approx(0.0, abs=1e-9)
-    assert crater["knobs_at"] == ladder.KNOBS_AT
-
-
-def test_bands_narrow_with_points_and_say_what_they_rest_on():
-    for measure in BANDED:
-        wide, narrow = (bands.band(measure, bands.Kind(n, 500.0)) for n in (1000, 16000))
-        assert wide is not None
-        assert narrow is not None
-        assert 0.0 < narrow.share < wide.share
-        assert "at 500 m/s" in wide.why
-    assert bands.band("T_max_K", bands.Kind(1000, 500.0)) is None
-    crater = [bands.band("crater_depth_m", bands.Kind(1000, v)) for v in (725.0, 862.5, 1000.0, 1250.0)]
-    shares = [one.share for one in crater if one is not None]
-    assert shares[1] == pytest.approx((shares[0] + shares[2]) / 2)
-    assert shares[3] == shares[2]
-    assert crater[3] is not None
-    assert "1250 m/s is outside the table: a guess" in crater[3].why
-    rod = bands.band("crater_depth_m", bands.Kind(1000, 500.0, plain=False))
-    assert rod is not None
-    assert "no such shape or angle" in rod.why
-    pile = bands.band("crater_depth_m", bands.Kind(1000, 600.0, impacts=3))
-    alone = bands.band("crater_depth_m", bands.Kind(1000, 600.0))
-    assert pile is not None
-    assert alone is not None
-    assert pile.share >= alone.share
-
-
-def test_bands_of_a_summary_are_in_the_measures_own_units():
-    kind = bands.Kind(5000, 500.0)
-    values = {"crater_depth_m": 5e-6, "T_mean_K": 400.0, "T_max_K": 900.0, "nodes": 7}
-    found = bands.half_widths(bands.of_measures(kind), values, 300.0)
-    assert set(found) == {"crater_depth_m", "T_mean_K"}
-    of_crater, of_rise = (bands.band(m, kind) for m in ("crater_depth_m", "T_mean_K"))
-    assert of_crater is not None
-    assert of_rise is not None
-    assert found["crater_depth_m"]["half_width"] == pytest.approx(5e-6 * of_crater.share)
-    assert found["T_mean_K"]["half_width"] == pytest.approx(100.0 * of_rise.share)  # of the rise
-
-
-def test_points_for_an_accuracy_are_just_enough():
-    kind = bands.Kind(5000, 500.0)
-    asked = bands.worst(kind)[1]
-    points = bands.points_for(asked, kind)
-    assert points == pytest.approx(5000, rel=0.05)
-    assert bands.worst(bands.Kind(points, 500.0))[1] <= asked
-    with pytest.raises(bands.AccuracyError, match=r"--accuracy 0\.01% cannot be had: with 64000 points the"):
-        bands.points_for(1e-4, kind)
-    assert bands.points_for(1.0, kind) == bands.LEAST
-
-
 @pytest.fixture
 def known_pace(monkeypatch):
     monkeypatch.setattr(command, "here", lambda recalibrate=False: pace.Pace(1.0, "as the constants are"))
@@ -208,22 +148,24 @@ def test_within_takes_the_finest_there_is_time_for():
     assert f"{made.derived.points} points" in said
     assert made.derived.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.derived.spacing)
     assert command.chosen(scene, "5 min", None)[0].derived.points > made.derived.points
-    with pytest.raises(bands.AccuracyError, match=r"--within 0\.5s is too short: at 300 points"):
+    with pytest.raises(refinement.AccuracyError, match=r"--within 0\.5s is too short: at 300 points"):
         command.chosen(scene, "0.5s", None)
 
 
 @pytest.mark.usefixtures("known_pace")
 def test_accuracy_chooses_the_coarsest_that_will_do():
-    asked = 100 * bands.worst(bands.Kind(3000, 500.0))[1]
+    asked = 100 * max(refinement.forecast(3000)[key] for key in refinement.SHAPE)
     made, said = command.chosen(scene_with(), None, f"{asked:.6f}%")
     assert made.derived.points == pytest.approx(3000, rel=0.05)
     assert "shape within" in said
-    with pytest.raises(bands.AccuracyError, match="more than --within 3s"):
+    with pytest.raises(refinement.AccuracyError, match="more than --within 3s"):
         command.chosen(scene_with(), "3s", f"{asked:.6f}%")
     unlike, _ = command.chosen(several({}, {"diameter": "15 um"}), None, "90%")
     assert unlike.derived.points_of(unlike.particles[-1]) >= estimates.LEAST_POINTS
     pile, _ = command.chosen(several({}, {"diameter": "20 um"}), None, f"{asked:.6f}%")
-    assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * bands.points_for(asked / 100, bands.Kind(1, 500.0, 2))
+    assert pile.derived.points_of(pile.particles[-1]) >= 0.95 * refinement.points_for(asked / 100)
+    with pytest.raises(refinement.AccuracyError, match=r"--accuracy 0\.01% cannot be had: with 64000 points the shape"):
+        command.chosen(scene_with(), None, "0.01%")
 
 
 @pytest.mark.parametrize(
@@ -281,8 +223,7 @@ def test_check_foretells_time_and_accuracy(tmp_path, capsys):
     assert cli.main(["check", str(path), "-v"]) == 0
     text = capsys.readouterr().out
     assert re.search(r"wall time  about \d+ s on one core here", text)
-    assert re.search(r"accuracy   \+- .*flattening [\d.]+ %", text)
-    assert "local maxima do not converge" in text
+    assert re.search(r"error      a forecast: \+- .*flattening [\d.]+ %", text)
     first = text.splitlines().index(next(line for line in text.splitlines() if "wall time" in line))
     assert max(map(len, text.splitlines()[first : first + 5])) <= 120
 
@@ -359,17 +300,3 @@ def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
     found = ladder_runs.compute(scene, ladder.LadderPoint("dt", "2 dt", 300), tmp_path / "run", Progress(quiet=True))
     assert found["failed"] == "it broke in two lines"
     assert "flattening_ratio" not in found
-    assert issubclass(bands.AccuracyError, ColdsprayError)
-
-
-def test_a_run_carries_its_bands(climbed):
-    from coupler import run
-
-    scene = ladder.scene_at(Scene.from_text(SMALL, "small"), ladder.LadderPoint("points", "", 200))
-    summary = run(scene, climbed / "one", threads=1).values
-    found = bands.half_widths(plan(scene).impact.bands, summary, 300.0)
-    assert plan(scene).impact.points == pytest.approx(summary["points"], rel=0.1)
-    assert summary["bands"].keys() == found.keys()
-    crater = summary["bands"]["crater_depth_m"]
-    assert crater["half_width"] == pytest.approx(found["crater_depth_m"]["half_width"])
-    assert crater["why"]

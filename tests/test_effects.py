@@ -87,7 +87,7 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
 
 def test_numbers_of_conduction_on_both_sides() -> None:
     made = plan(scene_with(particle__material="OFHC_Cu"))
-    value = {row.name: row.value for row in made.budget.rows}
+    value = {row.name: row.value for row in made.decisions}
     copper, steel = material("OFHC_Cu"), material("SS304")
     time = made.impact.end_time
     in_points = math.sqrt(effects.diffusivity(copper, 300.0) * time) / made.impact.spacing
@@ -95,16 +95,16 @@ def test_numbers_of_conduction_on_both_sides() -> None:
     # steel is the one that holds heat back
     across = math.sqrt(effects.diffusivity(steel, 300.0) * time) / made.target.element_size
     assert value["interface_conduction"] == pytest.approx(across)
-    later = {row.name: row.value for row in plan(several(*[{"material": "OFHC_Cu"}] * 2)).budget.rows}
+    later = {row.name: row.value for row in plan(several(*[{"material": "OFHC_Cu"}] * 2)).decisions}
     assert later["particle_conduction"] == pytest.approx(in_points)  # a particle is there for its own impact only
 
 
 def test_cooling_needs_a_pause_and_adhesion_is_the_same_for_one_and_for_several() -> None:
     alone = plan(scene_with(particle__dwell="1 ms"))
     assert alone.effects.adhesion
-    short, long = (plan(several({"dwell": dwell}, {})).budget for dwell in ("1 ns", "1 ms"))
+    short, long = (plan(several({"dwell": dwell}, {})) for dwell in ("1 ns", "1 ms"))
     assert (short.effects.cooling, long.effects.cooling) == (False, True)
-    value = next(row.value for row in long.rows if row.name == "cooling")
+    value = next(row.value for row in long.decisions if row.name == "cooling")
     assert value == pytest.approx(math.sqrt(effects.diffusivity(material("Ni"), 300.0) * 1e-3) / 25e-6)
     assert plan(several({}, {})).adhesion == alone.adhesion
     assert (alone.adhesion.kind, alone.adhesion.criterion) == ("tied", "velocity")

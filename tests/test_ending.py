@@ -157,7 +157,7 @@ def test_a_run_that_is_not_at_rest_is_undecided(limited, capsys):
     assert result.greatest is None
     assert result.refused["end.flattening_ratio"] == result.refused["rebound_velocity_m_s"] == result.undecided
     assert result.end["time_s"] >= 20e-9
-    assert result.bands == {}
+    assert result.errors == {}
     assert main(["resume", str(folder / "out"), "--until", "15 ns"]) == 2
     assert "give a later time" in capsys.readouterr().err
     assert Result(folder / "out").undecided, "a refused resumption changes nothing"

@@ -44,7 +44,7 @@ TOLERANCES: dict[str, tuple[float, float]] = {
 }
 OF_THE_END = ("flattening_ratio", "flattening_ratio_total", "splat_diameter_m")  # as the last impact leaves the splat
 
-ALL = 'effects = "all"\n'  # what the budget leaves out is no matter of these
+ALL = 'effects = "all"\n'  # what auto leaves out is no matter of these
 SCENES = {
     "single_ni": NI,
     "single_ti": scene(("Ti", 30, 500), spacing=3.6, element_size=5.4),

@@ -237,13 +237,13 @@ def test_summary_table_of_several_impacts(tmp_path):
     assert [row[1:] for row in printed(result) if row[:1] == ["wall time"]] == [["30", "20", "s"], ["", "55.5", "s"]]
 
 
-def test_bands_stand_beside_their_values(tmp_path):
+def test_errors_stand_beside_their_values(tmp_path):
     impact = {
         "end": {"flattening_ratio": 0.55613, "crater_depth_m": 5.02e-6, "T_max_K": 612.3},
         "steps": 10,
-        "bands": {
+        "errors": {
             "flattening_ratio": {"half_width": 0.0118},
-            "crater_depth_m": {"half_width": 1.3e-7, "why": "points"},
+            "crater_depth_m": {"half_width": 1.3e-7, "order": 1.0, "coarser": [5.1e-6, 5.2e-6]},
             "T_max_K": {"half_width": 0.0},
         },
     }
@@ -253,7 +253,7 @@ def test_bands_stand_beside_their_values(tmp_path):
     assert rows["flattening, above surface"] == ["0.556 ± 0.012", ""]
     assert rows["crater depth"] == ["5.02 ± 0.13", "µm"]
     assert rows["highest temperature"] == ["612.3", "K"]
-    assert not {"bands", "impacts"} & set(rows)
+    assert not {"errors", "impacts"} & set(rows)
 
 
 def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):

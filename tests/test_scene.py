@@ -70,7 +70,7 @@ def test_the_example_of_titanium():
         {"resolution__spacing": "1.3 um", "end__time": "60 ns", "output__every": "1 ns"},
         {"contact__friction": 0},
         {"end__time": "60 ns", "end__at": "rest", "preset": "draft"},
-        {"want": {"measures": ["crater_depth_m", "T_mean_K"], "accuracy": 0.03}},
+        {"resolution": {"error": True, "growth": 0.3}},
         {"end__at": "greatest", "particle__dwell": "3.7 ms", "splat": {"method": "density", "element_size": "1.7 um"}},
         {"adhesion": {"kind": "cohesive", "strength": "300 MPa", "energy": "20 J/m2", "shear_energy": "31.3 J/m2"}},
         {"adhesion": {"kind": "tied", "criterion": "pressure", "threshold": "1.3 GPa"}},

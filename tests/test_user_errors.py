@@ -14,7 +14,7 @@ from sweeps import points, pretend
 
 from coupler import Scene
 from coupler.commands import watch
-from coupler.commands.accuracy import chosen, forecast
+from coupler.commands.accuracy import chosen
 from coupler.commands.main import main
 from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, SceneError, StoreError, UnreadableError
@@ -26,7 +26,6 @@ from coupler.measures import STICKS
 from coupler.physics.adhesion import PairFormula
 from coupler.plan.planning import plan
 from coupler.spray.window import Spray
-from coupler.studies.pace import Pace
 from coupler.studies.points import of_another_scene
 from coupler.studies.sweep import Sweep
 
@@ -165,7 +164,6 @@ def test_a_log_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.Ca
     ("key", "value", "words"),
     [
         ("resolution.growth", '"1"', "expected a number without unit or quotes"),
-        ("want.measures", '"flattening_ratio"', 'expected a list, such as ["..."]'),
         ("contact.friction", "true", "expected a number without unit, from 0 to 2"),
     ],
 )
@@ -213,13 +211,6 @@ def test_a_resolution_that_is_chosen_says_what_it_takes_the_place_of() -> None:
     given = Scene.from_text(scenes.NI, "x", [("resolution.spacing", '"1 um"'), free[1]])
     assert chosen(given, None, "5%")[1].endswith("; in place of resolution.spacing of the scene")
     assert "in place" not in chosen(Scene.from_text(scenes.NI, "x", free), None, "5%")[1]
-
-
-def test_a_band_outside_its_table_is_called_a_guess() -> None:
-    fast = plan(Scene.from_text(scenes.NI, "x", [("particle.velocity", '"1200 m/s"')]))
-    pace = Pace(1.0, "")
-    assert "a guess: 1200 m/s is outside the table" in forecast(fast, pace, verbose=False)
-    assert "guess" not in forecast(plan(Scene.from_text(scenes.NI, "x")), pace, verbose=False)
 
 
 def test_a_reference_is_no_coarser_than_a_ladder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,28 +1,25 @@
 """What accuracy costs in time: computes the ladders of the accuracy page and writes all that rests on them.
 
-    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, coupler/plan/bands.csv, the page
+    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, the page
     python workflows/accuracy.py --docs      # runs nothing: from the tables that exist
 
 Rows in the tables are not computed again; a stopped ladder goes on where it was.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from pages import PAGES, ROOT, figure_path, markdown, marked, options, table_rows, versions, write_parts
 
 from coupler.measures import BANDED, MEASURES
-from coupler.plan import bands, cost
 from coupler.plan.reading import Scene
+from coupler.plan.refinement import line
 from coupler.report.picture import save
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, ladder_runs
 from coupler.studies.accuracy_figures import diagram, order_of, preset_of
 from coupler.studies.accuracy_fit import Row
-from coupler.studies.order import fit_order, line
-from coupler.studies.table import StudyTable, write_rows
+from coupler.studies.table import StudyTable
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,6 @@ STUDIES = {
     "al725": Study("Al at 725 m/s", "al_on_steel", (500, 1000, 2000), 5000),
     "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", (700, 1000, 2000), 4000),
 }
-PACKAGED = ROOT / "coupler" / "plan" / "bands.csv"
 
 
 @dataclass(frozen=True)
@@ -58,47 +54,6 @@ class StudyCase:
     speed: float
     temperature: float
     rows: Sequence[Row]
-
-
-def packaged(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
-    """Rows of `coupler/plan/bands.csv`: what bands are made of, for each case and measure that converges.
-
-    Single impacts share the order of each measure; a sequence takes theirs.
-    """
-    packed: list[dict[str, object]] = []
-    for measure in BANDED:
-        used, fitted = fit.order([fit.resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
-        for case in cases:
-            h, y = fit.resolutions(case.rows, measure, case.temperature)
-            if len(h) < 3:
-                continue
-            limit, slope, residuals = line(h, y, used)
-            best = fit.reference(case.rows)
-            packed.append({
-                "case": case.name, "impacts": case.impacts, "speed": case.speed, "measure": measure,
-                "points_from": round(float(h.max()) ** -3), "points_to": round(float(h.min()) ** -3),
-                "reference": fit.value(best, measure, case.temperature) if best else math.nan, "limit": limit,
-                "order": used, "fitted": fitted.order, "low": fitted.low, "high": fitted.high,
-                "slope": abs(slope), "scatter": float(np.sqrt(np.mean(residuals**2))),
-                **_knobs(case.rows, measure, case.temperature),
-            })  # fmt: skip
-    return packed
-
-
-def _knobs(rows: Sequence[Row], measure: str, T_0: float) -> dict[str, object]:
-    """Half of what each knob of the scheme moves a measure by over the values tried, over the reference; and at how many points."""
-    best = fit.reference(rows)
-    shares: dict[str, object] = {"knobs_at": ""}
-    for axis in ladder.KNOBS:
-        tried = [row for row in ladder.finished(rows) if row["axis"] == axis]
-        shares[axis] = ""
-        if not tried or best is None:
-            continue
-        plain = [r for r in ladder.finished(rows) if r["axis"] == "points" and r["points"] == tried[0]["points"]]
-        values = [fit.value(row, measure, T_0) for row in (*tried, *plain)]
-        shares[axis] = 0.5 * (max(values) - min(values)) / abs(fit.value(best, measure, T_0))
-        shares["knobs_at"] = round(float(tried[0]["points_used"]))
-    return shares
 
 
 def table_of(name: str) -> StudyTable:
@@ -119,16 +74,6 @@ def compute(names: Sequence[str]) -> None:
         print(study.heading)
         points = ladder.ladder_points(study.points, study.reference, study.knobs_at or None)
         ladder_runs.compute_missing(study.load(), ROOT / "runs" / "accuracy" / name, points, table_of(name), print)
-
-
-def package(cases: Sequence[StudyCase]) -> list[dict[str, object]]:
-    """Write coupler/plan/bands.csv; its rows."""
-    rows = packaged(cases)
-    rounded = [{k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows]
-    about = "remake: python workflows/accuracy.py --docs; shares of the reference, h = N^(-1/3)"
-    write_rows(PACKAGED, list(rows[0]), rounded, about)
-    bands._rows.cache_clear()
-    return rows
 
 
 def cases_part(cases: dict[str, StudyCase]) -> list[str]:
@@ -160,31 +105,17 @@ def cases_part(cases: dict[str, StudyCase]) -> list[str]:
     return lines
 
 
-def orders_part(packaged: Sequence[dict[str, object]], cases: Sequence[StudyCase]) -> list[str]:
-    """Fitted order of each measure and its limit in each case."""
-    singles = [case for case in cases if case.impacts == 1]
+def orders_part(cases: Sequence[StudyCase]) -> list[str]:
+    """Fitted order of each measure, common to the single impacts, and its limit over the reference in each case."""
     lines = []
-    for measure in dict.fromkeys(str(row["measure"]) for row in packaged):
-        rows = [row for row in packaged if row["measure"] == measure]
-        fitted = fit_order([fit.resolutions(c.rows, measure, c.temperature) for c in singles], fit.ORDERS)
-        limits = [f"{row['limit']:.3f}" for row in rows]
-        orders = (f"{fitted.order:.2g}", " to ".join(fitted.interval()), f"{rows[0]['order']:.2g}")
-        lines.append([MEASURES[measure].short, *orders, *limits])
+    for measure in BANDED:
+        used, fitted = fit.order([fit.resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
+        limits = [line(*fit.resolutions(c.rows, measure, c.temperature), used)[0] for c in cases]
+        orders = (f"{fitted.order:.2g}", " to ".join(fitted.interval()), f"{used:.2g}")
+        lines.append([MEASURES[measure].short, *orders, *(f"{limit:.3f}" for limit in limits)])
     return markdown(
         ["measure", "fitted order", "95 %", "order taken", *(f"limit, {case.name}" for case in cases)], lines
     )
-
-
-def presets_part() -> list[str]:
-    """Band and time of each preset, per measure."""
-    lines = []
-    for preset, points in cost.PRESETS.items():
-        for speed, case in ((500.0, "ni500"), (1000.0, "ni1000")):
-            times = [r["cpu_s"] for r in table_of(case).rows if r["points"] == str(points) and preset_of(r)]
-            widths = [bands.band(m, bands.Kind(points, speed)) for m in BANDED]
-            cells = [f"{100 * w.share:.{2 if w.share < 0.995 else 3}g} %" if w else "-" for w in widths]
-            lines.append([f"{preset}, {speed:g} m/s", f"{float(times[0]):.3g}" if times else "-", *cells])
-    return markdown(["preset, speed", "s", *(MEASURES[m].short for m in BANDED)], lines)
 
 
 def pace_part() -> list[str]:
@@ -207,9 +138,7 @@ def main() -> None:
         compute(a.only)
     cases = {name: case_of(name) for name in STUDIES}
     cases = {name: case for name, case in cases.items() if fit.reference(case.rows) is not None}
-    packaged = package(list(cases.values()))
-    tables = [*cases_part(cases), "## Orders and bands", "", *orders_part(packaged, list(cases.values())), "",
-              "## The presets", "", *presets_part()]  # fmt: skip
+    tables = [*cases_part(cases), "## Orders", "", *orders_part(list(cases.values()))]
     for name, case in cases.items():
         save(diagram(case.rows, case.name, case.temperature), figure_path("accuracy", f"accuracy_{name}.png"))
         print(f"{case.name}: flattening, {order_of(case.rows, 'flattening_ratio_total', case.temperature)}")

@@ -24,9 +24,10 @@ from scipy.spatial.transform import Rotation
 from coupler import Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
+from coupler.plan.refinement import line
 from coupler.sph import shapes
 from coupler.sph.packing import FCC, Lattice
-from coupler.studies.order import FEWEST, fit_order, line
+from coupler.studies.order import FEWEST, fit_order
 from coupler.studies.table import Row
 
 COLUMNS = (

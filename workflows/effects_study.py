@@ -1,9 +1,9 @@
-"""What each effect changes, and whether what `auto` leaves out stays within the budget.
+"""What each effect changes, and what `auto` changes and saves.
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto at draft: docs/tables/effects_proof.csv
     python workflows/effects_study.py --costs    # time of a step, and the share that leaving out saves: docs/tables/effects_costs.csv
-    python workflows/effects_study.py --docs     # runs nothing: writes the page and coupler/plan/effects_study.csv
+    python workflows/effects_study.py --docs     # runs nothing: writes the page
 
 Rows in the tables of changes are not computed again. Costs are processor time of one thread, of impacts that go on in turn, so that
 other work on the machine slows them down alike; of each ten steps the least of several rounds (--rounds N) counts.
@@ -13,13 +13,12 @@ import json
 import math
 import tempfile
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 from pages import (
     PAGES,
-    ROOT,
     TABLES,
     markdown,
     marked,
@@ -40,20 +39,16 @@ from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
 from coupler.measures import BANDED, MEASURES, measure
-from coupler.plan.budget import REST, SHAPES, can_act
+from coupler.plan.effects import GRADIENTS, THRESHOLDS
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
-from coupler.studies.table import Row, StudyTable, write_rows
+from coupler.studies.table import Row, StudyTable
 
 Effects = str | list[str]
-PACKAGED = ROOT / "coupler" / "plan" / "effects_study.csv"
-PACKAGED_COLUMNS = ["effect", "number", "scene", *BANDED, "cost_share"]
-STUDY_COLUMNS = ("scene", "effect", "number", *BANDED, "cost_share", "steps", "drift", "failed")
+STUDY_COLUMNS = ("scene", "effect", "number", *BANDED, "steps", "drift", "failed")
 PROOF_COLUMNS = (
-    "scene", "wanted", *BANDED, "within", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
+    "scene", *BANDED, "failed", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
 )  # fmt: skip
-WANTED = {"everything": "", "shapes": f"[want]\nmeasures = {json.dumps(list(SHAPES))}\n"}
-GRADIENTS = "gradient_hardening"
 BASE = ["all", f"-{GRADIENTS}"]
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
 NEVER = ("adhesion", "cooling", GRADIENTS)
@@ -127,8 +122,8 @@ PROOFS = {name: text for name, text in SCENES.items() if not name.startswith(("t
 
 
 def compute(text: str, effects: Effects) -> dict[str, float]:
-    """Run a scene with these effects: its measures, temperatures as their rise, at its end and (keys greatest.*) at the greatest
-    deformation; the processor time of all of it (s). A measure outside its range is nan."""
+    """Run a scene with these effects: its measures at its end, temperatures as their rise; the processor time of all of it (s). A
+    measure outside its range is nan."""
     checked = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
@@ -138,8 +133,7 @@ def compute(text: str, effects: Effects) -> dict[str, float]:
         end = {**last, **last["end"]}
         end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
         values = {
-            f"{prefix}{key}": float(at[key]) - measure(key).initial(T_0) if at.get(key) is not None else math.nan
-            for prefix, at in (("", end), ("greatest.", last["greatest"]))
+            key: float(end[key]) - measure(key).initial(T_0) if end.get(key) is not None else math.nan
             for key in (*BANDED, "time_s")
         }
         values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
@@ -179,9 +173,9 @@ def least_of(rounds: int, scenes: Mapping[str, str], crossings: float) -> dict[s
     return least
 
 
-def changes(values: dict[str, float], whole: dict[str, float], prefix: str = "") -> dict[str, float]:
+def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
     """Change of each measure in percent of what it is with everything on; nan where that is 0."""
-    return {key: 100.0 * (values[prefix + key] / (whole[key] or math.nan) - 1.0) for key in BANDED}
+    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in BANDED}
 
 
 def costs(rounds: int) -> None:
@@ -212,11 +206,6 @@ def study(table: StudyTable) -> None:
         numbers = _numbers(text)
         base = ["all"] if GRADIENTS in effects else BASE
         whole = compute(text, base)
-        if GRADIENTS not in effects and len(plan(Scene.from_text(text, "effects_study")).impacts) == 1:
-            way = {"cost_share": 1.0 - whole["greatest.time_s"] / whole["time_s"], "steps": whole["steps"]}
-            table.add(
-                {"scene": name, "effect": REST, "number": numbers[REST], **changes(whole, whole, "greatest."), **way}
-            )
         for effect in wanted:
             row: dict[str, object] = {"scene": name, "effect": effect, "number": numbers[effect]}
             try:
@@ -228,45 +217,38 @@ def study(table: StudyTable) -> None:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).budget.rows}
+    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
 
 
 def proof(table: StudyTable, rounds: int) -> None:
-    """Everything on against auto at draft, with everything asked for and with shapes only."""
+    """Everything that can act against auto, at draft."""
     for name, text in PROOFS.items():
-        missing = [wanted for wanted in WANTED if (name, wanted) not in table]
-        if not missing:
+        if (name,) in table:
             continue
         text = f'preset = "draft"\n{text}'
-        rows = plan(Scene.from_text(text, "effects_study")).budget.rows
-        everything = ["all", *(f"-{row.name}" for row in rows if not can_act(row.name, row.value))]
-        whole, step = compute(text, everything), step_times(text, everything, missing, rounds)
-        for wanted in missing:
-            asked = text + WANTED[wanted]
-            budget = plan(Scene.from_text(asked, "effects_study")).budget
-            row: dict[str, object] = {"scene": name, "wanted": wanted, "time_all_s": whole["time_s"]}
-            row["left_out"] = " ".join(row.name for row in budget.rows if not row.on)
-            try:
-                values = compute(asked, "auto")
-            except ColdsprayError as problem:
-                row |= {"within": f"gives up: {problem}"[:100]}
-            else:
-                changed = changes(values, whole)
-                cpu = {"all": step["all"] * whole["time_s"], "auto": step[wanted] * values["time_s"]}
-                row |= {
-                    **changed, "within": all(abs(changed[s.measure]) <= 100.0 * s.allowed for s in budget.shares),
-                    "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"],
-                    "time_auto_s": values["time_s"],
-                }  # fmt: skip
-            print(table.add(row), flush=True)
-
-
-def step_times(text: str, everything: list[str], wanted: Iterable[str], rounds: int) -> dict[str, float]:
-    """Processor time for a second of simulated time (s/s) with everything on ("all") and with auto for each choice of measures."""
-    scenes = {"all": f"effects = {json.dumps(everything)}\n{text}", **{name: text + WANTED[name] for name in wanted}}
-    particle = Scene.from_text(text, "effects_study").particle
-    simulated = CROSSINGS * particle.diameter / particle.velocity
-    return {name: sum(times) / simulated for name, times in least_of(rounds, scenes, CROSSINGS).items()}
+        rows = plan(Scene.from_text(text, "effects_study")).decisions
+        cannot = [
+            r.name for r in rows if r.name in ("absorbing_boundaries", "cooling") and r.value <= THRESHOLDS[r.name]
+        ]
+        everything = [*BASE, *(f"-{name}" for name in cannot)]
+        scenes = {"all": f"effects = {json.dumps(everything)}\n{text}", "auto": text}
+        step = {key: sum(times) for key, times in least_of(rounds, scenes, CROSSINGS).items()}
+        row: dict[str, object] = {"scene": name, "left_out": " ".join(row.name for row in rows if not row.on)}
+        try:
+            whole, values = compute(text, everything), compute(text, "auto")
+        except ColdsprayError as problem:
+            row |= {"failed": str(problem)[:100]}
+        else:
+            times = {"time_all_s": whole["time_s"], "time_auto_s": values["time_s"]}
+            cpu = step["all"] * whole["time_s"], step["auto"] * values["time_s"]
+            row |= {
+                **changes(values, whole),
+                **times,
+                "cpu_all_s": cpu[0],
+                "cpu_auto_s": cpu[1],
+                "ratio": cpu[0] / cpu[1],
+            }
+        print(table.add(row), flush=True)
 
 
 def main() -> None:
@@ -274,7 +256,7 @@ def main() -> None:
     a = options(__doc__, "proof", "costs", "docs", rounds=1)
     command = "python workflows/effects_study.py"
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
-    against = study_table("effects_proof", PROOF_COLUMNS, ("scene", "wanted"), f"{command} --proof")
+    against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
     if a.docs:
         pass
     elif a.proof:
@@ -287,13 +269,10 @@ def main() -> None:
 
 
 def write(influence: StudyTable, against: StudyTable) -> None:
-    """Write the tables into the page, and the one that the budget reads into the package."""
+    """Write the tables into the page."""
     now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
     known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
     table = table_rows("effects_costs")
-    saves = {row["effects"].removeprefix("without "): row["saves"] for row in table}
-    rows = [{**row, "cost_share": row["cost_share"] or saves.get(row["effect"], "")} for row in known]
-    write_rows(PACKAGED, PACKAGED_COLUMNS, rows, "remake: python workflows/effects_study.py --docs")
     lines = [
         [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
         for row in table
@@ -322,20 +301,13 @@ def proof_part(rows: list[Row]) -> list[str]:
     """Everything on against auto: changes in percent and processor time."""
     lines = []
     for row in rows:
-        cells = [f"{number(row, name):+.2f}" for name in BANDED]
-        cells += [{"True": "yes", "False": "no"}.get(row["within"], row["within"]), f"{number(row, 'ratio'):.2f}"]
-        lines.append([marked(row["scene"], row), row["wanted"], *cells, row["left_out"].replace("_", " ")])
-    head = ["scene", "wanted", *(MEASURES[name].short for name in BANDED), "within budget", "time, ratio", "left out"]
-    text = []
-    for wanted in WANTED:
-        ratios = [number(row, "ratio") for row in rows if row["wanted"] == wanted and row["ratio"]]
-        if ratios:
-            inside = sum(row["within"] == "True" for row in rows if row["wanted"] == wanted)
-            text.append(
-                f"- With {wanted} asked for: median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f};"
-                f" {inside} of {len(ratios)} scenes within their budget."
-            )
-    return [*markdown(head, lines), "", *text]
+        cells = [row["failed"]] * len(BANDED) if row["failed"] else [f"{number(row, name):+.2f}" for name in BANDED]
+        ratio = "-" if row["failed"] else f"{number(row, 'ratio'):.2f}"
+        lines.append([marked(row["scene"], row), *cells, ratio, row["left_out"].replace("_", " ")])
+    head = ["scene", *(MEASURES[name].short for name in BANDED), "time, ratio", "left out"]
+    ratios = [number(row, "ratio") for row in rows if not row["failed"]]
+    text = f"Median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
+    return [*markdown(head, lines), "", text]
 
 
 if __name__ == "__main__":

@@ -39,9 +39,10 @@ from coupler.impact.measure import crater_depth
 from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
+from coupler.plan.refinement import line
 from coupler.report.picture import blank, save
 from coupler.sph.packing import surface
-from coupler.studies.order import FEWEST, fit_order, line
+from coupler.studies.order import FEWEST, fit_order
 from coupler.studies.table import Row
 
 SCENE = """

@@ -16,11 +16,10 @@ from matplotlib.ticker import NullFormatter
 from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
 
 from coupler.measures import MEASURES
-from coupler.plan.budget import ACCURACY
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING, PRESETS
+from coupler.plan.refinement import line
 from coupler.report.picture import save
 from coupler.studies import ladder, ladder_runs
-from coupler.studies.order import line
 from coupler.studies.table import Row
 
 POINTS = (300, 500, 700, 1000, 1400, 2000, 3500, 5000)
@@ -29,6 +28,7 @@ STIFFNESS = (1.0, 3.0)
 MOST = {"ni500": 5000, "ti500": 5000, "ni1000": 1000, "al725": 700, "triple": 2000}  # points
 JUDGED = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")
 WITHOUT_LIMIT = {"ni1000": ("flattening_ratio",), "al725": ("splat_diameter_m",)}  # no ladder shows one
+ACCURACY = {"draft": 0.05, "standard": 0.02, "fine": 0.01}  # what each preset is compared with
 FINEST = 4  # rows of a ladder that its limit rests on
 
 

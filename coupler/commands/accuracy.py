@@ -5,13 +5,13 @@ import math
 import re
 import sys
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
 from .arguments import Commands, Option, add_command, add_force, add_quiet, add_scene, path, scene_of, working
 
 if TYPE_CHECKING:
-    from ..plan.bands import Kind
     from ..plan.planning import Plan
     from ..plan.reading import Scene
     from ..studies.pace import Pace
@@ -36,7 +36,9 @@ def add_to_run(option: Option) -> None:
     """The options of `run` that choose the resolution."""
     option("--within", metavar="TIME", help='choose the resolution that takes this long here: "60s", "5min", "1h"')
     option(
-        "--accuracy", metavar="PERCENT", help='choose the resolution for this uncertainty of the splat\'s shape: "2%%"'
+        "--accuracy",
+        metavar="PERCENT",
+        help='choose the resolution for this error of the splat\'s shape, as forecast: "2%%"',
     )
 
 
@@ -106,36 +108,21 @@ def here(recalibrate: bool = False) -> "Pace":
     return pace.of_this_machine(measure, recalibrate)
 
 
-def kind_of(plan: "Plan") -> "Kind":
-    """What the bands of a plan depend on: its last impact, which the summary is about."""
-    from ..plan.bands import Kind
-
-    last = plan.impacts[-1]
-    plain = last.shape == "sphere" and last.velocity[0] == 0.0
-    return Kind(last.points, math.hypot(*last.velocity), len(plan.impacts), plain)
-
-
 def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
-    """Wall time of a plan on this machine and its error bands, as lines for `check`. verbose: with their causes."""
+    """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with what they rest on."""
     from ..measures import BANDED, MEASURES
-    from ..plan.bands import band
+    from ..plan import refinement
     from ..plan.text import duration
 
-    kind = kind_of(plan)
-    bands = {name: width for name in BANDED if (width := band(name, kind)) is not None}
-    lines = [f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}"]
-    if bands:
-        cells = [f"{MEASURES[name].short} {100 * width.share:.2g} %" for name, width in bands.items()]
-        half = -(-len(cells) // 2)
-        lines += [f"  accuracy   +- {', '.join(cells[:half])},", f"             {', '.join(cells[half:])}"]
-        widest = max(bands.values(), key=lambda width: width.share)
-        if verbose:
-            lines.append(f"             the widest by {widest.why}")
-            lines.append(
-                "             of the discretisation alone (docs/evidence/accuracy.md); local maxima do not converge"
-            )
-        if widest.beyond:
-            lines.append(f"             a guess: {widest.beyond}")
+    shares = refinement.forecast(plan.impacts[-1].points)
+    cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in BANDED if name in shares]
+    text = f"a forecast: +- {', '.join(cells)}; the run measures its own"
+    lines = [
+        f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}",
+        fill(text, 119, initial_indent="  error      ", subsequent_indent=" " * 13),
+    ]
+    if verbose:
+        lines.append("             of the discretisation alone, the median of 24 scenes (docs/evidence/accuracy.md)")
     return "\n".join(lines)
 
 
@@ -168,10 +155,10 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises StoreError for text
     that is no time or percentage, AccuracyError where no resolution will do.
     """
-    from ..measures import MEASURES
     from ..plan import cost as estimates
-    from ..plan.bands import LEAST, MOST, AccuracyError, points_for, worst
+    from ..plan import refinement
     from ..plan.planning import plan
+    from ..plan.refinement import LEAST, MOST, SHAPE, AccuracyError, at_points
     from ..plan.text import duration
 
     limit = seconds(within) if within else math.inf
@@ -185,9 +172,15 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     def takes(points: int) -> float:
         return pace.seconds(plan(at_points(scene, points))) if pace else 0.0
 
-    kind = kind_of(plan(scene))
     if asked is not None:
-        points = max(min(round(points_for(asked, kind) * largest / last), MOST), coarsest)
+        needed_points = round(refinement.points_for(asked) * largest / last)
+        if needed_points > MOST:
+            least = 100.0 * max(refinement.forecast(MOST)[key] for key in SHAPE)
+            raise AccuracyError(
+                f"--accuracy {accuracy} cannot be had: with {MOST} points the shape is still off by about {least:.2g} %; ask for that"
+                " or more (docs/evidence/accuracy.md)"
+            )
+        points = max(needed_points, coarsest)
         if (needed := takes(points)) > limit:
             raise AccuracyError(
                 f"--accuracy {accuracy} needs {points} points and about {duration(needed)} here, more than --within"
@@ -205,19 +198,11 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
             low, high = (middle, high) if takes(middle) <= limit else (low, middle)
         points = high if takes(high) <= limit else low
     resolved = at_points(scene, points)
-    name, width = worst(kind_of(plan(resolved)))
+    off = 100.0 * max(refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))[key] for key in SHAPE)
     duration_text = f", about {duration(takes(points))} here" if pace else ""
     given = [f"resolution.{key}" for key in ("spacing", "element_size") if getattr(scene.resolution, key) is not None]
     instead = f"; in place of {' and '.join(given)} of the scene" if given else ""
     return (
         resolved,
-        f"resolution chosen: {points} points{duration_text}; shape within {100 * width:.2g} % ({MEASURES[name].short})"
-        + instead,
+        f"resolution chosen: {points} points{duration_text}; shape within {off:.2g} %, a forecast" + instead,
     )
-
-
-def at_points(scene: "Scene", points: int) -> "Scene":
-    """The scene with so many points in its largest particle, its elements in the usual ratio to their spacing."""
-    from ..studies.ladder import LadderPoint, scene_at
-
-    return scene_at(scene, LadderPoint("points", "", points))

@@ -203,6 +203,7 @@ def _add_running(option: Option) -> None:
     option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
+    option("--no-error", action="store_true", help="do not measure the error: compute no coarser runs beside this one")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -254,8 +255,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from ..deposition.run import run
 
+    error = not arguments.no_error and scene.resolution.error is not False
     return _compute(
-        arguments, out, partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed)
+        arguments,
+        out,
+        partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error),
     )
 
 
@@ -269,7 +273,7 @@ def _resume(arguments: argparse.Namespace) -> int:
             at = f"the run is at its own end ({result.end['time_s'] * 1e9:.4g} ns), its verdict is undecided"
             print(f"{at}; {_further(arguments.folder)}", file=sys.stderr if arguments.quiet else sys.stdout)
         return 0
-    more = {"until": arguments.until, "skip_failed": arguments.skip_failed}
+    more = {"until": arguments.until, "skip_failed": arguments.skip_failed, "error": not arguments.no_error}
     return _compute(arguments, arguments.folder, partial(resume, arguments.folder, **more))
 
 

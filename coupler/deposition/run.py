@@ -5,6 +5,7 @@ import math
 import time as clock
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from .. import __version__, report
@@ -13,7 +14,7 @@ from ..files import checkpoint
 from ..files.outputs import write_text
 from ..files.provenance import command, provenance
 from ..files.result import COLD, Result
-from ..files.store import PICTURE, PLAN, Store
+from ..files.store import PICTURE, PLAN, Store, WithoutFields
 from ..files.summary import Summary, Values, problem_of
 from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
@@ -34,6 +35,7 @@ from .batches import Batches, BatchReplay, clear, workers
 from .coarsening import words as coarsening_words
 from .cut import Cut, put_back
 from .detaching import without_detached
+from .error import Companions
 from .joining import join, rest, splats_at_end
 from .log import logged
 from .pause import cool_to_ambient
@@ -60,6 +62,7 @@ def run(
     checkpoint_every: float = CHECKPOINT_EVERY,
     skip_failed: bool = False,
     jobs: int = 1,
+    error: bool | None = None,
 ) -> Result:
     """Compute a scene (a Scene or the path of one) and return its Result.
 
@@ -69,7 +72,8 @@ def run(
     place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps with the
     `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
     skip_failed: of several impacts, leave out those that fail, in one process. jobs: impacts of a batch at a time (`plan.batches`),
-    each in a process of its own; the numbers are the same.
+    each in a process of its own; the numbers are the same. error: measure the error of each measure by coarser runs beside this one
+    (None: as the scene says, not by default).
 
     Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
     there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
@@ -78,12 +82,29 @@ def run(
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
-    decided = plan(scene, knobs.pop("contact_stiffness", None))
+    decided = plan(scene, knobs.pop("contact_stiffness", None), scene.resolution.error if error is None else error)
     options = _options(
         folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed, jobs
     )
-    deposition = Deposition(decided, folder, options)
-    return deposition.run(lambda: Store.create(folder, scene.to_toml(), force, plan_text(decided)))
+    companions = Companions(decided, folder, knobs, _alone)
+
+    def create() -> Store:
+        store = Store.create(folder, scene.to_toml(), force, plan_text(decided))
+        companions.begin(on_another_core=options.ranks.size == 1 and cores() > max(options.threads, options.jobs))
+        return store
+
+    try:
+        return _complete(Deposition(decided, folder, options).run(create), companions, options)
+    finally:
+        companions.end()
+
+
+def _alone(scene: Scene, folder: Path, contact_stiffness: float, numerics: Mapping[str, float], threads: int) -> None:
+    """Compute a scene in this process alone; nothing but its summary is written."""
+    decided, quiet = plan(scene, contact_stiffness), Progress(quiet=True)
+    options = RunOptions(quiet, folder / "log.lammps", threads=threads, numerics=numerics, checkpoint_every=math.inf)
+    create = partial(WithoutFields.create, folder, scene.to_toml(), force=True, plan_json=plan_text(decided))
+    Deposition(decided, folder, options).run(create)
 
 
 def resume(
@@ -99,19 +120,25 @@ def resume(
     until: float | None = None,
     skip_failed: bool = False,
     jobs: int = 1,
+    error: bool = True,
 ) -> Result:
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
     The number of ranks and their placement may differ from before. A finished run is returned as it is; an undecided one goes on: its
     last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
-    is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. Arguments and errors as for
-    `run`; raises CheckpointError for a checkpoint of another version or another scene, or where `until` has passed.
+    is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. error: measure it where the run
+    was to. Arguments and errors as for `run`; raises CheckpointError for a checkpoint of another version or another scene, or where
+    `until` has passed.
     """
     folder = Path(out)
     result = Result(folder)
+    knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
+    options = _options(
+        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
+    )  # fmt: skip
     if result.finished and not result.undecided and (until is None or result.has_verdict):
-        _complete(result)
-        return result
+        measured = not error or "error" in result.summary["run"] or not result.plan.get("companions")
+        return _complete(result, None if measured else Companions(read_plan(folder), folder, knobs, _alone), options)
     if result.finished and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
             f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
@@ -122,20 +149,24 @@ def resume(
         )
         raise CheckpointError(f"{folder} {why}")
     decided = read_plan(folder)
-    knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
-    options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
-    )  # fmt: skip
-    return Deposition(decided, folder, options).run()
+    companions = Companions(decided, folder, knobs, _alone) if error else None
+    return _complete(Deposition(decided, folder, options).run(), companions, options)
 
 
-def _complete(result: Result) -> None:
-    """Do what a run does after its summary, where it was ended before."""
-    if is_first_rank():
-        if result.has_verdict:
-            checkpoint.clear(result.directory)
+def _complete(result: Result, companions: Companions | None, options: RunOptions) -> Result:
+    """Do what a run does after its summary: clear the checkpoints, draw the section, measure the error."""
+    if not is_first_rank():
+        return result
+    if result.has_verdict and not result.undecided:
+        checkpoint.clear(result.directory)
+    with terminable(), options.progress:
         if not (result.directory / PICTURE).exists():
+            options.progress.stage("drawing the section", of_impact=False)
             report.section_picture(result)
+        if companions is not None and companions.plan.companions and not result.undecided:
+            options.progress.stage("measuring the error: the scene at fewer points", of_impact=False)
+            companions.measure(options.threads)
+    return Result(result.directory)
 
 
 def _options(
@@ -246,13 +277,12 @@ class Deposition:
                     self._save(None, bodies.state())
                 bodies = self._close(bodies)
             origin = provenance(Result(self.folder).scene_text, plan.engine)
+            (self.folder / PICTURE).unlink(missing_ok=True)  # of an earlier end
             self.store.finish({**self._summary(bodies), "provenance": origin})
             if not self.undecided and self.records[-1].values["rebounded"] is not None:
                 checkpoint.clear(self.folder)
                 clear(self.folder)
             result = Result(self.folder)
-            options.progress.stage("drawing the section", of_impact=False)
-            report.section_picture(result)
             options.progress.record(report.screen(result, verbose=True))
         return result
 

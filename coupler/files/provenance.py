@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -55,6 +56,7 @@ def processor() -> str:
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
 
 
+@cache
 def _versions() -> dict[str, str]:
     known = {}
     for name in PACKAGES:
@@ -65,6 +67,7 @@ def _versions() -> dict[str, str]:
     return known
 
 
+@cache
 def _commit(root: Path) -> str | None:
     """The commit of a source tree; None where there is none, or no git."""
     if not (root / ".git").exists():

@@ -241,6 +241,16 @@ class Store:
         self.close()
 
 
+class WithoutFields(Store):
+    """The folder of a run of which the summary alone is of use: fields and history are not written."""
+
+    def write(self, domain: str, time: float, points: ArrayLike, cells: ArrayLike, *data: Data) -> None:
+        """Write nothing."""
+
+    def record(self, row: Mapping[str, float]) -> None:
+        """Write nothing."""
+
+
 def _line(cells: Iterable[str]) -> str:
     return ",".join(cells) + "\n"
 

@@ -8,7 +8,7 @@ from ..errors import StoreError
 from .inputs import read_json_object
 
 FORMAT = 2
-_BLOCKS = ("greatest", "end", "at_end", "refused", "bands")  # tables in an impact's record
+_BLOCKS = ("greatest", "end", "at_end", "refused", "errors")  # tables in an impact's record
 Values = dict[str, Any]
 
 

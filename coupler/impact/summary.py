@@ -9,7 +9,6 @@ import numpy as np
 
 from ..files.summary import Values
 from ..measures import STICKS, UNDECIDED, within_range
-from ..plan.bands import half_widths
 from .exchange import Impact
 from .ledger import FLOWS
 from .measure import share_inside_itself
@@ -118,9 +117,8 @@ def summarise(
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
     greatest = accepted(recorder.greatest, refused, "greatest.") if recorder.greatest is not None else None
-    bands = half_widths(impact_plan.bands, {**end, **own}, impact_plan.temperature)
     return ImpactRecord(
-        {**own, "greatest": greatest, "end": end, "refused": refused, "bands": bands},
+        {**own, "greatest": greatest, "end": end, "refused": refused, "errors": {}},
         [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
         list(retries),
         sum(particle.everywhere(peak_memory)),

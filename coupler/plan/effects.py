@@ -1,7 +1,7 @@
-"""Which physics a scene calls for: dimensionless numbers, from which `plan.budget` knows what leaving an effect out changes."""
+"""Which physics a scene calls for: a dimensionless number of each effect, and the value below which `auto` leaves it out."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from ..physics.dislocations import stress_of_gradient
@@ -30,6 +30,24 @@ NUMBERS = {
     "interface_conduction": "sqrt(alpha time) / size, both",
     "cooling": "sqrt(alpha dwell) / diameter",
 }
+# Number below which `auto` leaves an effect out; the others take part wherever their number is above zero. No wave is back yet; the
+# pause is too short for heat to leave the splat; of conduction, each kind of which costs 3 to 5 % of a step, what changes no measure of
+# docs/tables/effects_study.csv by more than half a percent.
+THRESHOLDS = {
+    "absorbing_boundaries": 1.0, "cooling": 0.05,
+    "conduction": 0.05, "particle_conduction": 0.1, "interface_conduction": 0.15,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The decision about one effect. number: what its value is, in words; on: whether it takes part, and why."""
+
+    name: str
+    number: str
+    value: float
+    on: bool
+    why: str
 
 
 @dataclass(frozen=True)
@@ -72,9 +90,9 @@ class Effects(Switches):
 
 
 def requested(request: str | Sequence[str]) -> dict[str, bool]:
-    """What a scene says about each effect; those that it leaves to the budget are not in it.
+    """What a scene says about each effect; those that it leaves to `decide` are not in it.
 
-    request: "auto" (the budget decides), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean
+    request: "auto" (the numbers decide), "all" (but GRADIENTS, which is as with "auto"), "none", or a list: names alone mean
     these and no other; a list that begins with "auto", "all" or "none" changes that choice: ["auto", "-friction"];
     one of signed names only changes "auto".
     """
@@ -89,6 +107,25 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
     if base == "all":
         del whole[GRADIENTS]
     return whole | {item.lstrip("+-"): not item.startswith("-") for item in items}
+
+
+def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
+    """The decision about each effect. situations: one for each impact, of each number the largest counts; settled: what the scene
+    says itself."""
+    each = [numbers(situation) for situation in situations]
+    exposed = any(situation.exposed for situation in situations)
+
+    def of(name: str) -> Decision:
+        value, least = max(one[name] for one in each), THRESHOLDS.get(name, 0.0)
+        if name in settled:
+            return Decision(name, NUMBERS[name], value, settled[name], "as the scene says")
+        if name == GRADIENTS and not exposed:
+            return Decision(name, NUMBERS[name], value, False, "by default with bonds by exposure only")
+        return Decision(
+            name, NUMBERS[name], value, value > least, f"{'more' if value > least else 'no more'} than {least:g}"
+        )
+
+    return tuple(map(of, NUMBERS))
 
 
 def numbers(situation: Situation) -> dict[str, float]:

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -11,17 +11,16 @@ import numpy as np
 
 from .. import units
 from ..geometry.tetrahedra import COARSEST
-from ..measures import NEED_REST, REBOUNDS, WANTABLE
+from ..measures import REBOUNDS
 from ..physics.adhesion import Adhesion, PairFormula, pair_formula
 from ..physics.materials import Material
-from ..scene.tables import End, Face, Particle
+from ..scene.tables import Face, Particle
 from . import cost as estimates
 from . import effects, forecast
-from .bands import Band, Kind, of_measures
-from .budget import ACCURACY, REST, Budget, decide
-from .effects import Effects, Situation
+from .effects import Decision, Effects, Situation
 from .gas import describe as describe_gas
 from .reading import Scene
+from .refinement import companions
 from .remarks import absorbing_distance, remarks
 from .solids import load
 
@@ -41,7 +40,7 @@ class ImpactPlan:
     velocities of its metal and of that which it hits, a splat or the substrate.
     lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
     splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
-    hardness. bands: accuracy of each measure at this resolution."""
+    hardness."""
 
     material: Material
     shape: str
@@ -66,7 +65,6 @@ class ImpactPlan:
     lengths: tuple[float, float, float]
     splat_elements: int
     initial_strain: float
-    bands: tuple[Band, ...]
 
     @property
     def towards(self) -> float:
@@ -121,11 +119,11 @@ class Plan:
     """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
     impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
-    wall time (on one core of the machine of the constants in `estimates`) and memory are those of all; target_load: cost of the target
-    and the contact over that of the particles. gas: lines about what the gas gives. engine: of the particles (`coupler.sph.engine`).
-    solids: shapes from files, by the name of the file. ambient: temperature (K) to which all cools after the last impact, None where
-    it does not; surface_heat: heat transfer coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts;
-    spray: about the time between impacts, "" for one.
+    wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
+    about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
+    ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
+    (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
+    decisions: about each effect. companions: points of the coarser runs that measure the error, none where it is not measured.
     skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
     """
 
@@ -139,7 +137,7 @@ class Plan:
     friction: float
     contact_stiffness: float
     effects: Effects
-    budget: Budget
+    decisions: tuple[Decision, ...]
     dt_estimate: float
     steps_estimate: int
     memory_bytes: float
@@ -153,6 +151,7 @@ class Plan:
     ambient: float | None
     surface_heat: tuple[float, float] | None
     spray: str
+    companions: tuple[int, ...] = ()
     skipped: tuple[str, ...] = ()
 
     def is_on_coating(self, i: int) -> bool:
@@ -184,18 +183,16 @@ class Plan:
         return sum(impact.end_time for impact in self.impacts)
 
 
-def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
-    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do).
+def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
+    """Decide everything about a checked scene. contact_stiffness: factor on the penalty stiffness (None: by what bonds do); error:
+    whether it is measured.
 
     Raises SceneError if the scene names a material that is not there.
     """
     impacts = tuple(_impact(scene, i) for i in range(len(scene.particles)))
     base = scene.derived.material(scene.substrate.material)
-    budget = _budget(scene, impacts, base)
-    decided = budget.effects
-    impacts = tuple(replace(each, bands=budget.added(each.bands)) for each in impacts)
-    if not budget.on(REST):
-        impacts = tuple(map(_to_greatest, impacts))
+    decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
+    decided = Effects(**{row.name: row.on for row in decisions})
     target = _target(scene, base, decided)
     steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
     elements = forecast.elements_computed(impacts, target)
@@ -215,7 +212,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         friction=scene.contact.friction if decided.friction else 0.0,
         contact_stiffness=contact_stiffness or (BONDED_STIFFNESS if adhesion.in_impact else CONTACT_STIFFNESS),
         effects=decided,
-        budget=budget,
+        decisions=decisions,
         dt_estimate=min(i.dt_expected for i in impacts),
         steps_estimate=sum(steps),
         memory_bytes=estimates.memory(scene.derived.points, forecast.elements_met(impacts, target)[-1]),
@@ -230,28 +227,19 @@ def plan(scene: Scene, contact_stiffness: float | None = None) -> Plan:
         ambient=scene.derived.ambient,
         surface_heat=scene.derived.surface_heat,
         spray=_spray(scene),
+        companions=companions(scene) if error else (),
         solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
     )
 
 
-def _budget(scene: Scene, impacts: tuple[ImpactPlan, ...], base: Material) -> Budget:
-    """What is left out, within the accuracy asked for. The way to rest stays where the scene says how to end, or something needs it."""
-    wanted = scene.want.measures or WANTABLE
+def _settled(scene: Scene) -> dict[str, bool]:
+    """The effects that are on or off for what the scene says, or for what it computes."""
     settled = effects.requested(scene.effects)
     if scene.derived.ambient is not None:  # residual stresses come from these
         settled = dict.fromkeys(COLD_EFFECTS, True) | settled
     if any(p.dwell is None for p in scene.particles[:-1]):
         settled = {"cooling": True} | settled
-    end_is_open = scene.end == End() and len(impacts) == 1 and not set(wanted) & set(NEED_REST)
-    if not end_is_open:
-        settled |= {REST: True}
-    accuracy = scene.want.accuracy or ACCURACY[scene.preset]
-    return decide(_situations(scene, impacts, base), settled, accuracy, wanted, impacts[-1].bands)
-
-
-def _to_greatest(impact: ImpactPlan) -> ImpactPlan:
-    """The impact, ended at its greatest deformation in place of rest."""
-    return replace(impact, end_at="greatest", expected=impact.expected * estimates.GREATEST_OVER_REST)
+    return settled
 
 
 def _stays(scene: Scene, particle: Particle) -> bool:
@@ -311,9 +299,6 @@ def _impact(scene: Scene, i: int) -> ImpactPlan:
         lengths=particle.form.lengths,
         splat_elements=scene.derived.splat_elements_of(particle) if _stays(scene, particle) else 0,
         initial_strain=material.initial_strain(particle.hardness, particle.yield_strength),
-        bands=of_measures(
-            Kind(scene.derived.points_of(particle), v, i + 1, particle.shape == "sphere" and not particle.angle)
-        ),
     )
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from textwrap import fill
 
 from .. import units
-from ..measures import MEASURES
 from . import cost as estimates
 from .batches import batches, covering
 from .forecast import file_bytes
@@ -49,7 +48,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  memory     about {plan.memory_bytes / 1e9:.2g} GB; files about {_bytes(file_bytes(plan.impacts, plan.target))}",
         forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
     ]
-    rows, notes = plan.budget.rows, [line for text in plan.warnings for line in _note(text, brief)]
+    rows, notes = plan.decisions, [line for text in plan.warnings for line in _note(text, brief)]
     if brief:
         off = [row.name for row in rows if not row.on]
         more = f" and {len(off) - _FEW} more" if len(off) > _FEW else ""
@@ -60,13 +59,10 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
         f" the target and the contact cost {plan.target_load:.2g} of the particle",
         "",
-        "  effect                    on   saves  because",
+        "  effect                    on   because",
+        *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),
     ]
-    for row in rows:
-        lines.append(
-            f"  {row.name:25} {'yes' if row.on else 'no':4} {100.0 * row.saves:3.0f} %  {row.number} = {row.value:.3g}: {row.why}"
-        )
-    return "\n".join([*lines, "", *_shares(plan), *(["", *notes] if notes else [])])
+    return "\n".join([*lines, *(["", *notes] if notes else [])])
 
 
 def _strength(plan: Plan, brief: bool) -> list[str]:
@@ -102,23 +98,6 @@ def _note(warning: str, brief: bool) -> list[str]:
 def _cut(lines: list[str], brief: bool) -> list[str]:
     """The lines; in brief the first ones."""
     return [*lines[:_FEWER], "             ..."] if brief and len(lines) > _FEWER else lines
-
-
-def _shares(plan: Plan) -> list[str]:
-    """The error budget: discretisation and omitted effects of each measure asked for, and their sum beside what is allowed."""
-    budget = plan.budget
-    lines = [
-        f"  {f'budget, {100.0 * budget.accuracy:g} % asked for':29}discretisation   left out   together   allowed",
-        *(
-            f"  {MEASURES[share.measure].short:29}{100.0 * share.discretisation:12.2g} %{100.0 * share.omitted:9.2g} %"
-            f"{100.0 * (share.discretisation + share.omitted):9.3g} %{100.0 * share.allowed:8.3g} %"
-            for share in budget.shares
-        ),
-    ]
-    return [
-        *lines,
-        f"  left out saves about {100.0 * budget.saved:.0f} % of the processor time (docs/evidence/effects.md)",
-    ]
 
 
 def _impacts(plan: Plan, most: int) -> list[str]:

@@ -4,6 +4,7 @@ Whoever has many independent computations submits functions of a module with arg
 they run.
 """
 
+import contextlib
 import os
 import re
 import shutil
@@ -11,7 +12,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context, resource_tracker
 from pathlib import Path
@@ -51,7 +52,7 @@ def executor(
             return ThreadPoolExecutor(count)
         for name, value in MEMORY.items():  # read as a process starts
             os.environ.setdefault(name, value)
-        return _Processes(count, get_context("spawn"), _end_with, (os.getpid(),))
+        return _Processes(count, get_context("spawn"), end_with, (os.getpid(),))
     if kind == "mpi":
         return _mpi()
     if kind == "slurm":
@@ -64,15 +65,22 @@ class _Processes(ProcessPoolExecutor):
 
     def submit(self, *arguments: Any, **options: Any) -> Future[Any]:
         """As that of the base class, which starts processes; they inherit the mask of signals."""
-        resource_tracker.ensure_running()  # else it starts with the first process, and lets SIGINT through again
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with without_interrupts():
             return super().submit(*arguments, **options)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _end_with(parent: int) -> None:
+@contextlib.contextmanager
+def without_interrupts() -> Iterator[None]:
+    """Within it, processes start to which an interrupt from the terminal never comes."""
+    resource_tracker.ensure_running()  # else it starts with the first process, and lets SIGINT through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_with(parent: int) -> None:
     """Let this process end with its parent, however that ends."""
 
     def watch() -> None:

@@ -11,7 +11,21 @@ from ..files.inputs import parse_toml
 from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
-from .words import Block, bands, brief, columns, impacts, of_run, plain, remarks, shown, span, table_lines, title
+from .words import (
+    Block,
+    brief,
+    columns,
+    error_note,
+    errors_of,
+    impacts,
+    of_run,
+    plain,
+    remarks,
+    shown,
+    span,
+    table_lines,
+    title,
+)
 
 FRONT_ROWS = 8  # of particles, that the first sheet has room for
 SIDE_BY_SIDE = 6  # impacts
@@ -60,31 +74,29 @@ def _row(cells: Sequence[str], kinds: Sequence[str], tag: str = "td", kind: str 
 
 
 def front(summary: Summary) -> str:
-    """The main measures with their bands; of several impacts a row for each of the first FRONT_ROWS."""
-    (head, *rows), count = brief(summary, FRONT_ROWS, with_bands=True), len(summary["impacts"])
+    """The main measures with their errors; of several impacts a row for each of the first FRONT_ROWS."""
+    (head, *rows), count = brief(summary, FRONT_ROWS, with_errors=True), len(summary["impacts"])
     more = f"{count - len(rows)} more under Impacts" if 1 < count > len(rows) else ""
-    note = escape("; ".join(text for text in (more, of_run(summary)) if text))
+    note = escape("; ".join(text for text in (more, of_run(summary), error_note(summary)) if text))
     return table(head, rows, range(1, len(head) - (count == 1)), stack=count > 1) + (
         f'<p class="caption">{note}</p>' if note else ""
     )
 
 
 def measures(summary: Summary) -> str:
-    """All measures of a run, a table for each group: those of its one impact with bands where there are any, of several impacts those
+    """All measures of a run, a table for each group: those of its one impact with errors where there are any, of several impacts those
     of the whole."""
     is_one = len(summary.get("impacts", [])) == 1
     blocks = columns(summary) if is_one or not summary else {"": plain(summary["run"])}
-    band = bands(summary) if is_one else {}
+    errors = errors_of(summary) if is_one else {}
     tables = []
-    for group, lines in table_lines(list(blocks.values()), band).items():
+    for group, lines in table_lines(list(blocks.values()), errors).items():
         used = [k for k in range(len(blocks)) if any(line.cells[k] for line in lines)]
         heads = [list(blocks)[k] for k in used] if len(used) > 1 else [""] * len(used)
         rows = [[line.label, *(line.cells[k] for k in used), line.unit] for line in lines]
         tables.append(table([group.capitalize(), *heads, ""], rows, numbers=range(1, 1 + len(used))))
-    drives = [f"{measure(key).label}: {why}" for key, (_, why) in band.items() if why]
-    note = f'<p class="caption">What drives the bands: {escape("; ".join(drives))}.</p>' if drives else ""
     items = "".join(f"<li>{escape(text)}</li>" for text in remarks(summary))
-    note += f'<ul class="caption">{items}</ul>' if items else ""
+    note = f'<ul class="caption">{items}</ul>' if items else ""
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables or note else ""
 
 
@@ -227,7 +239,7 @@ def effects(result: Result) -> str:
     if not result.plan:
         return '<p class="note">Not known: this run has no readable plan.json.</p>'
     rows = []
-    for row in result.plan["budget"]["rows"]:
+    for row in result.plan["decisions"]:
         number = f"{row['number']} = {row['value']:.3g}"
         rows.append((row["name"].replace("_", " "), "on" if row["on"] else "off", number, row["why"]))
     off = [k for k, row in enumerate(rows) if row[1] == "off"]

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.result import Result
-from .words import alerts, brief, notes, of_run, summary_table, title, verdict
+from .words import alerts, brief, error_note, notes, of_run, summary_table, title, verdict
 
 _MOST_IMPACTS = 10
 _MOST_COLUMNS = 6  # impacts side by side
@@ -29,7 +29,13 @@ def screen(result: Result, verbose: bool = False) -> str:
     decided = verdict(summary)
     head = [f"verdict: {text}" if k == 0 else f"  {text}" for k, text in enumerate(decided)]
     head += [f"doubtful: {text}" for text in doubts]
-    tail = [*remarks, *effects, *(f"warning: {text}" for text in warnings if text not in doubts)]
+    measured = error_note(summary)
+    tail = [
+        *([measured] if measured else []),
+        *remarks,
+        *effects,
+        *(f"warning: {text}" for text in warnings if text not in doubts),
+    ]
     stream = io.StringIO()
     width = shutil.get_terminal_size((_WIDTH, 30)).columns
     side_by_side = verbose and len(summary["impacts"]) <= _MOST_COLUMNS

@@ -62,12 +62,13 @@ class Line:
     unit: str
 
 
-def table_lines(blocks: Sequence[Block], bands: Mapping[str, tuple[float, str]] | None = None) -> dict[str, list[Line]]:
-    """The measures of several blocks side by side: group -> lines, both in reading order. bands: as of `bands`."""
+def table_lines(blocks: Sequence[Block], errors: Mapping[str, float] | None = None) -> dict[str, list[Line]]:
+    """The measures of several blocks side by side: group -> lines, both in reading order. errors: of the last block, as `errors_of`."""
     groups: dict[str, list[Line]] = {group: [] for group in GROUPS}
     for key in dict.fromkeys(key for block in blocks for key in block):
-        record, width = measure(key), (bands or {}).get(key, (None, ""))[0]
-        cells = [shown(key, block[key], width) if key in block else "" for block in blocks]
+        record, last = measure(key), (errors or {}).get(key)
+        widths = [*[None] * (len(blocks) - 1), last]
+        cells = [shown(key, block[key], w) if key in block else "" for block, w in zip(blocks, widths, strict=True)]
         groups[record.group].append(Line(key, record.label, cells, record.unit))
     return {group: lines for group, lines in groups.items() if lines}
 
@@ -98,8 +99,8 @@ def plain(values: Block) -> Block:
     return {key: value for key, value in values.items() if key not in hidden and not is_nested(value)}
 
 
-def shown(key: str, value: object, band: float | None = None) -> str:
-    """A value of the summary in the unit of its label, with its band where there is one: "0.566 ± 0.012"."""
+def shown(key: str, value: object, error: float | None = None) -> str:
+    """A value of the summary in the unit of its label, with its error where there is one: "0.566 ± 0.012"."""
     factor = measure(key).factor
     if value is None:
         return "-"
@@ -108,22 +109,33 @@ def shown(key: str, value: object, band: float | None = None) -> str:
     if isinstance(value, int) and factor == 1.0:
         return f"{value:,}".replace(",", " ")
     if isinstance(value, float | int):
-        return f"{value * factor:.4g}" if band is None else with_band(value * factor, band * factor)
+        return f"{value * factor:.4g}" if error is None else with_error(value * factor, error * factor)
     return ", ".join(shown(key, item) for item in value) if isinstance(value, list) else str(value)
 
 
-def with_band(value: float, band: float) -> str:
-    """Value and band to the digits that the band leaves of the value: two of its own."""
-    if not (band > 0 and math.isfinite(band) and math.isfinite(value)):
+def with_error(value: float, error: float) -> str:
+    """Value and error to the digits that the error leaves of the value: two of its own."""
+    if not (error > 0 and math.isfinite(error) and math.isfinite(value)):
         return f"{value:.4g}"
-    digits = min(max(1 - math.floor(math.log10(band)), 0), 12)
-    return f"{value:.{digits}f} ± {band:.{digits}f}"
+    digits = min(max(1 - math.floor(math.log10(error)), 0), 12)
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
 
 
-def bands(summary: Summary, i: int = -1) -> dict[str, tuple[float, str]]:
-    """Key -> half-width of its band in impact i, in the key's own unit, and its cause."""
-    entries = (summary["impacts"][i].get("bands") if summary else None) or {}
-    return {key: (float(entry["half_width"]), str(entry.get("why", ""))) for key, entry in entries.items()}
+def errors_of(summary: Summary, i: int = -1) -> dict[str, float]:
+    """Key -> error of the measure at the end of impact i, in the key's own unit."""
+    entries = (summary["impacts"][i].get("errors") if summary else None) or {}
+    return {key: float(entry["half_width"]) for key, entry in entries.items()}
+
+
+def error_note(summary: Summary) -> str:
+    """What the errors of a run are measured with, or why there are none; "" where they were not asked for."""
+    record = (summary["run"].get("error") if summary else None) or {}
+    failed = [str(text) for text in record.get("failed", [])]
+    points = [str(n) for n in record.get("points", [])]
+    if not points:
+        return ""
+    text = f"± error of the resolution, by the same scene with {' and '.join(points)} points (docs: accuracy)"
+    return f"{text}; not computed: {'; '.join(failed)}" if failed else text
 
 
 def impacts(summary: Summary) -> list[Block]:
@@ -328,18 +340,18 @@ def span(values: Sequence[float]) -> str:
     return ", ".join(texts) if len(texts) <= NAMED else f"{text(min(values))} to {text(max(values))}"
 
 
-def brief(summary: Summary, most: int | None = None, with_bands: bool = False) -> list[list[str]]:
+def brief(summary: Summary, most: int | None = None, with_errors: bool = False) -> list[list[str]]:
     """The main measures, the head first: of one impact a row for each measure, of several a row for each of the first `most`."""
     if len(summary["impacts"]) == 1:
-        groups = table_lines(list(columns(summary).values()), bands(summary))
+        groups = table_lines(list(columns(summary).values()), errors_of(summary))
         lines = [line for lines in groups.values() for line in lines if line.key in KEYS]
         return [["", *columns(summary), ""], *([line.label, *line.cells, line.unit] for line in lines)]
     blocks = impacts(summary)
     keys = [key for key in OF_EACH if any(key in block for block in blocks)]
     rows = [["", *(axis_label(key).replace(" above surface", "").replace("T rise", "T") for key in keys)]]
     for k, block in enumerate(blocks[:most]):
-        widths = bands(summary, k) if with_bands else {}
-        cells = (shown(key, block.get(key), widths.get(key, (None,))[0]) for key in keys)
+        widths = errors_of(summary, k) if with_errors else {}
+        cells = (shown(key, block.get(key), widths.get(key)) for key in keys)
         rows.append([f"{k + 1}  {_particle_of(block)}".replace("\u00a0", " ").strip(), *cells])
     return rows
 
@@ -371,9 +383,9 @@ def summary_table(result: Result) -> Table:
     """
     summary = result.summary
     several = impacts(summary)
-    blocks, band = columns(summary), bands(summary)
+    blocks, errors = columns(summary), errors_of(summary)
     if len(several) > 1:
-        blocks, band = (
+        blocks, errors = (
             {f"impact\u00a0{k + 1} {_particle_of(block)}".strip(): block for k, block in enumerate(several)},
             {},
         )
@@ -382,7 +394,7 @@ def summary_table(result: Result) -> Table:
     for heading in blocks or {"": {}}:
         table.add_column(heading.replace(" ", "\n"), justify="right")
     table.add_column("")
-    fill_table(table, table_lines(list(blocks.values()), band))
+    fill_table(table, table_lines(list(blocks.values()), errors))
     if len(several) > 1:
         run = [line for lines in table_lines([plain(summary["run"])]).values() for line in lines]
         before = [""] * (len(several) - 1)

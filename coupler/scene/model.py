@@ -33,7 +33,6 @@ class SceneData(tables.Section):
     adhesion: tables.AdhesionTable = tables.AdhesionTable()
     splat: tables.SplatTable = tables.SplatTable()
     resolution: tables.Resolution = tables.Resolution()
-    want: tables.Want = tables.Want()
     end: tables.End = tables.End()
     output: tables.Output = tables.Output()
     materials: dict[str, dict[str, object]] = Field(default_factory=dict)

@@ -23,7 +23,6 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from .. import units
-from ..measures import WANTABLE
 from ..physics import shapes as morphology
 from ..physics.adhesion import Criterion, Kind
 
@@ -350,35 +349,20 @@ class SplatTable(Section):
 
 class Resolution(Section):
     """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
-    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.sph.engine`)."""
+    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.sph.engine`). error: whether it
+    is measured by coarser runs (None: by `coldspray run` alone)."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
     growth: Annotated[StrictFloat, Field(ge=0.02, le=1.0)] = GROWTH
     engine: Literal["compiled", "enriched", "machdyn"] = "enriched"
-
-
-class Want(Section):
-    """What is asked for. measures: keys of the summary, all if left out; accuracy: over the value, the preset's if left out."""
-
-    measures: tuple[str, ...] | None = None
-    accuracy: Annotated[StrictFloat, Field(ge=1e-4, le=1.0)] | None = None
-
-    @field_validator("measures")
-    @classmethod
-    def _known(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
-        for name in value or ():
-            if name not in WANTABLE:
-                raise ValueError(
-                    f"unknown measure {name[:40]!r}{units.nearest(name, WANTABLE)}; known: {', '.join(WANTABLE)}"
-                )
-        return value
+    error: StrictBool | None = None
 
 
 class End(Section):
     """When each impact ends: at rest or at its greatest deformation, at a time (s) after its start, or at whichever
     comes first. "cold": at rest, and after the last all cools to `ambient` (K). If neither is said: several particles end "cold", one
-    at "rest", unless no measure asked for needs that."""
+    at "rest"."""
 
     at: Literal["rest", "greatest", "cold"] | None = None
     time: Annotated[float | None, Quantity("ns", "0.01 ns", "1000000 ns")] = None

@@ -38,7 +38,6 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
         "adhesion",
         "splat",
         "resolution",
-        "want",
         "end",
         "output",
     ):

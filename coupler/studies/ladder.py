@@ -1,15 +1,13 @@
 """The accuracy ladder: the settings of resolution and scheme at which one scene is computed, and the table of the results."""
 
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import StoreError
 from ..measures import BANDED
-from ..plan import cost
-from ..plan.bands import KNOB_AXES
 from ..plan.reading import Scene
+from ..plan.refinement import at_points
 from .table import StudyTable
 
 POINTS = (500, 1000, 2000, 3500, 5000)
@@ -21,6 +19,7 @@ COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",
 )  # fmt: skip
+KNOB_AXES = ("element size", "dt", "viscosity", "hourglass", "contact stiffness")
 STEP = {"courant": 0.4, "stretch": 0.9, "frequency": 0.85}  # the defaults of `coupler.sph.particle.Numerics`
 # Parameters of the scheme, for each of KNOB_AXES: name in the table -> changed values.
 _TRIED: tuple[dict[str, dict[str, float]], ...] = (
@@ -75,16 +74,8 @@ def ladder_points(
 
 def scene_at(scene: Scene, point: LadderPoint) -> Scene:
     """The scene with the resolution and effects of a ladder point in place of its own."""
-    data = tomllib.loads(scene.to_toml())
-    spacing = cost.spacing(max(p.volume for p in scene.particles), point.points)
-    old = data.get("resolution", {})
-    kept = {key: old[key] for key in ("growth", "engine") if key in old}
-    data["resolution"] = {"spacing": f"{spacing * 1e6!r} um", **kept}
-    if point.element is not None:
-        data["resolution"]["element_size"] = f"{point.element * spacing * 1e6!r} um"
-    if point.effects is not None:
-        data["effects"] = point.effects
-    return Scene.from_dict(data, scene.name)
+    changes = {} if point.effects is None else {"effects": point.effects}
+    return at_points(scene, point.points, changes, point.element)
 
 
 def ladder_table(path: Path, about: str) -> StudyTable:

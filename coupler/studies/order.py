@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtri  # the quantile of Fisher's distribution
 
+from ..plan.refinement import line
+
 FEWEST = 4  # resolutions: one more than the fit of one case has unknowns
 Case = tuple[NDArray, NDArray]  # h (k,), the spacing in any unit, and values (k,)
 
@@ -51,13 +53,3 @@ def fit_order(cases: Sequence[Case], orders: NDArray, limit: float | None = None
     scatter = float(np.sqrt(squares[best] / sum(len(h) for h, _ in used)))
     low, high = float(same.min()), float(same.max())
     return OrderFit(float(orders[best]), low, high, scatter, (low <= orders[0], high >= orders[-1]))
-
-
-def line(h: NDArray, y: NDArray, p: float, limit: float | None = None) -> tuple[float, float, NDArray]:
-    """Limit v, slope a and residuals (k,) of y = v + a h^p. limit: v where it is known."""
-    power = h**p
-    if limit is not None:
-        a = float(power @ (y - limit) / (power @ power))
-        return limit, a, y - limit - a * power
-    (v, a), *_ = np.linalg.lstsq(np.stack([np.ones_like(h), power], axis=1), y, rcond=None)
-    return float(v), float(a), y - v - a * power

@@ -134,6 +134,7 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     _wait_for(folder)
     verb = ["resume", folder] if _begun(scene, folder) else ["run", scene, "--out", folder, "--force"]
     command = [sys.executable, "-m", "coupler", *map(str, verb), "--threads", "1", "--quiet"]
+    command += [] if _wants_error(scene) else ["--no-error"]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own_environment()
     ) as run:
@@ -186,6 +187,14 @@ def _begun(scene: Path, folder: Path) -> bool:
     try:
         return read_text(folder / "scene.toml") == Scene.load(scene).to_toml()
     except (InputError, SceneError):
+        return False
+
+
+def _wants_error(scene: Path) -> bool:
+    """Whether a scene says that its error is measured; one that cannot be read is refused by its run."""
+    try:
+        return Scene.load(scene).resolution.error is True
+    except SceneError:
         return False
 
 

@@ -1,0 +1,126 @@
+"""The error of a run, measured on that run: the same scene at fewer points, computed beside it or after it."""
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+from ..errors import ColdsprayError
+from ..files.inputs import read_json_object
+from ..files.outputs import write_text
+from ..files.result import Result
+from ..files.store import SUMMARY
+from ..files.summary import Summary, Values, impact_values, read_summary
+from ..measures import BANDED
+from ..plan.planning import Plan
+from ..plan.reading import Scene
+from ..plan.refinement import at_points, error
+from ..ranks.executors import end_with
+
+FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
+Compute = Callable[
+    [Scene, Path, float, Mapping[str, float], int], None
+]  # scene, folder, contact stiffness, numerics, threads
+
+
+@dataclass
+class Companions:
+    """The coarser runs of a run. folder, numerics: of the run; compute: what computes a scene, for any process."""
+
+    plan: Plan
+    folder: Path
+    numerics: Mapping[str, float]
+    compute: Compute
+    _process: BaseProcess | None = None
+
+    def begin(self, on_another_core: bool) -> None:
+        """Called when the folder of the run is made: forget those of an earlier run; on another core, start a process for them."""
+        shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
+        if on_another_core and self.plan.companions:
+            process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
+            process.start()
+            self._process = process
+
+    def end(self) -> None:
+        """End the process, however far it is."""
+        if self._process is not None:
+            self._process.terminate()
+            self._process.join()
+            self._process = None
+
+    def measure(self, threads: int) -> None:
+        """Put the error of each measure into the summary of the finished run; coarser runs that are not there are computed here."""
+        if self._process is not None:
+            self._process.join()
+        found = self.all(threads)
+        path = self.folder / SUMMARY
+        summary = read_summary(path)
+        add_errors(summary, found)
+        write_text(path, json.dumps(summary, indent=2, allow_nan=False) + "\n")
+        shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
+
+    def all(self, threads: int) -> dict[int, Summary | str]:
+        """Points of each coarser run -> its summary, or why there is none."""
+        scene = Scene.from_text(Result(self.folder).scene_text, self.plan.name) if self.plan.companions else None
+        return {n: self._one(scene, n, threads) for n in self.plan.companions if scene is not None}
+
+    def _one(self, scene: Scene, points: int, threads: int) -> Summary | str:
+        folder = self.folder / FOLDER / str(points)
+        end = folder.with_suffix(".json")
+        if not end.is_file():
+            end.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                changes = {"effects": self.plan.effects.active or "none", "output": {"at": "ends"}}
+                coarse = at_points(scene, points, changes)
+                self.compute(coarse, folder, self.plan.contact_stiffness, self.numerics, threads)
+                reason = None
+            except ColdsprayError as failure:
+                reason = " ".join(str(failure).split())
+            write_text(end, json.dumps({"failed": reason}) + "\n")
+        failed = read_json_object(end).get("failed")
+        return read_summary(folder / SUMMARY) if failed is None else str(failed)
+
+
+def _in_own_process(companions: Companions, parent: int) -> None:
+    """Compute the coarser runs, in a process that ends with its parent."""
+    end_with(parent)
+    with contextlib.suppress(KeyboardInterrupt):
+        companions.all(threads=1)
+
+
+def add_errors(summary: Summary, coarser: Mapping[int, Summary | str]) -> None:
+    """Put into a summary the errors that follow from those of coarser runs (points -> summary, or why there is none), the finer first:
+    `errors` of each impact, `error` of the run, and a warning where a verdict depends on the resolution."""
+    whole = [found for found in coarser.values() if not isinstance(found, str)]
+    whole = [found for found in whole if len(found["impacts"]) == len(summary["impacts"])]
+    reasons = [f"{points} points: {found}" for points, found in coarser.items() if isinstance(found, str)]
+    summary["run"]["error"] = {"points": list(coarser), "failed": reasons}
+    warnings = summary["run"].setdefault("warnings", [])
+    for i, impact in enumerate(summary["impacts"]):
+        levels = [impact_values(each, i) for each in (summary, *whole)]
+        impact["errors"] = errors(levels)
+        verdicts = [level.get("verdict") for level in levels]
+        if len(set(verdicts)) > 1:
+            told = ", ".join(
+                f"{word} with {level['points']} points" for word, level in zip(verdicts, levels, strict=True)
+            )
+            warnings.append(f"impact {i + 1}: the verdict depends on the resolution: {told}")
+
+
+def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
+    """Measure -> half_width, its error in its own unit; order, that the error is extrapolated with; coarser: the values that it follows
+    from. levels: the measures of an impact, those of the run itself first, each level coarser than the one before."""
+    found: dict[str, dict[str, object]] = {}
+    for key in BANDED:
+        known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]
+        if levels[0].get(key) is None or len(known) < 2:
+            continue
+        h, values = zip(*known, strict=True)
+        half_width, order = error(h, values)
+        found[key] = {"half_width": half_width, "order": order, "coarser": list(values[1:])}
+    return found
