@@ -182,8 +182,6 @@ TABLE = (
 )  # fmt: skip
 MEASURES = {measure.key: measure for measure in TABLE}
 BANDED = tuple(measure.key for measure in TABLE if measure.converges)
-WANTABLE = (*BANDED, "verdict")  # what a scene may ask for
-NEED_REST = ("verdict", "rebound_velocity_m_s")
 
 
 def measure(key: str) -> Measure:

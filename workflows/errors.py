@@ -1,0 +1,201 @@
+"""Whether the errors that runs print are true: does `fine` lie within those of `draft` and of `standard`?
+
+    python workflows/errors.py --jobs 2      # docs/tables/errors.csv, and its part of the accuracy page
+    python workflows/errors.py --docs        # runs nothing: from the table that exists
+
+The scenes were chosen before the first comparison, and the constants of the rule (`coupler.plan.refinement`) are those of its source.
+Rows in the table are not computed again; --presets draft standard leaves out the fine runs, which take most of the time.
+"""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import as_completed
+from pathlib import Path
+
+import numpy as np
+from pages import PAGES, ROOT, markdown, number, options, study_table, versions, write_parts
+
+from coupler import Result, Scene, run
+from coupler.deposition.error import Companions
+from coupler.deposition.run import _alone
+from coupler.errors import ColdsprayError
+from coupler.measures import BANDED, MEASURES
+from coupler.measures import measure as record
+from coupler.plan.planning import plan
+from coupler.ranks.executors import executor
+from coupler.studies.ladder_runs import spent
+from coupler.studies.table import Row, StudyTable
+
+# particle, um, m/s, degrees, substrate, shape: every metal of the library; soft on hard, hard on soft, alike
+SCENES = (
+    ("Ni", 40, 700, 0, "OFHC_Cu", "sphere"),
+    ("Ti", 15, 650, 0, "Al7075", "sphere"),
+    ("CP_Ti", 30, 450, 0, "Ti6Al4V", "flake"),
+    ("Ti6Al4V", 20, 800, 0, "Ti6Al4V", "sphere"),
+    ("SS304", 25, 600, 0, "Al1100", "sphere"),
+    ("SS316L", 35, 750, 20, "SS304", "sphere"),
+    ("OFHC_Cu", 10, 600, 0, "OFHC_Cu", "sphere"),
+    ("Al", 20, 750, 0, "SS304", "sphere"),
+    ("Al1100", 45, 350, 0, "Al1100", "sphere"),
+    ("Al2024", 60, 500, 0, "AZ31B", "sphere"),
+    ("Al7075", 5, 700, 0, "Al7075", "sphere"),
+    ("42CrMo4", 30, 250, 0, "Al2024", "sphere"),
+    ("4340", 15, 500, 45, "SS304", "sphere"),
+    ("Fe", 25, 1000, 0, "Fe", "sphere"),
+    ("IN718", 20, 900, 0, "IN718", "sphere"),
+    ("Ta", 12, 550, 0, "Ta", "sphere"),
+    ("Ag", 8, 400, 0, "OFHC_Cu", "sphere"),
+    ("Nb", 30, 600, 0, "Ti", "rod"),
+    ("W", 10, 300, 0, "OFHC_Cu", "sphere"),
+    ("Zn", 20, 450, 30, "42CrMo4", "sphere"),
+    ("V", 1, 650, 0, "SS316L", "sphere"),
+    ("AZ31B", 50, 600, 0, "Al2024", "oblate"),
+    ("Brass", 25, 100, 0, "SS304", "sphere"),
+    ("Ni", 60, 1250, 0, "SS304", "sphere"),
+)
+PRESETS = ("draft", "standard", "fine")
+COLUMNS = (
+    "scene", "preset", "points", "steps", *BANDED, *(f"{key} error" for key in BANDED), "verdict", "cpu_s", "error_cpu_s", "failed",
+)  # fmt: skip
+
+
+def name_of(case: tuple[str, float, float, float, str, str]) -> str:
+    metal, D, v, angle, base, shape = case
+    more = (f" at {angle:g} deg" if angle else "") + (f", {shape}" if shape != "sphere" else "")
+    return f"{metal} {D:g} um on {base} {v:g} m/s{more}"
+
+
+def scene_of(case: tuple[str, float, float, float, str, str], preset: str) -> Scene:
+    metal, D, v, angle, base, shape = case
+    particle = (
+        f'material = "{metal}"\ndiameter = "{D} um"\nvelocity = "{v} m/s"\nangle = "{angle} deg"\nshape = "{shape}"\n'
+    )
+    substrate = f'material = "{base}"\ndiameter = "{8 * D} um"\nheight = "{4 * D} um"\n'
+    text = f'preset = "{preset}"\n[particle]\n{particle}[substrate]\n{substrate}[output]\nat = "ends"\n'
+    return Scene.from_text(text, "errors")
+
+
+def compute(case: tuple[str, float, float, float, str, str], preset: str) -> dict[str, object]:
+    """The row of a scene at a preset: its measures and errors, and the processor time of the run and of its coarser ones."""
+    row: dict[str, object] = {"scene": name_of(case), "preset": preset}
+    scene = scene_of(case, preset)
+    with tempfile.TemporaryDirectory() as place:
+        folder, start = Path(place) / "run", spent()
+        try:
+            run(scene, folder, threads=1, quiet=True)
+            row["cpu_s"] = spent() - start
+            if preset != "fine":
+                Companions(plan(scene, error=True), folder, {}, _alone).measure(threads=1)
+                row["error_cpu_s"] = spent() - start - float(str(row["cpu_s"]))
+        except ColdsprayError as error:
+            return row | {"failed": " ".join(str(error).split())[:150]}
+        result = Result(folder)
+        row |= {key: result.values[key] for key in ("points", "steps", "verdict", *BANDED)}
+        row |= {f"{key} error": entry["half_width"] for key, entry in result.errors.items()}
+        row["failed"] = (result.undecided or "")[:150]
+    return row
+
+
+def table() -> StudyTable:
+    return study_table("errors", COLUMNS, ("scene", "preset"), "python workflows/errors.py")
+
+
+def missing(
+    known: StudyTable, presets: Sequence[str]
+) -> Iterator[tuple[tuple[str, float, float, float, str, str], str]]:
+    """The runs that the table lacks, the cheap ones first."""
+    for preset in PRESETS:
+        for case in SCENES:
+            if preset in presets and (name_of(case), preset) not in known:
+                yield case, preset
+
+
+def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float, float]]:
+    """Of the scenes with a measure at a preset, its error, and the measure at `fine`: error and difference from fine, both over
+    the value (of temperatures: over their rise at 300 K), and the value."""
+    found = []
+    fine = {row["scene"]: row for row in rows if row["preset"] == "fine" and not row["failed"]}
+    for row in rows:
+        if row["preset"] == preset and row["scene"] in fine:
+            value, best, error = number(row, key), number(fine[row["scene"]], key), number(row, f"{key} error")
+            whole = abs(value - record(key).initial(300.0))
+            if np.isfinite([value, best, error]).all() and whole > 0.0:
+                found.append((error / whole, abs(best - value) / whole, value))
+    return found
+
+
+def page(rows: Sequence[Row]) -> list[str]:
+    """For each measure and all together: in how many scenes fine lies within the error, the median error and difference."""
+    lines, all_of = [], {preset: [] for preset in PRESETS[:2]}
+    for key in BANDED:
+        cells = [MEASURES[key].short]
+        for preset in PRESETS[:2]:
+            found = pairs(rows, preset, key)
+            all_of[preset] += found
+            cells += _cells(found)
+        lines.append(cells)
+    lines.append(["all", *(cell for preset in PRESETS[:2] for cell in _cells(all_of[preset]))])
+    head = [
+        "measure",
+        *(f"{preset}: {text}" for preset in PRESETS[:2] for text in ("fine within", "error", "fine off")),
+    ]
+    shares = [
+        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["error_cpu_s"] and r["preset"] == "standard"
+    ]
+    cost = (
+        f"At `standard` the coarser runs take {100 * np.median(shares):.0f} % of the run's processor time (median)."
+        if shares
+        else ""
+    )
+    failed = [f"{row['scene']}, {row['preset']}: {row['failed']}" for row in rows if row["failed"]]
+    return [
+        *markdown(head, lines),
+        "",
+        cost,
+        f"Failed: {'; '.join(failed)}." if failed else "No run failed.",
+        "",
+        versions(rows),
+    ]
+
+
+def _cells(found: Sequence[tuple[float, float, float]]) -> list[str]:
+    if not found:
+        return ["-", "-", "-"]
+    inside = sum(off <= error for error, off, _ in found)
+    errors, offs = (100.0 * float(np.median([pair[k] for pair in found])) for k in (0, 1))
+    return [f"{inside} of {len(found)}", f"{errors:.2g} %", f"{offs:.2g} %"]
+
+
+def forecast(rows: Sequence[Row]) -> dict[str, float]:
+    """Median error over the value at `draft`, for `coupler.plan.refinement.FORECAST`."""
+    shares = {}
+    for key in BANDED:
+        own = [
+            (number(r, f"{key} error"), abs(number(r, key) - record(key).initial(300.0)))
+            for r in rows
+            if r["preset"] == "draft"
+        ]
+        shares[key] = float(
+            f"{np.median([error / whole for error, whole in own if np.isfinite(error) and whole > 0.0]):.2g}"
+        )
+    return shares
+
+
+def main() -> None:
+    a = options(__doc__, "docs", jobs=1, presets=list(PRESETS))
+    known = table()
+    wanted = [] if a.docs else list(missing(known, a.presets))
+    if wanted:
+        with executor("processes", a.jobs, ROOT / "runs") as pool:
+            for future in as_completed([pool.submit(compute, *each) for each in wanted]):
+                new = known.add(future.result())
+                print(new["scene"], new["preset"], f"{float(new['cpu_s'] or 'nan'):.3g} s", new["failed"], flush=True)
+        order = {(name_of(case), preset): k for k, (case, preset) in enumerate((c, p) for c in SCENES for p in PRESETS)}
+        known.rows.sort(key=lambda row: order.get((row["scene"], row["preset"]), len(order)))
+        known.write()
+    print("FORECAST =", forecast(known.rows))
+    write_parts(PAGES["accuracy"], {"errors": page(known.rows)})
+
+
+if __name__ == "__main__":
+    main()
