@@ -228,6 +228,20 @@ def test_check_foretells_time_and_accuracy(tmp_path, capsys):
     assert max(map(len, text.splitlines()[first : first + 5])) <= 120
 
 
+def test_the_ladder_is_told_with_the_error_of_each_rung(rows):
+    """Of exact values it is the distance to the limit, times the safety factor (Eca & Hoekstra 2014); the coarsest has none."""
+    found = fit.errors_of_ladder(rows, "crater_depth_m")
+    assert found[0][1] is None
+    row, error = found[-1]
+    assert row["axis"] == "reference"
+    assert error == pytest.approx(1.25 * 5e-6 * 0.6 * ladder.REFERENCE ** (-ORDER / 3), rel=0.05)
+    head, times, *measures = draw.lines(rows)
+    assert head.split()[-1] == str(ladder.REFERENCE)
+    assert times.startswith("processor time")
+    assert len(measures) == len(BANDED)
+    assert sum("±" in text for text in measures) == len(BANDED)
+
+
 def test_rows_of_another_version_are_named(rows, tmp_path):
     older = [row | {"version": "0.0.9"} if row["setting"] == "2000 points" else row for row in rows]
     page = draw.html(older, "a case", 300.0, b"")

@@ -183,7 +183,7 @@ def test_heat_is_conducted_in_the_target_where_it_leaves_an_element_whatever_els
     assert all(made.effects.conduction for made in cases)
     short = plan(scene_with(end__time="2 ns"))
     row = next(row for row in short.decisions if row.name == "conduction")
-    assert (row.on, row.why) == (False, "it cannot act here")
+    assert (row.on, row.why) == (False, "no more than 0.05")
 
 
 def test_a_particle_that_rebounds_leaves_no_splat_in_the_forecast():

@@ -12,15 +12,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sweeps import SHARED, points, pretend
+from sweeps import SHARED, made, points, pretend
 
 from coupler.commands import main as cli
+from coupler.commands import sweep as sweep_command
 from coupler.errors import InterruptedRunError, SceneError
 from coupler.plan.reading import Scene
 from coupler.ranks.executors import WITH_PARENT
 from coupler.studies import points as point_runs
 from coupler.studies.runs_table import table
 from coupler.studies.sweep import Sweep
+from coupler.studies.table import read_rows
 
 
 def test_points_of_a_sweep() -> None:
@@ -291,3 +293,18 @@ def test_executors(tmp_path, monkeypatch) -> None:
         executor("slurm", 1, tmp_path)
     monkeypatch.setenv("PMI_RANK", "3")
     assert "PMI_RANK" not in own_environment()
+
+
+def test_errors_that_runs_have_measured_are_columns_of_the_table(tmp_path: Path) -> None:
+    sweep = Sweep.from_dict(points())
+    made(tmp_path, sweep)
+    name = next(iter(sweep.points))
+    path = tmp_path / name / "summary.json"
+    summary = json.loads(path.read_text())
+    summary["impacts"][-1]["errors"] = {"flattening_ratio": {"half_width": 0.0125}}
+    path.write_text(json.dumps(summary))
+    sweep_command.summarise(sweep, tmp_path)
+    rows = {row["point"]: row for row in read_rows(tmp_path / "sweep.csv")}
+    assert rows[name]["flattening_ratio_error"] == "0.0125"
+    assert {row["flattening_ratio_error"] for row in rows.values()} == {"0.0125", ""}
+    assert "crater_depth_m_error" not in rows[name]

@@ -145,11 +145,13 @@ def row_of(case: Case) -> dict[str, object]:
     started = process_time()
     try:
         with tempfile.TemporaryDirectory() as place:
-            result = run(scene, Path(place) / "run", threads=1, numerics=numerics, progress=Progress(quiet=True))
+            result = run(
+                scene, Path(place) / "run", threads=1, numerics=numerics, progress=Progress(quiet=True), error=True
+            )
             s = result.values
     except ColdsprayError as problem:
         return row | {"failed": " ".join(str(problem).split())[:200]}
-    band_of = s["bands"].get("flattening_ratio_total", {}).get("half_width")
+    band_of = s["errors"].get("flattening_ratio_total", {}).get("half_width")
     return row | {
         "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
         "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,

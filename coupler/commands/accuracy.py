@@ -40,13 +40,15 @@ def add_to_run(option: Option) -> None:
         metavar="PERCENT",
         help='choose the resolution for this error of the splat\'s shape, as forecast: "2%%"',
     )
+    option("--spread", choices=("strength",),
+           help="compute the scene with the other strength sets of its metals, too, and print the range")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
     from ..files.outputs import claim_folder
     from ..studies import ladder, ladder_runs
-    from ..studies.accuracy_figures import write
+    from ..studies.accuracy_figures import lines, write
 
     scene = scene_of(arguments)
     out = arguments.out or Path("runs") / f"accuracy-{scene.name}"
@@ -78,6 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     rows = [row for row in table.rows if tuple(row[name] for name in ladder.KEY) in wanted]
     picture, page = write(rows, out, scene.name, scene.particles[-1].temperature)
     if not arguments.quiet:
+        print(*lines(rows), sep="\n")
         print(f"table in {table.path}\nfigure in {picture}\npage in {page}")
     return 0
 
@@ -124,6 +127,22 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
     if verbose:
         lines.append("             of the discretisation alone, the median of 24 scenes (docs/evidence/accuracy.md)")
     return "\n".join(lines)
+
+
+def spread_of_strength(scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
+    """Compute a scene with the other strength sets of its metals, and print what they change. out: folder of its run."""
+    from ..files.result import Result
+    from ..studies import spread
+
+    def say(text: str) -> None:
+        if not quiet:
+            print(text, flush=True)
+
+    scenes = spread.other_sets(scene)
+    if not scenes:
+        say("the library has no other strength set for the metals of this scene")
+        return
+    say("\n".join(spread.lines(Result(out), spread.compute(scenes, out / spread.FOLDER, jobs, say))))
 
 
 def seconds(text: str) -> float:

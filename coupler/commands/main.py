@@ -256,11 +256,11 @@ def _run(arguments: argparse.Namespace) -> int:
     from ..deposition.run import run
 
     error = not arguments.no_error and scene.resolution.error is not False
-    return _compute(
-        arguments,
-        out,
-        partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error),
-    )
+    computed = partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error)
+    code = _compute(arguments, out, computed)
+    if arguments.spread and code in (0, _UNDECIDED) and is_first_rank():
+        accuracy.spread_of_strength(scene, out, arguments.jobs, arguments.quiet)
+    return code
 
 
 def _resume(arguments: argparse.Namespace) -> int:
@@ -285,6 +285,7 @@ def _further(out: Path) -> str:
 def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Result]") -> int:
     """Run or resume, show the progress, print the results."""
     from ..files import checkpoint
+    from ..files.store import SUMMARY
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
@@ -299,7 +300,8 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         )
     except KeyboardInterrupt as interrupt:
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
-        return _fail(_stopped(progress, out, saved=bool(checkpoint.stored(out))), 128 + number)
+        saved = bool(checkpoint.stored(out)) or (out / SUMMARY).is_file()  # whole, but for its error
+        return _fail(_stopped(progress, out, saved), 128 + number)
     finally:
         progress.stop()
     if result.undecided is not None and is_first_rank():

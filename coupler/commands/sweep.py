@@ -134,7 +134,8 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     keys = distribution.varied_numbers(rows, sweep.varied)
     for row in rows:
         row |= {key: row["keys"].get(key) for key in keys}
-    runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", keys)
+    measured = [name for name in runs_table.ERRORS if any(row.get(name) is not None for row in rows)]
+    runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", [*keys, *measured])
     count = {
         status: sum(row["status"] == status for row in rows) for status in ("done", "undecided", "failed", "unfinished")
     }

@@ -9,12 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..files.outputs import write_text
-from ..measures import BANDED
+from ..measures import BANDED, axis_label
 from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
 from ..report.page import Page
 from ..report.picture import axes_at, blank, label_log, save
+from ..report.words import shown
 from . import accuracy_fit as fit
 from .ladder import KNOBS
 from .order import FEWEST
@@ -116,6 +117,20 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
     panel.set_ylabel("difference (%)", fontsize=8)
     panel.grid(True, which="major", color="#e8ebef", lw=0.8)
     panel.tick_params(labelsize=8)
+
+
+def lines(rows: Rows) -> list[str]:
+    """The ladder as lines of a terminal: a column for each number of points, with its processor time and the measures with their
+    errors."""
+    cells = [["points"], ["processor time, s"], *([axis_label(measure)] for measure in BANDED)]
+    for k, measure in enumerate(BANDED):
+        for row, error in fit.errors_of_ladder(rows, measure):
+            if k == 0:
+                cells[0].append(row["points_used"])
+                cells[1].append(f"{float(row['cpu_s']):.3g}")
+            cells[k + 2].append(shown(measure, float(row[measure]) if row[measure] else None, error))
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]
 
 
 def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:

@@ -1,10 +1,12 @@
 """Evaluation of a ladder: errors against the reference, and orders."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from ..measures import measure as record
+from ..plan.refinement import error
 from .ladder import finished
 from .order import Case, OrderFit, fit_order
 
@@ -45,6 +47,21 @@ def resolutions(rows: Sequence[Row], measure: str, T_0: float) -> tuple[np.ndarr
     ladder.sort(key=lambda row: float(row["points_used"]))
     h = np.array([float(row["points_used"]) ** (-1.0 / 3.0) for row in ladder])
     return h, np.array([value(row, measure, T_0) for row in ladder]) / value(best, measure, T_0)
+
+
+def errors_of_ladder(rows: Sequence[Row], measure: str) -> list[tuple[Row, float | None]]:
+    """The rows of points and reference, the coarse ones first, each with the error of a measure, in its own unit, that follows from it
+    and the three next coarser ones (`plan.refinement.error`); None where there is none coarser."""
+    ladder = [row for row in finished(rows) if row["axis"] in ("points", "reference")]
+    ladder.sort(key=lambda row: float(row["points_used"]))
+    found: list[tuple[Row, float | None]] = []
+    for k, row in enumerate(ladder):
+        levels = ladder[max(k - 3, 0) : k + 1][::-1]
+        h = [float(each["points_used"]) ** (-1.0 / 3.0) for each in levels]
+        values = [float(each[measure] or "nan") for each in levels]
+        known = len(levels) > 1 and all(map(math.isfinite, values))
+        found.append((row, error(h, values)[0] if known else None))
+    return found
 
 
 def order(cases: Sequence[Case]) -> tuple[float, OrderFit]:

@@ -12,6 +12,7 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_toml, reading
 from ..files.result import Result
+from ..measures import BANDED
 from ..plan.record import read_plan
 from .points import how_ended
 from .table import write_rows
@@ -22,6 +23,7 @@ KEYS = dict(zip(("particle.velocity", "particle.diameter", "particle.temperature
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
+ERRORS = tuple(f"{key}_error" for key in MEASURES if key in BANDED)  # of runs that measure them
 COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
 LARGEST = 1e30  # a measure beyond it is damage
 Row = dict[str, Any]
@@ -78,6 +80,7 @@ def _row(folder: Path, name: str) -> Row:
     row |= {"material": impact.material.name, "substrate": plan.target.material.name}
     row |= dict(zip(AXES, (float(np.linalg.norm(impact.velocity)), impact.diameter, impact.temperature), strict=True))
     row |= {key: _number(values.get(key)) for key in MEASURES}
+    row |= {f"{key}_error": _number(entry["half_width"]) for key, entry in (values.get("errors") or {}).items()}
     row["verdict"] = str(values.get("verdict") or "")
     return row
 

@@ -1,0 +1,68 @@
+"""What the choice of a strength set changes: a scene with the other sets that the library has for its metals."""
+
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ..errors import ColdsprayError
+from ..files.result import Result
+from ..measures import BANDED, measure
+from ..physics import materials
+from ..plan.reading import Scene
+from ..ranks.executors import executor
+from ..report.words import errors_of, shown
+from .points import run_points
+
+FOLDER = "strength"  # of the runs with other sets, in that of the run
+
+
+def other_sets(scene: Scene) -> dict[str, str]:
+    """Name, such as "Ni Steinberg_1996" -> the scene (TOML) with this set of one of its metals in place of its own.
+
+    A metal whose law is the scene's own has no other.
+    """
+    data = tomllib.loads(scene.to_toml())
+    scenes = {}
+    for name in dict.fromkeys((scene.particles[-1].material, scene.substrate.material)):
+        table = scene.materials.get(name, {})
+        try:
+            known = materials.entry(str(table.get("base", name)))
+        except ColdsprayError:
+            continue
+        if "law" in table:
+            continue
+        for choice in known.sets:
+            if choice != scene.derived.material(name).strength.set:
+                changed = {**data, "materials": {**scene.materials, name: {**table, "strength": choice}}}
+                scenes[f"{name} {choice}"] = Scene.from_dict(changed, scene.name).to_toml()
+    return scenes
+
+
+def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Callable[[str], None]) -> dict[str, Result]:
+    """Run the scenes in a folder, `jobs` at a time; those that are there are not computed again. Results by name, without those that
+    fail."""
+    points = {name.replace(" ", "_"): text for name, text in scenes.items()}
+    pool = executor("processes", jobs, folder, starts_processes=True)
+    statuses = run_points(folder, points, pool, log)
+    return {
+        name: Result(folder / name.replace(" ", "_")) for name in scenes if statuses[name.replace(" ", "_")] == "done"
+    }
+
+
+def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
+    """The measures of a run beside the least and the greatest that other strength sets give, as lines."""
+    rows: list[tuple[str, ...]] = [("", "this set", "least", "most", "")]
+    errors = errors_of(result.summary)
+    for key in BANDED:
+        found = {name: float(other.values[key]) for name, other in others.items() if other.values.get(key) is not None}
+        if found and result.values.get(key) is not None:
+            ends = [
+                f"{shown(key, found[name])} ({name})"
+                for name in (min(found, key=found.__getitem__), max(found, key=found.__getitem__))
+            ]
+            rows.append((measure(key).label, shown(key, result.values[key], errors.get(key)), *ends, measure(key).unit))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    verdicts = [str(other.values.get("verdict")) for other in others.values()]
+    counted = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))
+    table = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return [f"other strength sets: {', '.join(others)}", *table, f"verdicts with them: {counted}"]
