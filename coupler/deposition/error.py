@@ -20,7 +20,7 @@ from ..measures import BANDED
 from ..plan.planning import Plan
 from ..plan.reading import Scene
 from ..plan.refinement import at_points, error
-from ..ranks.executors import end_with
+from ..ranks.executors import end_with, without_interrupts
 
 FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
 Compute = Callable[
@@ -43,7 +43,8 @@ class Companions:
         shutil.rmtree(self.folder / FOLDER, ignore_errors=True)
         if on_another_core and self.plan.companions:
             process = get_context("spawn").Process(target=_in_own_process, args=(self, os.getpid()))
-            process.start()
+            with without_interrupts():
+                process.start()
             self._process = process
 
     def end(self) -> None:
