@@ -48,6 +48,13 @@ _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
 _MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
 
 
+def _plainly(error: UnicodeError) -> tuple[str, int]:
+    """Letters that a terminal lacks, in those that it has."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command line. argv: arguments without the program's name. Returns the exit code."""
     _prepare()
@@ -100,9 +107,7 @@ def _prepare() -> None:
             os.open(os.devnull, os.O_RDWR)
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r"))
-    codecs.register_error(
-        "plain", lambda error: ("".join(_PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end)
-    )
+    codecs.register_error("plain", _plainly)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="plain")
     os.environ.pop("MPLBACKEND", None)
