@@ -114,7 +114,7 @@ GAS = "gas --pressure '40 bar' --temperature '800 C' --nozzle D42PBI --gas heliu
         ("{0} check --help >/dev/full", 2, ""),
         ("{0} nothing 2>/dev/full", 2, ""),
         ("PYTHONIOENCODING=ascii {0} " + GAS, 0, ""),  # its table has µ
-        ("MPLBACKEND=module://of.a.notebook {0} " + GAS + " --png x.png", 0, ""),
+        ("MPLBACKEND=module://matplotlib_inline.backend_inline {0} " + GAS + " --png x.png", 0, ""),
         ("{0} check $'x\\xff.toml'", 2, "coldspray: the name 'x\\udcff.toml' is not in UTF-8: rename it\n"),
     ],
 )
