@@ -21,7 +21,7 @@ RADIUS = 10e-6  # m: of the disc that is measured
 MEASURES = {
     "thickness_um": "thickness, mean (µm)", "strain": "mean strain", "von_mises_MPa": "mean von Mises stress (MPa)",
     "impacts_MPa": "stress of the impacts (MPa)", "thermal_MPa": "stress of cooling (MPa)",
-    "residual_MPa": "residual stress (MPa)", "residual_error_MPa": "its error from splat to splat (MPa)",
+    "residual_MPa": "residual stress (MPa)", "residual_error_MPa": "its error from place to place (MPa)",
 }  # fmt: skip
 
 

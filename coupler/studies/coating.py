@@ -27,6 +27,7 @@ from ..plan.record import read_plan
 
 WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
+SECTORS = 8  # of the window, for the error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
@@ -229,7 +230,7 @@ class CoatingMeasures:
     of the surface, craters included, as a profilometer steps from the old surface; bare_share: share of the window
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
-    the coating's volume in the window of (xx + yy) / 2, residual once cold, and its standard error, None of one splat (`in_plane`);
+    the coating's volume in the window of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
     thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`."""
 
     impacts: int
@@ -304,8 +305,9 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
 def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
     """Mean over the coating's volume in the window of (xx + yy) / 2 of a stress, Pa, and its standard error; 0 where the mesh has none.
 
-    radius m. The error is that from splat to splat, of a mean with the volumes as weights with each splat left out in turn (delete-one
-    jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed., section 6.17); None with fewer than two splats.
+    radius m. The error is that from place to place: of a mean with the volumes as weights, with each of SECTORS sectors of the window
+    left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed., section 6.17). A sector holds all
+    layers, whose stresses differ by more than chance. None where the coating fills fewer than two.
     """
     mesh = splats.mesh
     x, y = mesh.points[mesh.cells].mean(axis=1)[:, :2].T
@@ -313,8 +315,9 @@ def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | N
     if name not in mesh.data or not own.any():
         return 0.0, None
     of_tet = np.abs(volumes(mesh.points, mesh.cells[own]))
-    volume = np.bincount(splats.body[own], of_tet)
-    load = np.bincount(splats.body[own], of_tet * 0.5 * mesh.data[name][own, :2].sum(axis=1))
+    sector = ((np.arctan2(y, x)[own] / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
+    volume = np.bincount(sector, of_tet)
+    load = np.bincount(sector, of_tet * 0.5 * mesh.data[name][own, :2].sum(axis=1))
     mean, is_there = float(load.sum() / volume.sum()), volume > 0.0
     n = int(is_there.sum())
     if n < 2:
@@ -360,7 +363,7 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
         ("deposition efficiency", f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}"),
         (
             f"{'residual stress' if is_cold else 'stress before cooling'}, in plane",
-            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from splat to splat",
+            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from place to place",
         ),
         ("measured", f"within {um['window_radius_m']} of the axis, away from the rim of the patch"),
     ]
