@@ -44,6 +44,7 @@ from .summary import simulated, summary, unsettled
 from .task import Task, TaskResult
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
+FEW_POINTS = 2000  # up to which a second thread saves some percent of a run (docs/evidence/speed.md)
 
 Probe = Callable[[Impact], None]
 
@@ -83,6 +84,8 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", None), scene.resolution.error if error is None else error)
+    if threads is None and decided.companions and max(impact.points for impact in decided.impacts) <= FEW_POINTS:
+        threads = 1  # the coarser runs make better use of the other core
     options = _options(
         folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed, jobs
     )
@@ -90,7 +93,9 @@ def run(
 
     def create() -> Store:
         store = Store.create(folder, scene.to_toml(), force, plan_text(decided))
-        companions.begin(on_another_core=options.ranks.size == 1 and cores() > max(options.threads, options.jobs))
+        companions.begin(
+            on_another_core=options.ranks.size == 1 and cores() > max(min(options.threads, 2), options.jobs)
+        )
         return store
 
     try:
