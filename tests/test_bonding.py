@@ -226,7 +226,8 @@ def test_one_that_leaves_is_not_joined_and_counts(tmp_path: Path) -> None:
     assert [impact["rebounded"] for impact in s["impacts"]] == [True, True]
     assert s["joins"][0]["bodies"] == 0
     assert result.deposition_efficiency == 0.0
-    assert result.impact(1)["crater_depth_m"] > result.impact(0)["crater_depth_m"]
+    # the first has hardened the ground: the second pushes it down less far
+    assert 0.0 < result.impact(1)["crater_depth_m"] < result.impact(0)["crater_depth_m"]
     assert int(result.fields(-1, "target").data["body"].max()) == 0
 
 

@@ -21,7 +21,7 @@ from coupler.deposition import run as deposition
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.pause import AT_AMBIENT, COOLINGS, cool_to_ambient
 from coupler.deposition.summary import unsettled
-from coupler.errors import SplatError
+from coupler.errors import SolverError
 from coupler.fe import mesh as meshes
 from coupler.fe.assemble import BodyState
 from coupler.fe.explicit import Target
@@ -168,7 +168,7 @@ def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, mon
 
     def join(plan: Any, i: int, *more: Any) -> Any:
         if i > 0:
-            raise SplatError("the cloud has a hole")
+            raise SolverError("the cloud has a hole")
         return true_join(plan, i, *more)
 
     def cool(*_: Any) -> Any:
@@ -239,7 +239,7 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
 
     def join(plan: Any, i: int, *more: Any) -> Any:
         if plan.impacts[i].material.name == "Ti":
-            raise SplatError(reason)
+            raise SolverError(reason)
         return true_join(plan, i, *more)
 
     def run_impact(plan: Any, i: int, *more: Any) -> Any:
@@ -252,7 +252,7 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(deposition, name, function)
     scene, out = Scene.from_text(text, "skip"), tmp_path / "out"
     if how.endswith("resumed"):
-        with pytest.raises(SplatError):
+        with pytest.raises(SolverError):
             deposition.run(scene, out, quiet=True, checkpoint_every=0.0)
         result = deposition.resume(out, quiet=True, skip_failed=True)
     else:

@@ -15,21 +15,20 @@ from coupler.deposition.run import resume
 from coupler.errors import SceneError, SolverError
 from coupler.impact import retry
 from coupler.impact.retry import REMEDIES, Remedy, Retries
+from coupler.progress import Progress
 from coupler.studies.table import read_rows
 from workflows import fuzz, stability, verify
 
 
-class Lines:
+class Lines(Progress):
     """A progress that keeps what is logged."""
 
     def __init__(self) -> None:
+        super().__init__(quiet=True)
         self.lines: list[str] = []
 
     def log(self, text: str) -> None:
         self.lines.append(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *_, **__: None
 
 
 class Trouble:
