@@ -87,6 +87,14 @@ def test_what_is_not_sure_is_refused(content: str, told: str, tmp_path: Path) ->
         read_points(tmp_path / "a.csv", ())
 
 
+@pytest.mark.timeout(60)
+def test_a_long_line_takes_no_longer_than_its_length(tmp_path: Path) -> None:
+    """A pattern that went back over the line for each of its characters took an hour."""
+    for line in ("x" * 300_000, "[" * 300_000, "x" + " " * 300_000 + "[um]"):
+        (tmp_path / "a.csv").write_text(f"{line}\n{text()}")
+        np.testing.assert_array_equal(read_points(tmp_path / "a.csv", ()).x, BALL)
+
+
 def test_columns_are_named_by_the_user(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text(head="n,a,b,c,d", index=True))
     points = read_points(tmp_path / "a.csv", (), ["-", "z", "x", "y", "T"])

@@ -109,12 +109,13 @@ def _ply(raw: bytes) -> Surface:
     if not raw.startswith(b"ply") or head is None:
         raise ValueError("its head is missing or has no end")
     form, elements = "", dict[str, tuple[int, list[Column]]]()
+    columns: list[Column] = []
     for line in raw[: head.start()].decode("latin-1").splitlines():
         match line.split():
             case ["format", form, _]:
                 pass
             case ["element", element, count]:
-                columns: list[Column] = []
+                columns = []
                 elements[element] = int(count), columns
             case ["property", "list", counted, kind, name]:
                 columns.append((name, kind, counted))

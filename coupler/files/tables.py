@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_UNIT = re.compile(
+    r"[\[(]([^][()]*)[])]$"
+)  # none of these patterns takes more than linear time in a line of any length
 _COMMENT = ("#", "%", "!", "//")
+_LONGEST = 100_000  # characters of a line
 _COUNTED = 10  # rows from which on a column that counts them is taken for their number
 
 
@@ -51,14 +54,16 @@ def read_table(text: str, names: list[str] | None = None) -> Table:
             return Table(x, {}, [*notes, *told])
     if len(names) > len(rows[0]):
         raise ValueError(f"it has {len(rows[0])} columns, {len(names)} names are given")
-    bare = [_UNIT.fullmatch(name) for name in names]
-    plain = [name if unit is None else unit[1] for name, unit in zip(names, bare, strict=True)]
+    given = [_UNIT.search(name) for name in names]
+    plain = [_UNIT.sub("", name).strip() for name in names]
     wanted = [(k, name) for k, name in enumerate(plain) if name != "-"]
     if len({name.lower() for _, name in wanted}) < len(wanted):
         raise ValueError("two of its columns have one name: name them with --columns, - leaves one out")
     notes += [f"column {name!r} left out: {rows[0][k][:30]!r} is no number" for k, name in wanted if k not in columns]
     taken = {name: columns[k] for k, name in wanted if k in columns}
-    return Table(taken, {name: unit[2] for name, unit in zip(plain, bare, strict=True) if unit is not None}, notes)
+    return Table(
+        taken, {name: unit[1].strip() for name, unit in zip(plain, given, strict=True) if unit is not None}, notes
+    )
 
 
 def _separator(line: str) -> str:
@@ -73,7 +78,9 @@ def _separator(line: str) -> str:
 
 
 def _fields(line: str, separator: str) -> list[str]:
-    """The columns of a line, without quotes and blanks around them."""
+    """The columns of a line, without quotes and blanks around them; none of one that is too long for a table."""
+    if len(line) > _LONGEST:
+        return []
     if separator:
         fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
         return [field.strip() for field in (fields[:-1] if fields and not fields[-1] else fields)]
@@ -119,8 +126,8 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
     is_comment = line.startswith(_COMMENT)
     line = line.lstrip("#%!/ \t")
     for between in dict.fromkeys((separator, _separator(line), "")):
-        names = _fields(line if between else re.sub(r"\s+(?=[\[(])", "", line), between)
-        bare = {_UNIT.sub(r"\1", name).lower() for name in names}
+        names = _fields(line if between else re.sub(r"(?<!\s)\s+(?=[\[(])", "", line), between)
+        bare = {_UNIT.sub("", name).strip().lower() for name in names}
         if len(names) == count and (not is_comment or {"x", "y", "z"} <= bare):
             return names
     return None
