@@ -39,6 +39,7 @@ def test_a_new_scene_has_a_plan_and_fits_the_schema(
 def test_a_new_scene_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["new", "single", "first"]) == 0
+    assert "materials.first" not in Path("first.toml").read_text()  # what is replaced is the name of the file alone
     assert (
         main(
             [
