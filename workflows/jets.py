@@ -8,10 +8,11 @@ import time as clock
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, markdown, marked, options, study_table, versions, write_parts
+from pages import PAGES, column, figure_path, markdown, marked, options, study_table, versions, write_parts
 
 from coupler import Scene, run
 from coupler.impact.exchange import Impact
+from coupler.report.picture import blank, save
 from coupler.studies.table import Row
 
 CASES = {
@@ -74,6 +75,28 @@ def page(rows: list[Row]) -> None:
     write_parts(PAGES["jets"], {"table": [*markdown(head, lines), "", versions(rows)]})
 
 
+def figure(rows: list[Row]) -> None:
+    """Draw thickness and stretch over the number of points."""
+    drawing = blank(9.6, 3.8, 110, "constrained")
+    left, right = drawing.subplots(1, 2)
+    for number, case in enumerate(CASES):
+        own, color = [r for r in rows if r["case"] == case], f"C{number}"
+        points = column(own, "points")
+        left.semilogx(points, column(own, "thickness"), "o-", color=color, label=case)
+        left.semilogx(points, column(own, "span"), "s:", color=color, mfc="none")
+        right.semilogx(points, column(own, "stretch_99"), "o-", color=color)
+        right.semilogx(points, column(own, "stretch_median"), "s:", color=color, mfc="none")
+    left.set_ylabel("thickness / diameter")
+    left.set_title("full: 99 % of the volume; open: outermost vertices", fontsize=9)
+    right.set_ylabel("largest principal stretch of the points")
+    right.set_title("full: 99th percentile; open: median", fontsize=9)
+    for axes in (left, right):
+        axes.set_xlabel("points")
+        axes.set_ylim(bottom=0.0)
+    drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    save(drawing, figure_path("jets", "jets.png"))
+
+
 def main() -> None:
     """Compute the rows that the table lacks, the cheap ones first, and write the page."""
     table = study_table("jets", COLUMNS, ("case", "preset"), "python workflows/jets.py")
@@ -82,6 +105,7 @@ def main() -> None:
             if (case, preset) not in table and not options(__doc__, "docs").docs:
                 print(table.add(row(case, preset)), flush=True)
     page(table.rows)
+    figure(table.rows)
 
 
 if __name__ == "__main__":
