@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import errors as battery  # workflows/errors.py
 import numpy as np
 import pytest
 from test_scene import scene_with, several
@@ -240,6 +241,12 @@ def test_the_ladder_is_told_with_the_error_of_each_rung(rows):
     assert times.startswith("processor time")
     assert len(measures) == len(BANDED)
     assert sum("±" in text for text in measures) == len(BANDED)
+
+
+def test_the_forecast_is_the_median_of_the_battery():
+    """What `check` says is what docs/tables/errors.csv holds, to two digits (workflows/errors.py prints it)."""
+    found = battery.forecast(battery.table().rows)
+    assert found == pytest.approx(refinement.FORECAST)
 
 
 def test_rows_of_another_version_are_named(rows, tmp_path):
