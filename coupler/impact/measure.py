@@ -69,15 +69,12 @@ def measure(
     particle: DistributedParticle,
     target: Target,
     surface: CarriedSurface,
-    surface_nodes: np.ndarray,
     diameter: float,
     level: float = 0.0,
 ) -> dict[str, float]:
-    """Measures of this instant, SI. Heights from the surface as the particle met it, z = level; the crater's depth
-    from z = 0; means over mass, percentiles over points.
+    """Measures of this instant, SI, but for the crater. Heights above z = level; means over mass, percentiles over points.
 
-    particle, target: the two domains; surface: the particle's carried surface; surface_nodes: nodes of the target
-    that can be touched; diameter: the particle's, m.
+    particle, target: the two domains; surface: the particle's carried surface; diameter: the particle's, m.
     """
     rho = float(particle.law["rho"][0])
     vertices = surface.positions(particle.x)
@@ -86,7 +83,6 @@ def measure(
     m["surface_volume_error"] = enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.J) - 1.0
     away = cKDTree(particle.x).query(vertices)[0]
     m["unresolved_share"] = float(np.mean(away > FAR * particle.spacing))
-    m["crater_depth_m"] = crater_depth(target.x[surface_nodes])
     m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
     m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))
     m["eps_p_max"] = float(particle.eps_p.max())

@@ -27,7 +27,7 @@ VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as Pa
 @dataclass(frozen=True)
 class RecorderState:
     """next_row, next_output: times in s; greatest: measures at the greatest deformation, None before it; extremes: by body;
-    over_rim, in_layer, met: see `Recorder`."""
+    over_rim, in_layer, met, touched_at: see `Recorder`."""
 
     next_row: float
     next_output: float
@@ -36,6 +36,7 @@ class RecorderState:
     over_rim: bool
     in_layer: bool
     met: Annotated[np.ndarray, Shape(-1)]
+    touched_at: float
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
@@ -52,6 +53,7 @@ class Recorder:
     before: simulated time (s) of the impacts before it. greatest: measures at the greatest deformation, None before it. over_rim:
     the particle has reached beyond the substrate's edge and below its surface. in_layer: it has touched the layer where the
     target's window damps velocities. met (k,): heights, m, of the surface that the particle meets, at its nodes, before the impact.
+    touched_at: height of the particle's centre, m, when it last touched anything, or before it has.
     """
 
     def __init__(self, plan: Plan, i: int, store: Store, progress: Progress, before: float):
@@ -60,6 +62,7 @@ class Recorder:
         self.extremes = Extremes()
         self.over_rim = self.in_layer = False
         self.met = np.zeros(0)
+        self.touched_at = 0.0
         self.greatest: dict[str, float] | None = None
         self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
         self.next_row = self.next_output = 0.0
@@ -70,6 +73,7 @@ class Recorder:
         where not their end alone is written."""
         if self.next_output == 0.0:
             self.met = impact.target.x[_surface_nodes(impact), 2]
+            self.touched_at = float(impact.particle.x[:, 2].mean())
             if self.i == 0 or np.isfinite(self.impact_plan.output_every):
                 self.write_fields(impact)
             self.next_output = self.impact_plan.output_every
@@ -79,6 +83,8 @@ class Recorder:
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """
+        if impact.force.any() or not impact.deepest > 0.0:
+            self.touched_at = float(impact.particle.x[:, 2].mean())
         if is_last or impact.time >= self.next_row:
             self.write_row(impact, dt)
         if impact.time > self._written and (is_last or impact.time >= self.next_output):
@@ -102,8 +108,8 @@ class Recorder:
             "step": float(particle.steps),
             **ledger,
         }
-        bottom, row["height"] = extent(skin, impact.surface.triangles, UP)
-        row["thickness"] = row["height"] - bottom
+        bottom, top = extent(skin, impact.surface.triangles, UP)
+        row["height"], row["thickness"] = top - self._flight(impact), top - bottom
         row["crater_depth"] = self._crater(impact)
         row["velocity_z"] = -impact.sinking
         row["contact_force"] = float(impact.force[2])
@@ -152,9 +158,13 @@ class Recorder:
 
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""
-        nodes, level = _surface_nodes(impact), impact.domains.level
-        m = measure(impact.particle, impact.target, impact.surface, nodes, self.impact_plan.diameter, level)
+        level = impact.domains.level + self._flight(impact)
+        m = measure(impact.particle, impact.target, impact.surface, self.impact_plan.diameter, level)
         return {"time_s": impact.time, **m, "crater_depth_m": self._crater(impact)}
+
+    def _flight(self, impact: Impact) -> float:
+        """How far (m) a particle that touches nothing has risen since it did: shape is measured where it left."""
+        return max(0.0, float(impact.particle.x[:, 2].mean()) - self.touched_at)
 
     def _crater(self, impact: Impact) -> float:
         """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before.
