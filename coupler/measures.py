@@ -108,7 +108,7 @@ TABLE = (
     Measure(
         "flattening_ratio_total", "flattening, whole", SHAPE, "flattening", converges=True, high=1.0, beyond="no thickness is left",
         expected=(-SHAPE_TOLERANCE, 1.0),
-        unusual=("it is higher from its lowest to its highest point than its diameter, as a cup that lines its crater or a rod", ""),
+        unusual=("the splat reaches over more than the particle's diameter in height: it lines its crater, or is a rod", ""),
     ),
     Measure(
         "surface_volume_error", "volume inside the surface, off that of the points", SHAPE, unit="%", factor=100.0,
@@ -173,7 +173,7 @@ TABLE = (
     Measure("memory_peak_bytes", "most memory", unit="MB", factor=1e-6),
     Measure("kinetic_energy_0_J", "kinetic energy at the start"),
     Measure("deposition_efficiency", low=0.0, high=1.0),
-    Measure("deposition_efficiency_range", "deposition efficiency, without and with undecided particles"),
+    Measure("deposition_efficiency_range", "deposition efficiency, least and most"),
     Measure("sim_time_s", "simulated time"),
     Measure("wall_s", "wall time", unit="s", factor=1.0),
     Measure("wall_loop_s", "wall time of the steps", unit="s", factor=1.0),

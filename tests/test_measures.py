@@ -45,11 +45,11 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
 
 
 def test_what_flattening_may_be() -> None:
-    """No thickness is below zero; a particle that lines its crater as a cup is higher than the sphere was, which is a remark."""
+    """No thickness is below zero; a splat that lines its crater is higher than the sphere was, which is a remark."""
     assert measure("flattening_ratio_total").refusal(0.37) is None
     assert "above 1" in (measure("flattening_ratio_total").refusal(1.76) or "")
     assert measure("flattening_ratio_total").refusal(-0.29) is None
-    assert "cup that lines its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
+    assert "lines its crater" in (measure("flattening_ratio_total").remark(-0.29) or "")
     assert measure("flattening_ratio").refusal(1.2) is None
     assert "embedded" in (measure("flattening_ratio").remark(1.2) or "")
     assert "rod" in (measure("flattening_ratio").remark(-0.06) or "")

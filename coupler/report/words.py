@@ -274,10 +274,12 @@ def remarks(summary: Summary) -> list[str]:
                 names = [_label("end"), *(name for name in names if name not in of_end)]
             verb = "are" if len(names) > 1 or names[0].startswith("all") else "is"
             lines.setdefault(f"{', '.join(names)} {verb} undefined: {reason}", []).append(number)
-        for block, moment in _BLOCKS.items():
+        said: set[str] = set()  # of the end: what was so at the greatest deformation, too, is said once
+        for block, moment in reversed(_BLOCKS.items()):
             for key, value in (impact.get(block) or {}).items():
                 remark = measure(key).remark(value) if isinstance(value, int | float) else None
-                if remark is not None:
+                if remark is not None and key not in said:
+                    said.add(key)
                     lines.setdefault(f"{moment}, {remark}", []).append(number)
     return [_of_impacts(numbers) + text if len(records) > 1 else text for text, numbers in lines.items()]
 
