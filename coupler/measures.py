@@ -48,7 +48,7 @@ class Measure:
     unit, factor: in which people read it, and the factor from SI; from the ending of the key unless said. low, high: the range
     that follows from the definition; beyond: the reason for it.
     expected, unusual: values outside `expected` are possible, and `unusual` (below, above) says what they mean.
-    converges: True with a band at each resolution; False for local maxima; None for what has no resolution.
+    converges: True where more points bring it to a limit; False where they do not, as of local maxima; None for what has no resolution.
     """
 
     key: str
@@ -74,7 +74,7 @@ class Measure:
             object.__setattr__(self, name, value)
 
     def initial(self, T_0: float) -> float:
-        """The value that errors and bands are relative to: the initial temperature T_0 (K) of temperatures, else zero."""
+        """The value that errors are relative to: the initial temperature T_0 (K) of temperatures, else zero."""
         return T_0 if self.key.startswith("T_") else 0.0
 
     def refusal(self, value: float) -> str | None:
@@ -181,7 +181,7 @@ TABLE = (
     Measure("version", "coldspray"),
 )  # fmt: skip
 MEASURES = {measure.key: measure for measure in TABLE}
-BANDED = tuple(measure.key for measure in TABLE if measure.converges)
+CONVERGING = tuple(measure.key for measure in TABLE if measure.converges)
 
 
 def measure(key: str) -> Measure:

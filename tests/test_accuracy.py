@@ -13,7 +13,7 @@ from coupler import __version__
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
 from coupler.errors import SolverError, StoreError
-from coupler.measures import BANDED
+from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
 from coupler.plan import refinement
 from coupler.plan.planning import plan
@@ -239,8 +239,8 @@ def test_the_ladder_is_told_with_the_error_of_each_rung(rows):
     head, times, *measures = draw.lines(rows)
     assert head.split()[-1] == str(ladder.REFERENCE)
     assert times.startswith("processor time")
-    assert len(measures) == len(BANDED)
-    assert sum("±" in text for text in measures) == len(BANDED)
+    assert len(measures) == len(CONVERGING)
+    assert sum("±" in text for text in measures) == len(CONVERGING)
 
 
 def test_the_forecast_is_the_median_of_the_battery():
@@ -272,7 +272,7 @@ def test_diagram_and_page_hide_nothing(rows, tmp_path):
     assert "<script src" not in text
     assert '<link rel="stylesheet' not in text
     figure = draw.diagram(rows, "a case", 300.0)
-    assert len(figure.axes) == len(BANDED)
+    assert len(figure.axes) == len(CONVERGING)
     assert all(panel.get_xscale() == panel.get_yscale() == "log" for panel in figure.axes)
     assert any("draft" in text.get_text() for text in figure.axes[0].texts)
     assert draw.order_of(rows, "crater_depth_m", 300.0).startswith("order 1.2")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from pages import PAGES, ROOT, figure_path, markdown, marked, options, table_rows, versions, write_parts
 
-from coupler.measures import BANDED, MEASURES
+from coupler.measures import CONVERGING, MEASURES
 from coupler.plan.reading import Scene
 from coupler.plan.refinement import line
 from coupler.report.picture import save
@@ -90,16 +90,16 @@ def cases_part(cases: dict[str, StudyCase]) -> list[str]:
             f" the finest setting compared with it, and took {float(best['cpu_s']):.0f} s"
             f" ([table](../tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
         ]  # fmt: skip
-        by_measure = {m: fit.errors(case.rows, m, case.temperature) for m in BANDED}
+        by_measure = {m: fit.errors(case.rows, m, case.temperature) for m in CONVERGING}
         errors = {m: {(r["axis"], r["setting"]): e for r, e in pairs} for m, pairs in by_measure.items()}
         shown = []
         for row in ladder.finished(case.rows):
             if row["axis"] != "reference":
                 text = row["setting"] + ("" if row["axis"] == "points" else f", {row['points']} points")
                 text = marked(text + (f" ({preset_of(row)})" if preset_of(row) else ""), row)
-                cells = [f"{errors[m][row['axis'], row['setting']]:+.1f}" for m in BANDED]
+                cells = [f"{errors[m][row['axis'], row['setting']]:+.1f}" for m in CONVERGING]
                 shown.append([text, f"{float(row['cpu_s']):.3g}", *cells])
-        lines += [*markdown(["setting", "s", *(MEASURES[m].short for m in BANDED)], shown), ""]
+        lines += [*markdown(["setting", "s", *(MEASURES[m].short for m in CONVERGING)], shown), ""]
         failed = [f"{r['setting']} ({r['points']} points): {r['failed']}" for r in case.rows if r["failed"]]
         lines += [f"Failed: {'; '.join(failed)}" if failed else "No setting failed.", ""]
     return lines
@@ -108,7 +108,7 @@ def cases_part(cases: dict[str, StudyCase]) -> list[str]:
 def orders_part(cases: Sequence[StudyCase]) -> list[str]:
     """Fitted order of each measure, common to the single impacts, and its limit over the reference in each case."""
     lines = []
-    for measure in BANDED:
+    for measure in CONVERGING:
         used, fitted = fit.order([fit.resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
         limits = [line(*fit.resolutions(c.rows, measure, c.temperature), used)[0] for c in cases]
         orders = (f"{fitted.order:.2g}", " to ".join(fitted.interval()), f"{used:.2g}")

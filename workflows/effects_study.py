@@ -38,16 +38,16 @@ from coupler.errors import ColdsprayError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
-from coupler.measures import BANDED, MEASURES, measure
+from coupler.measures import CONVERGING, MEASURES, measure
 from coupler.plan.effects import GRADIENTS, THRESHOLDS
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable
 
 Effects = str | list[str]
-STUDY_COLUMNS = ("scene", "effect", "number", *BANDED, "steps", "drift", "failed")
+STUDY_COLUMNS = ("scene", "effect", "number", *CONVERGING, "steps", "drift", "failed")
 PROOF_COLUMNS = (
-    "scene", *BANDED, "failed", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
+    "scene", *CONVERGING, "failed", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
 )  # fmt: skip
 BASE = ["all", f"-{GRADIENTS}"]
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
@@ -134,7 +134,7 @@ def compute(text: str, effects: Effects) -> dict[str, float]:
         end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
         values = {
             key: float(end[key]) - measure(key).initial(T_0) if end.get(key) is not None else math.nan
-            for key in (*BANDED, "time_s")
+            for key in (*CONVERGING, "time_s")
         }
         values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
     return values
@@ -175,7 +175,7 @@ def least_of(rounds: int, scenes: Mapping[str, str], crossings: float) -> dict[s
 
 def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
     """Change of each measure in percent of what it is with everything on; nan where that is 0."""
-    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in BANDED}
+    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
 
 
 def costs(rounds: int) -> None:
@@ -291,20 +291,22 @@ def study_part(rows: list[Row]) -> list[str]:
     effects = list(dict.fromkeys(row["effect"] for row in rows))
     ordered = sorted(rows, key=lambda row: (effects.index(row["effect"]), float(row["number"])))
     lines = [
-        [row["effect"], marked(row["scene"], row), row["number"], *(f"{number(row, name):+.2f}" for name in BANDED)]
+        [row["effect"], marked(row["scene"], row), row["number"], *(f"{number(row, name):+.2f}" for name in CONVERGING)]
         for row in ordered
     ]
-    return markdown(["left out", "scene", "number", *(MEASURES[name].short for name in BANDED)], lines)
+    return markdown(["left out", "scene", "number", *(MEASURES[name].short for name in CONVERGING)], lines)
 
 
 def proof_part(rows: list[Row]) -> list[str]:
     """Everything on against auto: changes in percent and processor time."""
     lines = []
     for row in rows:
-        cells = [row["failed"]] * len(BANDED) if row["failed"] else [f"{number(row, name):+.2f}" for name in BANDED]
+        cells = (
+            [row["failed"]] * len(CONVERGING) if row["failed"] else [f"{number(row, name):+.2f}" for name in CONVERGING]
+        )
         ratio = "-" if row["failed"] else f"{number(row, 'ratio'):.2f}"
         lines.append([marked(row["scene"], row), *cells, ratio, row["left_out"].replace("_", " ")])
-    head = ["scene", *(MEASURES[name].short for name in BANDED), "time, ratio", "left out"]
+    head = ["scene", *(MEASURES[name].short for name in CONVERGING), "time, ratio", "left out"]
     ratios = [number(row, "ratio") for row in rows if not row["failed"]]
     text = f"Median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
     return [*markdown(head, lines), "", text]

@@ -19,7 +19,7 @@ from coupler import Result, Scene, run
 from coupler.deposition.error import Companions
 from coupler.deposition.run import _alone
 from coupler.errors import ColdsprayError
-from coupler.measures import BANDED, MEASURES
+from coupler.measures import CONVERGING, MEASURES
 from coupler.measures import measure as record
 from coupler.plan.planning import plan
 from coupler.ranks.executors import executor
@@ -55,7 +55,8 @@ SCENES = (
 )
 PRESETS = ("draft", "standard", "fine")
 COLUMNS = (
-    "scene", "preset", "points", "steps", *BANDED, *(f"{key} error" for key in BANDED), "verdict", "cpu_s", "error_cpu_s", "failed",
+    "scene", "preset", "points", "steps", *CONVERGING, *(f"{key} error" for key in CONVERGING),
+    "verdict", "cpu_s", "error_cpu_s", "failed",
 )  # fmt: skip
 
 
@@ -90,7 +91,7 @@ def compute(case: tuple[str, float, float, float, str, str], preset: str) -> dic
         except ColdsprayError as error:
             return row | {"failed": " ".join(str(error).split())[:150]}
         result = Result(folder)
-        row |= {key: result.values[key] for key in ("points", "steps", "verdict", *BANDED)}
+        row |= {key: result.values[key] for key in ("points", "steps", "verdict", *CONVERGING)}
         row |= {f"{key} error": entry["half_width"] for key, entry in result.errors.items()}
         row["failed"] = (result.undecided or "")[:150]
     return row
@@ -127,7 +128,7 @@ def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float
 def page(rows: Sequence[Row]) -> list[str]:
     """For each measure and all together: in how many scenes fine lies within the error, the median error and difference."""
     lines, all_of = [], {preset: [] for preset in PRESETS[:2]}
-    for key in BANDED:
+    for key in CONVERGING:
         cells = [MEASURES[key].short]
         for preset in PRESETS[:2]:
             found = pairs(rows, preset, key)
@@ -169,7 +170,7 @@ def _cells(found: Sequence[tuple[float, float, float]]) -> list[str]:
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
     """Median error over the value at `draft`, for `coupler.plan.refinement.FORECAST`."""
     shares = {}
-    for key in BANDED:
+    for key in CONVERGING:
         own = [
             (number(r, f"{key} error"), abs(number(r, key) - record(key).initial(300.0)))
             for r in rows

@@ -113,12 +113,12 @@ def here(recalibrate: bool = False) -> "Pace":
 
 def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
     """Wall time of a plan on this machine and the error to be expected, as lines for `check`. verbose: with what they rest on."""
-    from ..measures import BANDED, MEASURES
+    from ..measures import CONVERGING, MEASURES
     from ..plan import refinement
     from ..plan.text import duration
 
     shares = refinement.forecast(plan.impacts[-1].points)
-    cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in BANDED if name in shares]
+    cells = [f"{MEASURES[name].short} {100 * shares[name]:.2g} %" for name in CONVERGING if name in shares]
     text = f"a forecast: +- {', '.join(cells)}; the run measures its own"
     lines = [
         f"  wall time  about {duration(pace.seconds(plan))} on one core here, after compilation; {pace.source}",

@@ -16,7 +16,7 @@ from ..files.outputs import write_text
 from ..files.result import Result
 from ..files.store import SUMMARY
 from ..files.summary import Summary, Values, impact_values, read_summary
-from ..measures import BANDED
+from ..measures import CONVERGING
 from ..plan.planning import Plan
 from ..plan.reading import Scene
 from ..plan.refinement import at_points, error
@@ -117,7 +117,7 @@ def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
     """Measure -> half_width, its error in its own unit; order, that the error is extrapolated with; coarser: the values that it follows
     from. levels: the measures of an impact, those of the run itself first, each level coarser than the one before."""
     found: dict[str, dict[str, object]] = {}
-    for key in BANDED:
+    for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]
         if levels[0].get(key) is None or len(known) < 2:
             continue

@@ -12,11 +12,11 @@ from rich.text import Text
 from ..files.result import Result
 from ..files.summary import Summary, impact_values, run_values
 from ..measures import (
-    BANDED,
     BY_BONDS,
     BY_FORMULA,
     BY_MOTION,
     BY_SCENE,
+    CONVERGING,
     DISSIPATION_LIMIT,
     GROUPS,
     REBOUNDS,
@@ -29,7 +29,7 @@ from ..measures import (
 NAMED = 3  # numbers that a title names
 MOST_VERDICTS = 6  # particles whose verdicts stand in a line each
 KEYS = (
-    *BANDED,
+    *CONVERGING,
     "numerical_dissipation",
     "energy_drift",
     "deposition_efficiency",

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..files.outputs import write_text
-from ..measures import BANDED, axis_label
+from ..measures import CONVERGING, axis_label
 from ..measures import measure as record
 from ..plan import cost as estimates
 from ..report import charts, parts
@@ -56,11 +56,11 @@ def write(rows: Rows, folder: Path, heading: str, T_0: float) -> tuple[Path, Pat
 def diagram(rows: Rows, heading: str, T_0: float) -> Figure:
     """All measures, a panel for each."""
     across = 3
-    down = -(-len(BANDED) // across)
+    down = -(-len(CONVERGING) // across)
     wide, tall, top = 4.0, 3.1, 0.95  # inches
     size = (across * wide, down * tall + top)
     figure = blank(*size, dpi=110)
-    for k, measure in enumerate(BANDED):
+    for k, measure in enumerate(CONVERGING):
         column, row = k % across, k // across
         left, bottom = column * wide + 0.62, size[1] - top - (row + 1) * tall + 0.55
         panel = axes_at(figure, left, bottom, wide - 0.8, tall - 0.9)
@@ -122,8 +122,8 @@ def _panel(panel: Axes, rows: Rows, measure: str, T_0: float) -> None:
 def lines(rows: Rows) -> list[str]:
     """The ladder as lines of a terminal: a column for each number of points, with its processor time and the measures with their
     errors."""
-    cells = [["points"], ["processor time, s"], *([axis_label(measure)] for measure in BANDED)]
-    for k, measure in enumerate(BANDED):
+    cells = [["points"], ["processor time, s"], *([axis_label(measure)] for measure in CONVERGING)]
+    for k, measure in enumerate(CONVERGING):
         for row, error in fit.errors_of_ladder(rows, measure):
             if k == 0:
                 cells[0].append(row["points_used"])
@@ -155,13 +155,15 @@ def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:
 
 def _table(rows: Rows, T_0: float) -> str:
     """All settings with their costs and the difference of each measure from the reference."""
-    by_measure = {m: {row["axis"] + row["setting"]: error for row, error in fit.errors(rows, m, T_0)} for m in BANDED}
+    by_measure = {
+        m: {row["axis"] + row["setting"]: error for row, error in fit.errors(rows, m, T_0)} for m in CONVERGING
+    }
     lines = []
     for row in rows:
-        cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in BANDED]
+        cells = [by_measure[m].get(row["axis"] + row["setting"]) for m in CONVERGING]
         shown = ["" if error is None else f"{error:+.2f}" for error in cells]
         notes = filter(None, (preset_of(row), f"version {other_version(row)}" if other_version(row) else ""))
         name = " ".join([row["setting"], *(f"({note})" for note in notes)])
         lines.append((row["axis"], name, row["points"], row["steps"], f"{float(row['cpu_s']):.3g}", *shown))
-    head = ("axis", "setting", "points", "steps", "s", *(f"{record(m).short}, %" for m in BANDED))
+    head = ("axis", "setting", "points", "steps", "s", *(f"{record(m).short}, %" for m in CONVERGING))
     return parts.table(head, lines, numbers=range(2, len(head)))

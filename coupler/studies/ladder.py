@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import StoreError
-from ..measures import BANDED
+from ..measures import CONVERGING
 from ..plan.reading import Scene
 from ..plan.refinement import at_points
 from .table import StudyTable
@@ -14,7 +14,7 @@ POINTS = (500, 1000, 2000, 3500, 5000)
 REFERENCE = 16000
 KNOBS_AT = 1000
 FEWEST_POINTS = 200
-MEASURES = (*BANDED, "eps_p_max", "T_max_K")
+MEASURES = (*CONVERGING, "eps_p_max", "T_max_K")
 COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",

@@ -12,7 +12,7 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_toml, reading
 from ..files.result import Result
-from ..measures import BANDED
+from ..measures import CONVERGING
 from ..plan.record import read_plan
 from .points import how_ended
 from .table import write_rows
@@ -23,7 +23,7 @@ KEYS = dict(zip(("particle.velocity", "particle.diameter", "particle.temperature
 MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_depth_m", "splat_diameter_m",
             "rebound_velocity_m_s", "bonded_area_end_m2", "numerical_dissipation", "energy_drift", "wall_s", "restitution",
             "velocity_ratio")  # fmt: skip
-ERRORS = tuple(f"{key}_error" for key in MEASURES if key in BANDED)  # of runs that measure them
+ERRORS = tuple(f"{key}_error" for key in MEASURES if key in CONVERGING)  # of runs that measure them
 COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
 LARGEST = 1e30  # a measure beyond it is damage
 Row = dict[str, Any]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import ColdsprayError
 from ..files.result import Result
-from ..measures import BANDED, measure
+from ..measures import CONVERGING, measure
 from ..physics import materials
 from ..plan.reading import Scene
 from ..ranks.executors import executor
@@ -53,7 +53,7 @@ def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
     """The measures of a run beside the least and the greatest that other strength sets give, as lines."""
     rows: list[tuple[str, ...]] = [("", "this set", "least", "most", "")]
     errors = errors_of(result.summary)
-    for key in BANDED:
+    for key in CONVERGING:
         found = {name: float(other.values[key]) for name, other in others.items() if other.values.get(key) is not None}
         if found and result.values.get(key) is not None:
             ends = [
