@@ -22,6 +22,7 @@ from coupler.errors import ColdsprayError
 from coupler.measures import CONVERGING, MEASURES
 from coupler.measures import measure as record
 from coupler.plan.planning import plan
+from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.ranks.executors import executor
 from coupler.studies.ladder_runs import spent
 from coupler.studies.table import Row, StudyTable
@@ -117,7 +118,7 @@ def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float
     found = []
     fine = {row["scene"]: row for row in rows if row["preset"] == "fine" and not row["failed"]}
     for row in rows:
-        if row["preset"] == preset and row["scene"] in fine:
+        if row["preset"] == preset and row["scene"] in fine and has_error(key, number(row, "points")):
             value, best, error = number(row, key), number(fine[row["scene"]], key), number(row, f"{key} error")
             whole = abs(value - record(key).initial(300.0))
             if np.isfinite([value, best, error]).all() and whole > 0.0:
@@ -170,7 +171,7 @@ def _cells(found: Sequence[tuple[float, float, float]]) -> list[str]:
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
     """Median error over the value at `draft`, for `coupler.plan.refinement.FORECAST`."""
     shares = {}
-    for key in CONVERGING:
+    for key in (key for key in CONVERGING if has_error(key, FORECAST_AT)):
         own = [
             (number(r, f"{key} error"), abs(number(r, key) - record(key).initial(300.0)))
             for r in rows

@@ -19,7 +19,7 @@ from ..files.summary import Summary, Values, impact_values, read_summary
 from ..measures import CONVERGING
 from ..plan.planning import Plan
 from ..plan.reading import Scene
-from ..plan.refinement import at_points, error
+from ..plan.refinement import at_points, error, has_error
 from ..ranks.executors import end_with, without_interrupts
 
 FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
@@ -119,7 +119,7 @@ def errors(levels: Sequence[Values]) -> dict[str, dict[str, object]]:
     found: dict[str, dict[str, object]] = {}
     for key in CONVERGING:
         known = [(level["points"] ** (-1.0 / 3.0), level[key]) for level in levels if level.get(key) is not None]
-        if levels[0].get(key) is None or len(known) < 2:
+        if levels[0].get(key) is None or len(known) < 2 or not has_error(key, levels[0]["points"]):
             continue
         h, values = zip(*known, strict=True)
         half_width, order = error(h, values)
