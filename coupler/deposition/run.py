@@ -20,7 +20,7 @@ from ..impact.bodies import Bodies, BodiesState
 from ..impact.domains import build_particle, build_target, restored_target
 from ..impact.exchange import Impact
 from ..impact.recorder import VTK_ORDER, cell_fields
-from ..impact.run import RunningState, RunOptions, run_impact
+from ..impact.run import ImpactStart, RunningState, RunOptions, run_impact
 from ..impact.stop import terminable
 from ..impact.summary import ImpactRecord
 from ..plan.planning import Plan, plan
@@ -39,7 +39,7 @@ from .error import Companions
 from .joining import join, rest, splats_at_end
 from .log import logged
 from .pause import cool_to_ambient
-from .state import DepositionState, Pristine
+from .state import DepositionState
 from .summary import simulated, summary, unsettled
 from .task import Task, TaskResult
 
@@ -212,7 +212,7 @@ class Deposition:
         self.records: list[ImpactRecord] = []  # of the finished impacts
         self.joins: list[Values] = []  # reports of the joining of their splats
         self.closing: Values | None = None  # report of the closing stage
-        self._pristine: Pristine | None = None
+        self._start: ImpactStart | None = None  # of the impact that is computed
         self._unwritten: BatchReplay | None = None  # files of the last batch
 
     @property
@@ -265,10 +265,10 @@ class Deposition:
                     if self.undecided:
                         break
                     continue
-                if running is None and len(plan.impacts) > 1:
-                    self._pristine = Pristine(bodies.state(), self.store.state())
+                if running is None or self._start is None:
+                    self._start = ImpactStart(bodies.state(), self.store.state())
                 try:
-                    bodies, running = self._impact(bodies, running), None
+                    bodies, running = self._impact(self._start, running), None
                 except (SolverError, NoContactError) as error:
                     bodies, running = self._without_impact(error), None
                     self._save(None, bodies.state())
@@ -291,13 +291,13 @@ class Deposition:
             options.progress.record(report.screen(result, verbose=True))
         return result
 
-    def _impact(self, bodies: Bodies, running: RunningState | None) -> Bodies:
+    def _impact(self, start: ImpactStart, running: RunningState | None) -> Bodies:
         """Compute the next impact; returns the bodies after it, with its splat where it joins them."""
         plan, options, i, outcome = self.plan, self.options, len(self.records), None
         kept = list(self.records)
         try:
             before = simulated(self.records)
-            outcome = run_impact(plan, i, bodies, self.store, before, options, self._save_within, running)
+            outcome = run_impact(plan, i, start, self.store, before, options, self._save_within, running)
             self.records.append(outcome.record)
             if self.undecided:
                 if self._may_skip:
@@ -386,12 +386,12 @@ class Deposition:
 
     def _without_impact(self, error: ColdsprayError) -> Bodies:
         """The bodies as the impact that has failed met them, where it is left out of the plan; raises the error otherwise."""
-        kept = self._pristine
-        if kept is None or not self._may_skip:
+        start = self._start
+        if start is None or not self._may_skip:
             raise error
-        self.store.go_back(kept.store, self.options.progress.log)
+        self.store.go_back(start.store, self.options.progress.log)
         self._skip(len(self.records), error)
-        return restored_target(self.plan, kept.bodies)
+        return restored_target(self.plan, start.bodies)
 
     def _skip(self, i: int, error: ColdsprayError) -> None:
         """Take an impact that has failed out of the plan, which is written anew.
@@ -438,7 +438,7 @@ class Deposition:
         left = len(self.plan.impacts) - len(self.records)
         if kept is None or len(self.joins) != len(self.records) or left < (1 if running is not None else 0):
             raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
-        bodies, self._pristine = restored_target(self.plan, kept), state.pristine
+        bodies, self._start = restored_target(self.plan, kept), state.start
         self._check_records(bodies)
         return bodies, running
 
@@ -473,6 +473,6 @@ class Deposition:
         self._save(running, None)
 
     def _save(self, running: RunningState | None, bodies: BodiesState | None) -> None:
-        pristine = self._pristine if running is not None else None
-        state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall, pristine)
+        start = self._start if running is not None else None
+        state = DepositionState(running, bodies, self.store.state(), self.records, self.joins, self.wall, start)
         checkpoint.write(self.folder, state, self._belongs_to)

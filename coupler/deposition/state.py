@@ -5,22 +5,14 @@ from dataclasses import dataclass
 from ..files.store import StoreState
 from ..files.summary import Values
 from ..impact.bodies import BodiesState
-from ..impact.run import RunningState
+from ..impact.run import ImpactStart, RunningState
 from ..impact.summary import ImpactRecord
-
-
-@dataclass(frozen=True)
-class Pristine:
-    """What an impact meets: the bodies, and how much of the files is written then."""
-
-    bodies: BodiesState
-    store: StoreState
 
 
 @dataclass(frozen=True)
 class DepositionState:
     """What a checkpoint holds: an impact on its way or, between two of them, the bodies; how much of the files is written; records and
-    reports of the finished impacts; wall time so far, s; pristine: what an impact on its way has met."""
+    reports of the finished impacts; wall time so far, s; start: of an impact on its way."""
 
     running: RunningState | None
     bodies: BodiesState | None
@@ -28,4 +20,4 @@ class DepositionState:
     records: list[ImpactRecord]
     joins: list[Values]
     wall: float
-    pristine: Pristine | None
+    start: ImpactStart | None

@@ -12,7 +12,7 @@ from ..files.store import Store, StoreState
 from ..files.summary import Values
 from ..impact.bodies import BodiesState
 from ..impact.domains import restored_target
-from ..impact.run import RunningState, RunOptions, run_impact
+from ..impact.run import ImpactStart, RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -75,8 +75,9 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
     with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
         if kept is not None:
             store.go_on(kept.store, log)
-        bodies = restored_target(plan, running.impact.bodies if running is not None else task.bodies)
-        prepared = prepare(plan, i, bodies, task.place) if running is None or kept is None else kept.prepared
+        bodies = restored_target(plan, task.bodies)
+        prepared = prepare(plan, i, bodies, task.place)
+        start = ImpactStart(bodies.state(), None)
         last = running
 
         def save(state: RunningState | None, result: TaskResult | None = None) -> None:
@@ -84,7 +85,7 @@ def run_task(task: Task, options: RunOptions) -> TaskResult:
             last = state
             checkpoint.write(task.folder, TaskState(state, prepared, store.state(), result), task.about)
 
-        outcome = run_impact(plan, i, bodies, store, 0.0, options, save, running)
+        outcome = run_impact(plan, i, start, store, 0.0, options, save, running)
         try:
             record, after = outcome.record, outcome.domains.bodies
             joined: Values = {}

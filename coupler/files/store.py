@@ -147,7 +147,7 @@ class Store:
             else:
                 path.unlink(missing_ok=True)
 
-    def go_back(self, state: StoreState, log: Callable[[str], None]) -> None:
+    def go_back(self, state: StoreState | None, log: Callable[[str], None]) -> None:
         """As `go_on`, of a store that has gone on writing since."""
         with _named(self.directory):
             for writer in self._writers.values():

@@ -15,7 +15,6 @@ DRIFT_ALARM = 4.0 * DRIFT_BOUND  # during the run, where part of the drift may c
 MOMENTUM_BOUND = 1e-6  # of the initial momentum
 DISSIPATION_BOUND = -0.01  # numerical dissipation below it: the scheme generates energy and is unstable
 FLOWS = 0.01  # of the initial kinetic energy: the least plastic work that a share of it says something about
-SOUND = 0.4  # of the bounds: a state beyond that is not kept for a retry
 
 _STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
@@ -80,12 +79,6 @@ class Ledger:
         """Numerical dissipation of the particle over its plastic work; None where it hardly flows, by less than FLOWS."""
         plastic = self.rows["plastic_particle"]
         return self.rows["numerical_particle"] / plastic if plastic > FLOWS * self.kinetic_0 else None
-
-    @property
-    def is_sound(self) -> bool:
-        """Whether drift and dissipation at the last update are far from their bounds."""
-        balance = min(self.rows["numerical_particle"], 0.5 * self.rows["unexplained_particle"]) / self.kinetic_0
-        return abs(self.rows["drift"]) < SOUND * DRIFT_BOUND and balance > SOUND * DISSIPATION_BOUND
 
     def check(self, drift_bound: float | None = None) -> None:
         """Raise SolverError when energy or momentum do not balance at the last update. drift_bound: DRIFT_BOUND by default."""

@@ -1,7 +1,7 @@
 """One impact as a function: target in, outcome out, with its retries and its checkpoints."""
 
 import time as clock
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from ..files.store import Store, StoreState
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
-from .bodies import Bodies
+from .bodies import Bodies, BodiesState
 from .domains import Domains, build_domains, restored_target
 from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState
 from .loop import advance_to_end
 from .recorder import Recorder, RecorderState
-from .retry import Retries, Retry
+from .retry import Retry, next_retry
 from .stop import Stopped, StopSignals
 from .summary import ImpactRecord, summarise
 from .verdict import is_tied
@@ -71,87 +71,118 @@ class RunningState:
 
 
 @dataclass(frozen=True)
-class _Kept:
-    """What a retry goes back to: the impact, and how much of each file was written."""
+class ImpactStart:
+    """What an impact meets: the bodies, and how much of each file is written; None: its files begin with it."""
 
-    state: RunningState
-    store: StoreState
+    bodies: BodiesState
+    store: StoreState | None
 
 
 def run_impact(
     plan: Plan,
     i: int,
-    bodies: Bodies,
+    start: ImpactStart,
     store: Store,
     before: float,
     options: RunOptions,
     save: Callable[[RunningState], None],
     resume_from: RunningState | None = None,
 ) -> ImpactOutcome:
-    """Impact i of a plan on the target `bodies`, to its end.
+    """Impact i of a plan from its start, or from a state on its way, to its end.
 
-    before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state, whose bodies are
-    `bodies`. After a failure the impact goes back to a kept state and tries the next remedy (`impact.retry`); all domains are built
-    anew for it. An impact that has not met its end criterion at its time limit is undecided: it writes a checkpoint, and goes on when
-    it is resumed from it; so does one whose verdict is undecided. Raises SolverError when no remedy is left, NoContactError,
-    StoreError, or Stopped after a signal.
+    before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
+    impact is computed again from its start with the next remedy (`impact.retry`). An impact that has not met its end criterion at its
+    time limit is undecided: it writes a checkpoint, and goes on when it is resumed from it; so does one whose verdict is undecided.
+    Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
     """
-    p = plan.impacts[i]
-    state, retries, watch = resume_from, Retries[_Kept](options.numerics), _WallClock()
-    if state is not None:
-        retries, watch = Retries[_Kept](options.numerics, state.retries), _WallClock(state.wall, state.looped)
-        options.progress.log(f"going on from {(before + state.impact.time) * 1e9:.1f} ns")
+    retries: list[Retry] = []
+    watch = _WallClock()
+    if resume_from is not None:
+        retries, watch = list(resume_from.retries), _WallClock(resume_from.wall, resume_from.looped)
+        options.progress.log(f"going on from {(before + resume_from.impact.time) * 1e9:.1f} ns")
     with StopSignals() as signals:
         while True:
-            level = None if state is None else state.level
-            options.progress.start(p.expected, p.end_time, i, before, plan.shares, p.dt_expected)
-            options.progress.stage("building the particle")
-            domains = build_domains(plan, i, bodies, options.log_file, retries.numerics, options.ranks, level)
-            impact = Impact(domains)
+            state = resume_from.impact.bodies if resume_from is not None else start.bodies
+            attempt = _Attempt(plan, i, restored_target(plan, state), store, before, options, retries, resume_from)
             try:
-                ending = _end_criterion(plan, i, impact.ledger.kinetic_0)
-                recorder = Recorder(plan, i, store, options.progress, before)
-                if state is not None:
-                    impact.restore(state.impact)
-                    ending.restore(state.ending)
-                    if state is resume_from:  # a retry goes on to the same end
-                        ending.extend(impact.time, options.until)
-                    recorder.restore(state.recorder)
-                    impact.dt_factor = retries.applied[-1].dt_factor if retries.applied else 1.0
-                keeper = _Keeper(impact, ending, recorder, retries, watch, signals, options.checkpoint_every, save)
-                recorder.start(impact)
-                watch.start_loop()
-                advance_to_end(impact, ending, recorder, keeper.keep, options.probe)
-                if not ending.touched:
-                    raise NoContactError(
-                        f"particle {i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
-                        " offset in its files, or give it more time (end.time)"
-                    )
-                # a coating goes on without a particle that has slid off it
-                is_lost = len(plan.impacts) > 1 and ending.slid_off(impact.time)
-                undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
-                settled = ending.settled(impact.time)
-                record = summarise(
-                    impact, recorder, retries.applied, watch.wall, watch.looped, undecided, settled, is_lost
-                )
-                if undecided is not None or record.values["rebounded"] is None:
-                    save(keeper.state())
-                return ImpactOutcome(domains, impact.hold, record)
+                return attempt.run(watch, signals, save)
             except SolverError as error:
-                _give_up(impact)
-                retry, kept = retries.next_remedy(error, i + 1, before + impact.time)
+                attempt.give_up()
+                retry = next_retry(retries, options.numerics, error, i + 1, before + attempt.impact.time)
                 options.progress.log(str(retry))
-                state = kept.state
-                bodies = restored_target(plan, state.impact.bodies)
-                store.go_back(kept.store, options.progress.log)
+                retries.append(retry)
+                store.go_back(start.store, options.progress.log)
+                resume_from = None
             except BaseException:
-                _give_up(impact)
+                attempt.give_up()
                 raise
 
 
-def _give_up(impact: Impact) -> None:
-    """Stop what still runs of an impact."""
-    impact.particle.close()
+class _Attempt:
+    """One try to compute an impact, with the numerics and the time step of the last of its retries."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        i: int,
+        bodies: Bodies,
+        store: Store,
+        before: float,
+        options: RunOptions,
+        retries: Sequence[Retry],
+        state: RunningState | None,
+    ):
+        """state: on its way, from which it goes on; bodies: those of the state, or of the start. Starts LAMMPS."""
+        p = plan.impacts[i]
+        self.plan, self.i, self.options, self.retries = plan, i, options, retries
+        options.progress.start(p.expected, p.end_time, i, before, plan.shares, p.dt_expected)
+        options.progress.stage("building the particle")
+        numerics = retries[-1].numerics if retries else options.numerics
+        level = state.level if state is not None else None
+        self.domains = build_domains(plan, i, bodies, options.log_file, numerics, options.ranks, level)
+        self.impact = Impact(self.domains)
+        self.impact.dt_factor = retries[-1].dt_factor if retries else 1.0
+        try:
+            self.ending = _end_criterion(plan, i, self.impact.ledger.kinetic_0)
+            self.recorder = Recorder(plan, i, store, options.progress, before)
+            if state is not None:
+                self.impact.restore(state.impact)
+                self.ending.restore(state.ending)
+                self.ending.extend(self.impact.time, options.until)
+                self.recorder.restore(state.recorder)
+        except BaseException:
+            self.give_up()
+            raise
+
+    def give_up(self) -> None:
+        """Stop what still runs."""
+        self.impact.particle.close()
+
+    def run(self, watch: "_WallClock", signals: StopSignals, save: Callable[[RunningState], None]) -> ImpactOutcome:
+        """Compute it to its end; a checkpoint is written where the impact can go on from there."""
+        impact, ending, recorder = self.impact, self.ending, self.recorder
+
+        def state() -> RunningState:
+            now = impact.state(), ending.state(), recorder.state()
+            return RunningState(*now, list(self.retries), self.domains.level, watch.wall, watch.looped)
+
+        recorder.start(impact)
+        watch.start_loop()
+        keep = _Checkpoints(signals, self.options.checkpoint_every, lambda: save(state())).keep
+        advance_to_end(impact, ending, recorder, keep, self.options.probe)
+        if not ending.touched:
+            raise NoContactError(
+                f"particle {self.i + 1} has not touched the target in {impact.time * 1e9:.4g} ns: look at the gap, the angle and the"
+                " offset in its files, or give it more time (end.time)"
+            )
+        # a coating goes on without a particle that has slid off it
+        is_lost = len(self.plan.impacts) > 1 and ending.slid_off(impact.time)
+        undecided = None if is_lost else ending.undecided(impact.time, impact.sinking)
+        settled = ending.settled(impact.time)
+        record = summarise(impact, recorder, self.retries, watch.wall, watch.looped, undecided, settled, is_lost)
+        if undecided is not None or record.values["rebounded"] is None:
+            save(state())
+        return ImpactOutcome(self.domains, impact.hold, record)
 
 
 def _end_criterion(plan: Plan, i: int, energy: float) -> EndCriterion:
@@ -183,35 +214,19 @@ class _WallClock:
 
 
 @dataclass
-class _Keeper:
-    """Keeps the state of an impact: in memory for a retry, in a checkpoint for a resumption."""
+class _Checkpoints:
+    """Writes a checkpoint, by save(), every so many s of wall time, and after a signal."""
 
-    impact: Impact
-    ending: EndCriterion
-    recorder: Recorder
-    retries: "Retries[_Kept]"
-    watch: _WallClock
     signals: StopSignals
-    checkpoint_every: float
-    save: Callable[[RunningState], None]
+    every: float
+    save: Callable[[], None]
     saved: float = field(default_factory=clock.perf_counter)
 
     def keep(self) -> None:
-        """Keep what is due. Raises Stopped, with a checkpoint written, when a signal has asked for it."""
-        if self.retries.due():
-            self.impact.update_ledger()
-            if self.impact.ledger.is_sound:
-                time = self.recorder.before + self.impact.time
-                self.retries.keep(time, _Kept(self.state(), self.recorder.store.state()))
+        """Write a checkpoint that is due. Raises Stopped, with one written, after a signal."""
         now = clock.perf_counter()
-        if self.signals.number or now - self.saved >= self.checkpoint_every:
-            self.save(self.state())
+        if self.signals.number or now - self.saved >= self.every:
+            self.save()
             self.saved = clock.perf_counter()
         if self.signals.number:
             raise Stopped(self.signals.number)
-
-    def state(self) -> RunningState:
-        """Everything from which the impact goes on as if nothing had happened."""
-        impact, retries, watch = self.impact, list(self.retries.applied), self.watch
-        states = impact.state(), self.ending.state(), self.recorder.state()
-        return RunningState(*states, retries, impact.domains.level, watch.wall, watch.looped)
