@@ -168,7 +168,6 @@ TABLE = (
     Measure("element_size_m", "smallest elements"),
     Measure("spacing_m", "spacing of the points"),
     Measure("ranks", "processes"),
-    Measure("placement", "where they run"),
     Measure("idle_share", "idle, by process", unit="%", factor=100.0),
     Measure("memory_peak_bytes", "most memory", unit="MB", factor=1e-6),
     Measure("kinetic_energy_0_J", "kinetic energy at the start"),

@@ -20,7 +20,7 @@ from coupler.geometry.apart import apart
 
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
 OF_THE_MACHINE = {
-    "wall_s", "wall_loop_s", "cpu_s", "seconds", "meshing_s", "joining_s", "placement", "ranks", "idle_share", "memory_peak_bytes",
+    "wall_s", "wall_loop_s", "cpu_s", "seconds", "meshing_s", "joining_s", "ranks", "idle_share", "memory_peak_bytes",
     "provenance",
 }  # fmt: skip
 

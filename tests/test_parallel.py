@@ -13,9 +13,7 @@ from runs import MPIEXEC, SharedRuns, assert_same_files, assert_same_numbers, br
 from scenes import NI, SHORT, SHORT_DOUBLE
 
 from coupler import Result, Scene
-from coupler.errors import PlacementError
 from coupler.impact.retry import REMEDIES
-from coupler.ranks.ranks import Ranks, arrange
 
 MEASURES = ("flattening_ratio", "flattening_ratio_total", "crater_depth_m", "splat_diameter_m")
 
@@ -56,8 +54,7 @@ short = Scene.from_text({short!r}, "shared")
 """
 USUAL = """
 assert main(["run", out + "/bad.toml"]) == 2
-assert main(["run", out + "/short.toml", "--out", out + "/split"]) == 0
-run(short, out + "/spread", placement="spread", **options)
+assert main(["run", out + "/short.toml", "--out", out + "/whole"]) == 0
 resume(out + "/resumed", **options)
 run(Scene.from_text({double!r}, "shared"), out + "/double", **options)
 if MPI.COMM_WORLD.rank == 0:
@@ -77,7 +74,7 @@ def break_once(impact):
         raise SolverError("made to fail")
 
 run(short, out + "/retried", probe=break_once, **options)
-run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", placement="spread", numerics={inertia!r}, **options)
+run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", numerics={inertia!r}, **options)
 """
 INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
 ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
@@ -85,25 +82,25 @@ ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
 )
 
 
-def run_on_two(runs: str, out: Path, of_all_workers: Path) -> tuple[int, str, str]:
-    """These runs on two ranks, in a folder: exit code, stdout and stderr."""
+def run_on(ranks: int, runs: str, out: Path, of_all_workers: Path) -> tuple[int, str, str]:
+    """These runs on ranks, in a folder: exit code, stdout and stderr."""
     program = (PROGRAM + runs).format(
         out=str(out), short=SHORT, double=SHORT_DOUBLE, enriched=ENRICHED, inertia=INERTIA,
         tests=str(Path(__file__).parent), meshes=str(of_all_workers / "shared_meshes"),
         fails=LAW_FAILS.format(error='SolverError("point 7 is gone")').strip(), dies=RANK_DIES.strip(),
     )  # fmt: skip
-    return finish(start(2, code=program))
+    return finish(start(ranks, code=program))
 
 
 @pytest.fixture(scope="module")
 def on_two(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A scene that is refused, four runs on two ranks: split (by the command), spread, resumed, double; one, failed, in which a rank
+    """A scene that is refused, three runs on two ranks: whole (by the command), resumed, double; one, failed, in which a rank
     raises an error of ours; and one, dead, in which a rank is killed. What they say is in `said`, what MPI says in `end`."""
     out = tmp_path_factory.mktemp("two")
     break_off(Scene.from_text(SHORT, "shared"), out / "resumed", 5e-9)
     (out / "short.toml").write_text(SHORT)
     (out / "bad.toml").write_text(SHORT.replace('"500 m/s"', '"fast"'))
-    code, text, err = run_on_two(USUAL, out, of_all_workers)
+    code, text, err = run_on(2, USUAL, out, of_all_workers)
     assert (out / "said all").exists(), err
     assert code != 0
     (out / "said").write_text(err)
@@ -113,33 +110,27 @@ def on_two(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.fixture(scope="module")
-def rare_on_two(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two runs on two ranks: retried and enriched."""
+def on_three(of_all_workers: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs on three ranks, of which two share the particle: retried and enriched."""
     out = tmp_path_factory.mktemp("rare")
-    code, _, err = run_on_two(RARE, out, of_all_workers)
+    code, _, err = run_on(3, RARE, out, of_all_workers)
     assert code == 0, err
     return out
 
 
 def test_two_ranks_give_the_same_summary(on_two: Path, shared_run: SharedRuns) -> None:
-    """Split, the sums are those of one process in the same order: equal to rounding in the last digits (1e-10)."""
-    alone, two = shared_run(SHORT), Result(on_two / "split")
-    assert (two.ranks, two.placement, len(two.idle_share)) == (2, "split", 2)
-    assert_same_numbers(alone.summary, two.summary, rel=1e-10)
+    """One rank has the particle: sums are those of one process in the same order, equal to the last bit."""
+    alone, two = shared_run(SHORT), Result(on_two / "whole")
+    assert (two.ranks, len(two.idle_share)) == (2, 2)
+    assert_same_numbers(alone.summary, two.summary, rel=0.0)
     assert_same_files(alone, two)
 
 
-def test_a_particle_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
-    summary = Result(on_two / "spread").values
-    assert (summary["ranks"], summary["placement"]) == (2, "spread")
-    assert_same_impact(shared_run(SHORT).values, summary)
-
-
 @pytest.mark.slow
-def test_residuals_of_points_on_two_ranks(rare_on_two: Path, shared_run: SharedRuns) -> None:
+def test_residuals_of_points_on_three_ranks(on_three: Path, shared_run: SharedRuns) -> None:
     """The enriched scheme: forces of residuals and gradients at the rim come from the rank of the point, inertia of cells from all,
     plastic strain, whose gradients harden the metal, from the ranks of the neighbours."""
-    assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(rare_on_two / "enriched").values)
+    assert_same_impact(shared_run(ENRICHED, numerics=INERTIA).values, Result(on_three / "enriched").values)
 
 
 def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: SharedRuns) -> None:
@@ -150,12 +141,12 @@ def test_a_run_of_one_process_goes_on_on_two_ranks(on_two: Path, shared_run: Sha
 
 
 @pytest.mark.slow
-def test_ranks_go_back_together(rare_on_two: Path, shared_run: SharedRuns) -> None:
+def test_ranks_go_back_together(on_three: Path, shared_run: SharedRuns) -> None:
     """Against the scheme of the retry: half the step changes the splat by the error of time integration, far below 1 %."""
-    summary, alone = Result(rare_on_two / "retried").values, shared_run(SHORT, numerics=REMEDIES[0].numerics).values
+    summary, alone = Result(on_three / "retried").values, shared_run(SHORT, numerics=REMEDIES[0].numerics).values
     (retry,) = summary["retries"]
     assert retry["time_s"] > 6e-9
-    assert summary["ranks"] == 2
+    assert summary["ranks"] == 3
     assert summary["steps"] > alone["steps"]
     assert summary["flattening_ratio"] == pytest.approx(alone["flattening_ratio"], rel=0.01)
 
@@ -174,10 +165,9 @@ def test_errors_on_two_ranks_are_said_once(on_two: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("placement", ["split", "spread"])
-def test_a_whole_impact_on_three_ranks(shared_run: SharedRuns, tmp_path: Path, placement: str) -> None:
+def test_a_whole_impact_on_three_ranks(shared_run: SharedRuns, tmp_path: Path) -> None:
     (tmp_path / "ni.toml").write_text(NI)
-    arguments = ["run", str(tmp_path / "ni.toml"), "--out", str(tmp_path / "out"), "--quiet", "--placement", placement]
+    arguments = ["run", str(tmp_path / "ni.toml"), "--out", str(tmp_path / "out"), "--quiet"]
     code, _, err = finish(start(3, *arguments))
     assert code == 0, err
     assert_same_impact(shared_run(NI).values, Result(tmp_path / "out").values)
@@ -262,7 +252,7 @@ def test_a_rank_that_raises_ends_all(
 
 @pytest.mark.slow
 def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) -> None:
-    """With points on both ranks they exchange between the passes of each step: the one that fails goes on with that."""
+    """Ranks that share the particle exchange between the passes of each step: the one that fails goes on with that."""
     patch = """
     import coupler.sph.compiled_kernels as k
     good, calls = k.stress_of_all, []
@@ -274,8 +264,8 @@ def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) 
 """
     scene = tmp_path / "short.toml"
     scene.write_text(SHORT)
-    arguments = ("run", str(scene), "--out", str(tmp_path / "out"), "--quiet", "--placement", "spread")
-    code, _, err = finish(start(2, *arguments, code=PATCHED.format(rank=1, patch=patch.strip())), timeout=120)
+    arguments = ("run", str(scene), "--out", str(tmp_path / "out"), "--quiet")
+    code, _, err = finish(start(3, *arguments, code=PATCHED.format(rank=1, patch=patch.strip())), timeout=120)
     assert code == 3
     assert "was distorted beyond what the kernel can follow" in err
 
@@ -306,11 +296,3 @@ def test_a_rank_that_dies_from_outside_takes_the_others_along(tmp_path: Path) ->
     assert code != 0
     assert "Killed (signal 9)" in out
     assert not (tmp_path / "out" / "summary.json").exists()
-
-
-def test_a_placement_needs_ranks_and_a_name_that_is_known() -> None:
-    assert arrange(None, None) == Ranks()
-    with pytest.raises(PlacementError, match="mpiexec"):
-        arrange(None, "spread")
-    with pytest.raises(PlacementError, match="split or spread"):
-        arrange(None, "sideways")

@@ -222,7 +222,7 @@ def test_summary_table_of_several_impacts(tmp_path):
     )
     scene += '[substrate]\nmaterial = "SS304"\n'
     with Store.create(tmp_path, scene, plan_json=plan_of(scene)) as store:
-        store.finish(summary_of(*impacts, wall_s=55.5, memory_peak_bytes=412_345_678, placement="split", ranks=2))
+        store.finish(summary_of(*impacts, wall_s=55.5, memory_peak_bytes=412_345_678, ranks=2))
     result = Result(tmp_path)
     assert summary_table(result).title.plain == "30 µm Ni, 25 µm Ti on SS304 at 500, 450 m/s"
     heads = [str(column.header) for column in summary_table(result).columns]

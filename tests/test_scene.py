@@ -180,7 +180,7 @@ def test_all_problems_at_once():
         ("adhesion", {"kind": "cohesive", "strength": "300 MPa"}, "adhesion.energy is needed"),
         ("adhesion", {"kind": "cohesive", "strength": "300 MPa", "energy": "20 MPa"}, "needs a surface energy"),
         ("adhesion", {"kind": "cohesive", "strength": "0 MPa", "energy": "2 J/m2"}, "must be positive"),
-        ("splat__method", "papr", 'did you mean "paper"'),
+        ("splat__method", "densty", 'did you mean "density"'),
         ("splat__element_size", "10 um", "too coarse for the splat"),
         ("materials", 3, "expected tables"),
         ("name", "../elsewhere", "letters"),

@@ -13,7 +13,6 @@ from mesher_that_fails import dies, hangs
 
 from coupler.errors import DependencyError, SplatError
 from coupler.geometry import tetrahedra
-from coupler.geometry.poisson import poisson_surface
 from coupler.geometry.triangles import open_or_double
 from coupler.sph import packing, shapes
 from coupler.sph.carried_surface import CarriedSurface
@@ -216,20 +215,3 @@ def test_a_conversion_needs_open3d(method: str, package: ModuleType | None, monk
 def test_carried_needs_a_surface() -> None:
     with pytest.raises(SplatError, match="needs the carried surface"):
         convert(bad(surface=None), 3.4e-6, "carried")
-
-
-def test_every_vertex_of_the_papers_surface_has_a_place() -> None:
-    """Euler: a closed surface without holes of 2 n triangles has n + 2 vertices; decimation may leave others, without a triangle."""
-    cloud = cloud_of()
-    vertices, triangles = poisson_surface(cloud.x, cloud.spacing)
-    assert np.isfinite(vertices).all()
-    assert len(vertices) == len(triangles) // 2 + 2
-
-
-@pytest.mark.slow
-def test_the_papers_way_makes_a_closed_mesh_and_tells_what_it_misses() -> None:
-    cloud = cloud_of(points=1000)
-    splat = convert(cloud, 1.7 * cloud.spacing, "paper")
-    assert splat.report["volume_error_before"] < -0.05  # through the centres of the outermost points
-    assert splat.report["step_length_min_m"] < 0.15 * 1.7 * cloud.spacing
-    assert tetrahedra.volumes(splat.bodies[0].points, splat.bodies[0].tets).min() > 0.0

@@ -124,7 +124,7 @@ def scene(seed: int) -> dict[str, Any]:
         ))  # fmt: skip
     resolution["engine"] = ("compiled", "compiled", "enriched", "enriched", "machdyn")[seed % 5]
     if count > 1 and dice.random() < 0.5:
-        said["splat"] = {"method": dice.choice(("auto", "carried", "density", "paper"))}
+        said["splat"] = {"method": dice.choice(("auto", "carried", "density"))}
     return said
 
 

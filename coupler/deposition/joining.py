@@ -21,7 +21,6 @@ from ..progress import Progress
 from ..sph.carried_surface import CarriedSurface
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
-from .coarsening import coarsened, is_due
 from .detaching import held_at_rest, release_time, without_detached
 from .equilibrium import RELAXED, settle
 from .mass_scaling import prepare
@@ -182,14 +181,10 @@ def rest(
     not held have left. places: of the impacts, m; kinetic_0: J, of all; report: of the last one's joining, to which this is added.
 
     Where that is less than all, equilibrium is found round the places up to REST windows from them, and after a pause as far as
-    temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage. Once, where splats cover
-    the substrate, it gets coarser elements (`coarsening`).
+    temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage.
     """
     radius = REST * max(plan.impacts[i].window for i in impacts)
     shell = radius / SHELLS
-    if is_due(plan, impacts):
-        bodies, report["coarsening"] = coarsened(plan, bodies)
-        radius = np.inf
     bodies, report["detached"] = without_detached(plan, bodies.renumbered(*places, shell=shell), impacts.stop, "impact")
     bodies.separate(_near(bodies, places, radius))
     time = sum(plan.impacts[i].dwell for i in impacts if i + 1 < len(plan.impacts))

@@ -32,7 +32,6 @@ from ..ranks import ranks as parallel
 from ..sph.start import whole_process
 from ..state.threads import cores, second_thread
 from .batches import Batches, BatchReplay, clear, workers
-from .coarsening import words as coarsening_words
 from .cut import Cut, put_back
 from .detaching import without_detached
 from .error import Companions
@@ -58,7 +57,6 @@ def run(
     quiet: bool = False,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
-    placement: str | None = None,
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
     skip_failed: bool = False,
@@ -76,9 +74,8 @@ def run(
     each in a process of its own; the numbers are the same. error: measure the error of each measure by coarser runs beside this one
     (None: as the scene says, not by default).
 
-    Started by mpiexec, all ranks call it; placement: "split" (the default: the particle on all ranks but the last, the target
-    there) or "spread" (the particle on all). Raises SceneError, StoreError, PlacementError or SolverError, on all ranks;
-    whatever was written before an error or an interrupt stays readable.
+    Started by mpiexec, all ranks call it: the last has the target, the others share the particle. Raises SceneError, StoreError or
+    SolverError, on all ranks; whatever was written before an error or an interrupt stays readable.
     """
     scene = scene if isinstance(scene, Scene) else Scene.load(scene)
     folder = Path(out) if out is not None else Path("runs") / scene.name
@@ -87,7 +84,7 @@ def run(
     if threads is None and decided.companions and max(impact.points for impact in decided.impacts) <= FEW_POINTS:
         threads = 1  # the coarser runs make better use of the other core
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, None, skip_failed, jobs
+        folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, None, skip_failed, jobs
     )
     companions = Companions(decided, folder, knobs, _alone)
 
@@ -119,7 +116,6 @@ def resume(
     quiet: bool = False,
     threads: int | None = None,
     numerics: Mapping[str, float] | None = None,
-    placement: str | None = None,
     probe: Probe | None = None,
     checkpoint_every: float = CHECKPOINT_EVERY,
     until: float | None = None,
@@ -129,7 +125,7 @@ def resume(
 ) -> Result:
     """Go on with the unfinished run in a folder from its last whole checkpoint, or from its start if there is none.
 
-    The number of ranks and their placement may differ from before. A finished run is returned as it is; an undecided one goes on: its
+    The number of ranks may differ from before. A finished run is returned as it is; an undecided one goes on: its
     last impact until `until` (s, of that impact), or for as long again as it has had. One whose end criterion is met and whose verdict
     is undecided (`Result.at_own_end`) goes on where `until` is said, and is returned as it is without. error: measure it where the run
     was to. Arguments and errors as for `run`; raises CheckpointError for a checkpoint of another version or another scene, or where
@@ -139,7 +135,7 @@ def resume(
     result = Result(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, placement, probe, checkpoint_every, until, skip_failed, jobs
+        folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, until, skip_failed, jobs
     )  # fmt: skip
     if result.finished and not result.undecided and (until is None or result.has_verdict):
         measured = not error or "error" in result.summary["run"] or not result.plan.get("companions")
@@ -179,7 +175,6 @@ def _options(
     progress: Progress,
     threads: int | None,
     numerics: dict[str, float],
-    placement: str | None,
     probe: Probe | None,
     checkpoint_every: float,
     until: float | None = None,
@@ -187,7 +182,7 @@ def _options(
     jobs: int = 1,
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
-    ranks = parallel.arrange(parallel.world(), placement)
+    ranks = parallel.arrange(parallel.world())
     threads = (threads or cores()) if ranks.size == 1 else 1
     return RunOptions(
         progress,
@@ -358,8 +353,6 @@ class Deposition:
         kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
         places = [task.place for task, _ in tasks]
         whole = rest(plan, range(first, len(self.records)), whole, places, kinetic_0, self.joins[-1])
-        if (coarsening := self.joins[-1].get("coarsening")) is not None:
-            options.progress.log(coarsening_words(coarsening))
         for text in unsettled(self.joins[-1]):
             options.progress.log(text)
         if len(self.records) < len(self.plan.impacts):

@@ -68,7 +68,6 @@ def summary(
             "steps": sum(impact["steps"] for impact in impacts),
             "wall_s": wall,
             "wall_loop_s": sum(impact["wall_loop_s"] for impact in impacts),
-            "placement": ranks.placement,
             "ranks": ranks.size,
             "memory_peak_bytes": max(peak_memory(), *(record.memory_peak for record in records)),  # of one process
             "warnings": [

@@ -8,7 +8,6 @@ import signal
 import threading
 from collections.abc import Callable
 from types import ModuleType
-from typing import NamedTuple
 
 import gmsh
 import numpy as np
@@ -17,30 +16,6 @@ from ..errors import SolverError, SplatError
 from .tetrahedra import COARSEST, oriented
 
 HXT, DELAUNAY = 10, 1
-
-
-class Grading(NamedTuple):
-    """Edges, m, of the smallest size within refined_radius of a disc on the plane z = 0, of radius `spread` about `centre`; beyond they
-    grow by `growth` per unit of distance, up to `largest`."""
-
-    refined_radius: float
-    growth: float
-    centre: tuple[float, float]
-    largest: float
-    spread: float
-
-    def apply(self, gmsh: ModuleType, size: float) -> None:
-        """Make it gmsh's; size: the smallest, m, in which gmsh counts."""
-        x, y, most = self.centre[0] / size, self.centre[1] / size, self.largest / size
-        axis = f"(x-({x:.12g}))^2+(y-({y:.12g}))^2"
-        if self.spread > 0.0:
-            beyond = f"(Sqrt({axis})-{self.spread / size:.12g})"
-            axis = f"(0.5*({beyond}+Abs({beyond})))^2"
-        beyond = f"(Sqrt({axis}+z^2)-{self.refined_radius / size:.12g})"
-        grown = f"1+{self.growth:.12g}*(0.5*({beyond}+Abs({beyond})))"
-        field = gmsh.model.mesh.field.add("MathEval")
-        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
-        gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
 
 def build(
@@ -96,12 +71,20 @@ def cylinder(
     the x axis on (a quarter, with symmetry planes x = 0 and y = 0, is pi / 2).
     """
     unit = size  # gmsh's absolute tolerances want numbers near one
-    grading = Grading(refined_radius, growth, centre, sizes_to or COARSEST * min(diameter, height), spread)
+    most = (sizes_to or COARSEST * min(diameter, height)) / unit
 
     def model(gmsh: ModuleType) -> None:
         gmsh.model.occ.addCylinder(0, 0, -height / unit, 0, 0, height / unit, 0.5 * diameter / unit, angle=sector)
         gmsh.model.occ.synchronize()
-        grading.apply(gmsh, unit)
+        axis = f"(x-({centre[0] / unit:.12g}))^2+(y-({centre[1] / unit:.12g}))^2"
+        if spread > 0.0:
+            beyond = f"(Sqrt({axis})-{spread / unit:.12g})"
+            axis = f"(0.5*({beyond}+Abs({beyond})))^2"
+        beyond = f"(Sqrt({axis}+z^2)-{refined_radius / unit:.12g})"
+        grown = f"1+{growth:.12g}*(0.5*({beyond}+Abs({beyond})))"
+        field = gmsh.model.mesh.field.add("MathEval")
+        gmsh.model.mesh.field.setString(field, "F", f"0.5*(({grown})+{most:.12g}-Abs(({grown})-{most:.12g}))")
+        gmsh.model.mesh.field.setAsBackgroundMesh(field)
 
     points, tets = build(model)
     return points * unit, tets
@@ -121,17 +104,13 @@ def box(lengths: tuple[float, float, float], size: float) -> tuple[np.ndarray, n
 
 
 def fill(
-    shells: list[tuple[np.ndarray, np.ndarray]],
-    size: float,
-    algorithm: int = HXT,
-    improve: float = 0.45,
-    grown: Grading | None = None,
+    shells: list[tuple[np.ndarray, np.ndarray]], size: float, algorithm: int = HXT, improve: float = 0.45
 ) -> tuple[np.ndarray, np.ndarray]:
     """Points (n,3) m and tetrahedra (m,4), edges of about `size` m, between closed surfaces that are kept as they are.
 
     shells: vertices (k,3) m and outward triangles of the outer surface, then those of cavities. improve: elements of a
     lower quality are worked on; at 0.45 the worst one's time step is some 40 % longer than at gmsh's own 0.3, which is
-    all that a bad surface allows in reasonable time. grown: how edges grow from `size` on. Raises SplatError where gmsh cannot.
+    all that a bad surface allows in reasonable time. Raises SplatError where gmsh cannot.
     """
 
     def model(gmsh: ModuleType) -> None:
@@ -148,11 +127,8 @@ def fill(
             elements += len(triangles)
         gmsh.model.geo.addVolume(loops)
         gmsh.model.geo.synchronize()
-        if grown is not None:
-            grown.apply(gmsh, size)
-        else:
-            gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
-            gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
+        gmsh.option.setNumber("Mesh.MeshSizeMin", 1.0)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 1.0)
         gmsh.option.setNumber("Mesh.OptimizeThreshold", improve)
 
     try:

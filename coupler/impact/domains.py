@@ -155,7 +155,7 @@ def build_particle(
     )
     return engine(plan.engine, settings)(
         body.points + place, body.volume, law, p.velocity, p.temperature, settings,
-        comm=ranks.sph_comm, log=log_file, shares=ranks.shares, strain=p.initial_strain,
+        comm=ranks.sph_comm, log=log_file, strain=p.initial_strain,
     )  # fmt: skip
 
 

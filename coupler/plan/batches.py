@@ -8,16 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 LARGEST_BATCH = 12
 GAP = 0.5  # diameters between two windows
 # mean diameters between the axes of two impacts whose splats may come to lie on each other: none of 195 on a coating is wider than 1.7
 MEET = 2.0
 AHEAD = 96  # impacts back among which those of a batch are looked for
-ON_TOP = 0.85  # mean diameters between the axes of two impacts of which the later may land on the splat of the other
-BARE = 0.25  # share of the later impacts that may still land on the bare substrate where it gets coarser elements
-LATER = 200  # impacts after that, at least: what fewer would save is not measured
 
 
 class Impact(Protocol):
@@ -80,22 +75,6 @@ def side_by_side(impacts: Sequence[Impact]) -> list[int]:
         meets = [i for i in group if not _apart([impacts[k] for k in before], impacts[i])][:1]
         order += meets + [i for i in group if i not in meets]
     return order
-
-
-def covering(impacts: Sequence[Impact]) -> int | None:
-    """After how many impacts splats cover the substrate: of the later ones, LATER or more, no more than BARE would land on it and not
-    on a splat. None where that is never so, or where the impacts are not computed on cuts."""
-    n = len(impacts)
-    if n <= LATER or not all(math.isfinite(impact.window) for impact in impacts):
-        return None
-    axis = np.array([impact.offset for impact in impacts])
-    reach = 0.5 * ON_TOP * np.array([impact.diameter for impact in impacts])
-    is_bare = np.ones(n, bool)
-    for i in range(n - LATER):
-        is_bare &= np.hypot(*(axis - axis[i]).T) > reach + reach[i]
-        if is_bare[i + 1 :].mean() <= BARE:
-            return i + 1
-    return None
 
 
 def _apart(others: Sequence[Impact], new: Impact) -> bool:

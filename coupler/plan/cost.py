@@ -58,7 +58,6 @@ JOIN_STEPS = 30 * GRID
 PAUSE_STEPS = 190 * GRID  # before it and after it
 HEAT_STEPS = 23
 SECONDS_PER_HEAT_ELEMENT = 1.3e-6  # of one of those
-SPLIT_FROM = 0.5  # the target's cost over the particle's: from here on a rank of its own serves it best
 
 BYTES_PER_POINT = 3e4  # most of it while the carried surface is built
 BYTES_PER_ELEMENT = 6e3
@@ -211,8 +210,3 @@ def target_load(points: float, n_elements: float, engine: str) -> float:
     """Cost of what the rank of the target does in a step, target and contact, over the cost of the particle."""
     own = SECONDS_PER_ELEMENT * n_elements + SECONDS_PER_CONTACT_POINT * points
     return own / (SECONDS_PER_POINT[engine] * points)
-
-
-def placement(load: float) -> str:
-    """Where two ranks are best used: apart where the target costs about as much as the particle."""
-    return "split" if load > SPLIT_FROM else "spread"

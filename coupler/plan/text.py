@@ -6,7 +6,7 @@ from textwrap import fill
 
 from .. import units
 from . import cost as estimates
-from .batches import batches, covering
+from .batches import batches
 from .forecast import file_bytes
 from .planning import ImpactPlan, Plan
 from .remarks import BEYOND_FIT
@@ -56,8 +56,7 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        f"  two ranks  mpiexec -n 2 coldspray run --placement {estimates.placement(plan.target_load)} ...:"
-        f" the target and the contact cost {plan.target_load:.2g} of the particle",
+        f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {plan.target_load:.2g} of the particle",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),
@@ -165,8 +164,6 @@ def _window(plan: Plan) -> list[str]:
     most = max(map(len, sides))
     side = f"; {len(sides)} batches of up to {most} impacts side by side" if most > 1 else ""
     lines = [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
-    if (after := covering(plan.impacts)) is not None:
-        lines.append(f"             coarser elements inside the substrate after {after} impacts, where splats cover it")
     return lines
 
 

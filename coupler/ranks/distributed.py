@@ -9,7 +9,7 @@ import numpy as np
 
 from ..sph.particle import LocalState, Particle, PointTotals
 from ..state.records import scatter
-from .ranks import STEP, Ranks, RemoteFailure, attempt, caught
+from .ranks import STEP, Ranks, RemoteFailure, caught
 
 R = TypeVar("R")
 
@@ -30,7 +30,7 @@ class DistributedParticle:
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
-        """local: this rank's part of the particle, or None; points: how many there are in all; spacing m."""
+        """local: the particle in one process, None where others have it; points: how many there are in all; spacing m."""
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
@@ -40,8 +40,6 @@ class DistributedParticle:
             self.x, self.v, self.f_ext = self._points.x, self._points.v, self._points.f_ext
             self._owner = [np.arange(self.n)]
         else:
-            if local is not None:
-                local.is_shared = True
             self.f_ext = np.zeros((self.n, 3))
             self._owner = self.ask("get", "ids")
             self.x, self.v = self.whole("x"), self.whole("v")
@@ -52,7 +50,7 @@ class DistributedParticle:
 
     @property
     def _points(self) -> Particle:
-        """This rank's points, where it has any."""
+        """The points, in one process."""
         assert self.local is not None, "this rank has no points"
         return self.local
 
@@ -68,14 +66,13 @@ class DistributedParticle:
             return [getattr(self.local, method)(*arguments, *((each[0],) if each else ()))]
         r = self.ranks
         r.comm.bcast((method, arguments, each), root=r.root)
-        answers = self._gathered(attempt(self, method, arguments, each))
-        answers = [answers[rank] for rank in r.sph]
+        answers = self._gathered()[:-1]
         for answer in answers:
             if isinstance(answer, BaseException):
                 raise answer
         return answers
 
-    def _gathered(self, own: object) -> list[Any]:
+    def _gathered(self, own: object = None) -> list[Any]:
         """What each rank has sent to the root, this one `own`, by rank."""
         values = self.ranks.comm.gather(own, root=self.ranks.root)
         assert values is not None, "only the root gathers"
@@ -172,54 +169,30 @@ class DistributedParticle:
         inbox = [np.zeros(1 + 6 * len(w)) for w in where]
         outbox = [np.zeros(1 + 3 * len(w)) for w in where]
 
-        done, begun = 0, False
-
         def on_step() -> None:
-            nonlocal done, begun
-            own = None
-            requests = []
-            for i, rank in enumerate(r.sph):
-                if rank == r.root:
-                    own = i
-                else:
-                    requests.append((i, r.comm.Irecv(inbox[i], source=rank, tag=STEP)))
-            done += 1
-            if not begun:
-                self._try(begin)
-            begun = False
+            requests = [r.comm.Irecv(inbox[rank], source=rank, tag=STEP) for rank in r.sph]
+            self._try(begin)
             started = clock.perf_counter()
-            failed = self.failure is not None or (self.local is not None and self.local.failure is not None)
-            for i, request in requests:
+            failed = self.failure is not None
+            for i, request in enumerate(requests):
                 request.Wait()
                 failed |= bool(inbox[i][0])
                 k = 3 * len(where[i])
                 self.x[where[i]] = inbox[i][1 : 1 + k].reshape(-1, 3)
                 self.v[where[i]] = inbox[i][1 + k :].reshape(-1, 3)
             self.waited += clock.perf_counter() - started
-            if own is not None:
-                self.x[where[own]], self.v[where[own]] = self._points.x[rows[own]], self._points.v[rows[own]]
             self.f_ext[:] = 0.0
             if not failed:
                 failed = self._try(meet)
-            for i, rank in enumerate(r.sph):
-                if rank == r.root:
-                    self._points.f_ext[rows[i]] = self.f_ext[where[i]]
-                    continue
-                outbox[i][0] = float(failed)
-                outbox[i][1:] = self.f_ext[where[i]].ravel()
-                r.comm.Send(outbox[i], dest=rank, tag=STEP)
-            if self.local is not None and done < steps:  # while forces travel to the others
-                begun = True
-                self._try(begin)
+            for rank in r.sph:
+                outbox[rank][0] = float(failed)
+                outbox[rank][1:] = self.f_ext[where[rank]].ravel()
+                r.comm.Send(outbox[rank], dest=rank, tag=STEP)
 
         r.comm.bcast(("run_steps", (steps, dt), rows), root=r.root)
-        answer: object = None
-        if self.local is None:
-            for _ in range(steps):
-                on_step()
-        else:
-            answer = caught(lambda: self._points.run(steps, dt, on_step))
-        answers = self._gathered(answer)
+        for _ in range(steps):
+            on_step()
+        answers = self._gathered()
         if self.failure is not None:
             raise self.failure
         for rank in r.sph:
@@ -241,7 +214,7 @@ class DistributedParticle:
         return [seconds / loop for seconds in self._gathered(self.waited)]
 
     def everywhere(self, work: Callable[[], R]) -> list[R]:
-        """Have every rank, with points or without, call a function of a module; what they returned, by rank."""
+        """Have every rank call a function of a module; what they returned, by rank."""
         if self._alone:
             return [work()]
         self.ranks.comm.bcast(("everywhere", (work,), None), root=self.ranks.root)

@@ -1,10 +1,9 @@
 """Who runs where: one process, or ranks under mpiexec. Only this package imports mpi4py, beside what LAMMPS needs.
 
-One rank, the *root*, holds the target, the contact, the ledger and the files; the particle lives on one or more ranks (`split`: all
-but the root; `spread`: all, in equal parts). The root leads: between windows of steps it asks all ranks that have points for what
-it needs (`DistributedParticle.ask`); within a window LAMMPS runs on each of them, and in every step they send positions and
-velocities of the points that may touch to the root and receive forces. In one process the root has the whole particle, and
-the same code exchanges nothing.
+The last rank, the *root*, holds the target, the contact, the ledger and the files; the others share the particle in equal parts. The
+root leads: between windows of steps it asks them for what it needs (`DistributedParticle.ask`); within a window LAMMPS runs on each
+of them, and in every step they send positions and velocities of the points that may touch to the root and receive forces. In one
+process the root has the whole particle, and the same code exchanges nothing.
 """
 
 import os
@@ -15,15 +14,14 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from mpi4py.MPI import COMM_SELF, COMM_WORLD, Comm, Intracomm
 
-from ..errors import ColdsprayError, PlacementError, SolverError
+from ..errors import ColdsprayError, SolverError
 from ..sph.particle import Particle
 
-PLACEMENTS = ("split", "spread")
 STEP = 7  # tag of the messages of a step
 R = TypeVar("R")
 _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
@@ -31,17 +29,22 @@ _LAUNCHERS = ("PMI_SIZE", "PMIX_RANK", "OMPI_COMM_WORLD_SIZE")
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which rank does what. root: the rank of the target, the last; sph: the ranks that share the particle, `shares` of its points
-    each; comm: of all ranks; sph_comm: of those in `sph`, None on the others."""
+    """Which rank does what. comm: of all ranks; sph_comm: of those that share the particle, None on the others."""
 
     rank: int = 0
     size: int = 1
-    root: int = 0
-    sph: tuple[int, ...] = (0,)
-    shares: tuple[float, ...] = (1.0,)
-    placement: str = "one process"
     comm: Intracomm = field(default_factory=lambda: COMM_SELF, repr=False)
     sph_comm: Comm | None = field(default_factory=lambda: COMM_SELF, repr=False)
+
+    @property
+    def root(self) -> int:
+        """The rank of the target, the last."""
+        return self.size - 1
+
+    @property
+    def sph(self) -> range:
+        """The ranks that share the particle."""
+        return range(max(self.size - 1, 1))
 
     @property
     def is_root(self) -> bool:
@@ -59,30 +62,17 @@ def world() -> Intracomm | None:
     return COMM_WORLD if COMM_WORLD.size > 1 else None
 
 
-def arrange(comm: Intracomm | None, placement: str | None) -> Ranks:
-    """Decide who runs where. placement: "split" (the default), "spread" or None. Raises PlacementError.
+def arrange(comm: Intracomm | None) -> Ranks:
+    """Decide who runs where.
 
-    Parts are equal in either: all ranks meet inside LAMMPS twice in each step, before its forces and between its stresses and its
-    forces, so that a smaller part beside the target would only make the others' parts longer.
+    Parts of the particle are equal: all ranks that have one meet inside LAMMPS twice in each step, before its forces and between its
+    stresses and its forces.
     """
-    if placement is not None and placement not in PLACEMENTS:
-        raise PlacementError(f"--placement {placement} is unknown: choose {' or '.join(PLACEMENTS)}")
     if comm is None:
-        if placement is not None:
-            raise PlacementError(f"--placement {placement} needs several ranks: start with mpiexec -n 2 coldspray ...")
         return Ranks()
-    size, placement = comm.size, placement or "split"
-    sph = tuple(range(size - 1 if placement == "split" else size))
-    shares = (1.0 / len(sph),) * len(sph)
-    sph_comm = comm.Split(int(comm.rank not in sph), comm.rank)
-    return Ranks(comm.rank, size, size - 1, sph, shares, placement, comm, sph_comm if comm.rank in sph else None)
-
-
-class Side(Protocol):
-    """One rank's side of the exchange."""
-
-    ranks: Ranks
-    local: Particle | None
+    is_root = comm.rank == comm.size - 1
+    sph_comm = comm.Split(int(is_root), comm.rank)
+    return Ranks(comm.rank, comm.size, comm, None if is_root else sph_comm)
 
 
 class RemoteFailure(SolverError):
@@ -195,17 +185,11 @@ class _Worker:
                 comm.Recv(inbox, source=root, tag=STEP)
 
 
-def attempt(side: Side, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
-    """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error.
-
-    None on a rank without points.
-    """
-    ranks, local = side.ranks, side.local
-    if local is None:
-        return None
+def attempt(worker: _Worker, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
+    """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error."""
     if each is not None:
-        arguments = (*arguments, each[ranks.sph.index(ranks.rank)])
-    return caught(lambda: getattr(side if method == "run_steps" else local, method)(*arguments))
+        arguments = (*arguments, each[worker.ranks.rank])
+    return caught(lambda: getattr(worker if method == "run_steps" else worker.local, method)(*arguments))
 
 
 def caught(work: Callable[[], R]) -> R | BaseException:

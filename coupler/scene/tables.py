@@ -342,7 +342,7 @@ class SplatTable(Section):
     """How a finished particle becomes finite elements. element_size: m, the target's unless said. mass_scaling: the
     share of the next particle's mass by which the elements with the shortest steps may be heavier against changes of their shape."""
 
-    method: Literal["auto", "carried", "density", "paper"] = "auto"
+    method: Literal["auto", "carried", "density"] = "auto"
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None
     mass_scaling: Annotated[StrictFloat, Field(ge=0.0, le=0.2)] = MASS_SCALING
 

@@ -154,13 +154,12 @@ class Particle(ABC):
         numerics: Numerics | None = None,
         comm: MPI.Comm | None = None,
         log: Path | None = None,
-        shares: Sequence[float] = (1.0,),
         strain: float = 0.0,
     ):
         """points (n,3) m in place, volume m3 of each, law a LAW record (1,), velocity (3,) m/s, temperature K.
 
         log: LAMMPS's log file. velocity may also be that of each point, (n,3).
-        comm: the communicator of the ranks that share the particle, by slabs along x, each its part `shares` of the points.
+        comm: the communicator of the ranks that share the particle, by slabs along x, in equal parts.
         strain: plastic strain that the points begin with.
         """
         self.numerics = numerics or Numerics()
@@ -176,7 +175,7 @@ class Particle(ABC):
         self.time, self.steps, self.dt, self.stretch_min = 0.0, 0, 0.0, 1.0
         with silence():
             try:
-                self._start(velocity, float(temperature), log, shares)
+                self._start(velocity, float(temperature), log)
             except Exception as problem:
                 if not str(problem).startswith("ERROR"):  # all of LAMMPS's do, and have no class of their own
                     raise
@@ -198,13 +197,13 @@ class Particle(ABC):
         self.internal_work = 0.0
 
     def _start(
-        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None, shares: Sequence[float]
+        self, velocity: tuple[float, float, float] | np.ndarray, temperature: float, log: Path | None
     ) -> None:  # fmt: skip
         num = self.numerics
         coefficients = {"Q1": num.Q1, "Q2": num.Q2, "hourglass": num.hourglass}
         self.lmp = start(
             self.X, self.volume_of_point, self.spacing, self.law[0], num.kernel_radius * self.spacing, coefficients, self.PAIR,
-            self._callback, shares, log, self.comm,
+            self._callback, log, self.comm,
         )  # fmt: skip
         self.lmp.command("run 0 post no")  # builds the reference neighbours
         self.n = int(self.lmp.extract_setting("nlocal"))

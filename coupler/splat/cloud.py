@@ -19,7 +19,6 @@ class Report(TypedDict, total=False):
 
     method: str
     failed: list[str]  # strategies that failed before, with the reason
-    missed: list[str]  # limits that the mesh of method "paper" does not meet
     points: int
     tets: int
     nodes: int

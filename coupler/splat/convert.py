@@ -13,7 +13,7 @@ from .fit import fit_of
 from .meshing import SIGMAS, CloudShape, build_mesh, strategies
 from .transfer import transfer
 
-METHODS = ("auto", "carried", "density", "paper")
+METHODS = ("auto", "carried", "density")
 MAX_ELEMENTS = 5e6
 LINK = 2.5  # spacings: the largest distance of neighbours in a stretched body
 MIN_TETS = 40  # of a fragment: its elements are made small enough for about that number
@@ -76,7 +76,7 @@ def _separate(cloud: Cloud, index: np.ndarray, element_size: float, method: str)
         return CloudShape(cloud.part(part), np.delete(cloud.x, part, axis=0))
 
     body = shape_of(index)
-    sources = [s.source for s in strategies(method, cloud.surface is not None) if s.source != "paper"]
+    sources = [s.source for s in strategies(method, cloud.surface is not None)]
     for source in dict.fromkeys(sources):
         try:
             shape = body.find(source, _size_of(body.cloud, element_size), SIGMAS[0])

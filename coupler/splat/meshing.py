@@ -11,7 +11,6 @@ import numpy as np
 from ..errors import SplatError
 from ..geometry import mesher
 from ..geometry.apart import apart
-from ..geometry.poisson import poisson_surface
 from ..geometry.remesh import even
 from ..geometry.solid import check_solid
 from ..geometry.tetrahedra import boundary_faces, volumes
@@ -36,7 +35,7 @@ CARRIED_VOLUME_ERROR = (-0.22, 0.06)
 
 @dataclass(frozen=True)
 class Strategy:
-    """source: of the shape ("carried", "density", "paper"); mesher: "HXT" or "Delaunay".
+    """source: of the shape ("carried", "density"); mesher: "HXT" or "Delaunay".
 
     factor: element size over the one asked for; sigma: least smoothing over element size.
     """
@@ -54,8 +53,6 @@ class Strategy:
 
 def strategies(method: str, has_surface: bool) -> list[Strategy]:
     """The strategies of a method (`convert.METHODS`), in the order in which they are tried."""
-    if method == "paper":
-        return [Strategy("paper", "HXT"), Strategy("paper", "Delaunay")]
     sources = [method] if method != "auto" else ["carried", "density"] if has_surface else ["density"]
     return [
         Strategy(source, mesher, factor, sigma)
@@ -160,24 +157,17 @@ def build_mesh(
         seconds[stage] = seconds.get(stage, 0.0) + clock.perf_counter() - start
         return result
 
-    if strategy.source == "paper":
-        skin = timed("surface", lambda: apart(partial(poisson_surface, cloud.x, cloud.spacing), time_limit))
-        report["volume_error_before"] = enclosed_volume(*skin) / solid - 1.0
-        shells, max_offset = [skin], cloud.spacing
-    else:
-        max_offset = MAX_OFFSET * size
-        shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
-        report["volume_error_before"] = shape.volume_error
-        level_set = surface.LevelSet(shape.field, shape.level, size)
-        shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
-    shells, moved = surface.correct_volume(shells, solid, max_offset)
+    shape = timed("field", lambda: body.find(strategy.source, size, strategy.sigma))
+    report["volume_error_before"] = shape.volume_error
+    level_set = surface.LevelSet(shape.field, shape.level, size)
+    shells = timed("surface", lambda: [even(*shell, size, level_set.project) for shell in _one_piece(shape)])
+    shells, moved = surface.correct_volume(shells, solid, MAX_OFFSET * size)
     report |= {"moved_m": moved, "surface": [len(shell[1]) for shell in shells]}
     for shell in shells:
         check_solid(*shell)
     algorithm = mesher.DELAUNAY if strategy.mesher == "Delaunay" else mesher.HXT
-    improve = 0.3 if strategy.source == "paper" else 0.45
-    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm, improve), time_limit))
-    report |= check_mesh(points, tets, solid, size, strict=strategy.source != "paper")
+    points, tets = timed("volume", lambda: apart(partial(mesher.fill, shells, size, algorithm), time_limit))
+    report |= check_mesh(points, tets, solid, size)
     return points, tets, report
 
 
@@ -189,12 +179,8 @@ def _one_piece(shape: Shape) -> list[surface.Surface]:
     return shape.shells
 
 
-def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, strict: bool = True) -> Report:
-    """Measures of a mesh, points (n,3) m and tets (m,4), of a body of `solid` m3. Raises SplatError with all missed limits.
-
-    Not strict: missed limits on quality, step length and volume are reported under "missed"; a mesh that is inverted, open or
-    in pieces is refused in any case.
-    """
+def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float) -> Report:
+    """Measures of a mesh, points (n,3) m and tets (m,4), of a body of `solid` m3. Raises SplatError with all missed limits."""
     if len(tets) == 0:
         raise SplatError("no tetrahedra")
     volume = volumes(points, tets)
@@ -204,7 +190,7 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, 
         "gamma_mean": float(gamma.mean()), "dihedral_min_deg": float(np.degrees(quality.dihedral_angles(points, tets).min())),
         "step_length_min_m": float(steps.min()),
     }  # fmt: skip
-    wrong, poor = [], []
+    wrong = []
     if inverted := int(np.sum(~(volume > 0.0))):
         wrong.append(f"{inverted} tetrahedra are inverted")
     if unclosed := open_or_double(boundary_faces(tets)[0]):
@@ -212,12 +198,11 @@ def check_mesh(points: np.ndarray, tets: np.ndarray, solid: float, size: float, 
     if (pieces := quality.pieces(points, tets)) != 1:
         wrong.append(f"{pieces} pieces")
     if gamma.min() < MIN_GAMMA:
-        poor.append(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
+        wrong.append(f"worst quality {gamma.min():.3f}, allowed {MIN_GAMMA}")
     if steps.min() < MIN_STEP_LENGTH * size:
-        poor.append(f"smallest step length {steps.min() / size:.3f} of the element size, allowed {MIN_STEP_LENGTH}")
+        wrong.append(f"smallest step length {steps.min() / size:.3f} of the element size, allowed {MIN_STEP_LENGTH}")
     if abs(error := report["volume_m3"] / solid - 1.0) > MAX_VOLUME_ERROR:
-        poor.append(f"volume off by {error:+.1%}")
-    if wrong or (strict and poor):
-        raise SplatError("; ".join(wrong + poor))
-    report["missed"] = poor
+        wrong.append(f"volume off by {error:+.1%}")
+    if wrong:
+        raise SplatError("; ".join(wrong))
     return report
