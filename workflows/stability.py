@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import verify
-from pages import PAGES, markdown, marked, study_table, versions, write_parts
+from pages import PAGES, figure_path, markdown, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.deposition.joining import cloud_of
@@ -26,6 +26,7 @@ from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
 from coupler.plan.planning import plan
 from coupler.progress import Progress
+from coupler.report.picture import blank, save
 from coupler.splat.convert import convert
 from coupler.studies.table import Row
 
@@ -40,24 +41,19 @@ COLUMNS = (
 Table = dict[str, object]
 Judged = tuple[str, Table, list[str]]  # verdict, figures for the row, reasons
 
-CHECKS = f"""Verdicts: *passes*, a result without a fault; *warned*, the same, but the run says that it left a limit (numerical
-dissipation, melting); *undecided*, the run says that it did not come to rest; *refused*, before anything is computed;
-*gives up*, the solver ends with a message; *fails*, all else. A result has no fault if, from its files alone (`workflows/verify.py`):
+CHECKS = f"""A scene passes if an independent check of its files (`workflows/verify.py`) finds no fault:
 
-- no number of the fields at any step, nor of the history, is a NaN; no element is inverted, no plastic strain negative or falling;
-- the ledger closes within {verify.LEDGER:.0%} of the initial kinetic energy after each impact, its columns add up to its drift, and
-  momentum is kept to {verify.MOMENTUM:.0e};
-- kinetic energies from the velocities are those of the history within {verify.KINETIC:.1%}, elastic ones from the stresses within
-  {verify.ELASTIC:.0%} (of the initial kinetic energy), and heat is the share of plastic work that heats, and friction, within
-  {verify.HEAT:.0%};
-- each body changes its volume as its pressure says within {verify.VOLUME:.1%}, a splat has that of its mass within {verify.JOINED:.0%},
-  the particle's surface encloses that of its points within {verify.SKIN:.0%}, or the summary has no measure of its shape;
-- the particle has touched, the contact force has taken its momentum, no point of its surface is deeper than a spacing in the target,
-  and at rest it does not sink;
-- no von Mises stress is above the law's, no temperature below that at the start by more than {verify.UNDERSHOOT:.1%} of the highest
-  rise, none above melting without a warning;
-- the schemes dissipate less than {verify.DISSIPATION:.0%} of the initial kinetic energy, or the run warns of it;
-- the measures of the summary are those of the fields.
+- no NaN, no inverted element, no falling plastic strain, no von Mises stress above the flow stress;
+- energy error below {verify.LEDGER:.0%} of the initial kinetic energy, momentum error below {verify.MOMENTUM:.0e};
+- energies of the fields equal those of the history: kinetic to {verify.KINETIC:.1%},
+  elastic to {verify.ELASTIC:.0%}, heat to {verify.HEAT:.0%};
+- volume of a body to {verify.VOLUME:.1%} of that by its pressure, of a splat to {verify.JOINED:.0%} of that by its mass;
+- no point of the surface deeper than one spacing in the target;
+- no temperature below the initial ones by more than {verify.UNDERSHOOT:.1%} of the highest rise;
+- the measures of the summary equal those of the fields.
+
+It is *warned* if the run says that it leaves the range of its models: melting, fitted strain rates,
+numerical dissipation above {verify.DISSIPATION:.0%}.
 """
 
 
@@ -110,20 +106,27 @@ def scene(
 
 
 def battery() -> dict[str, Table]:
-    """Scenes by name, the hardest groups first."""
-    p, cases = particle, {}
+    """Scenes by name."""
+    return {name: scene for scenes in kinds().values() for name, scene in scenes.items()}
+
+
+def kinds() -> dict[str, dict[str, Table]]:
+    """Scenes by kind and name, the hardest kinds first."""
+    p, groups = particle, dict[str, dict[str, Table]]()
     materials = {
         "materials": {
             "Soft": {"base": "Al", "A": "10 MPa"}, "Softest": {"base": "Al", "A": "10 MPa", "B": "10 MPa"},
             "Hard": {"base": "42CrMo4", "A": "3 GPa"},
         }
     }  # fmt: skip
+    cases = groups["made-up hard and soft metals"] = {}
     for material, on, velocity in (
         ("Hard", "Soft", 1200), ("Hard", "Soft", 500), ("Hard", "Soft", 200), ("Soft", "Hard", 500), ("Soft", "Hard", 1250),
         ("Soft", "Soft", 500), ("Hard", "Hard", 1250), ("Softest", "Hard", 300), ("Hard", "Softest", 300),
     ):  # fmt: skip
         cases[f"{material} on {on}, {velocity} m/s"] = scene(p(material, velocity=velocity), on=on, **materials)
     cases["Soft on Hard at 80 degrees, 800 m/s"] = scene(p("Soft", velocity=800, angle=80), on="Hard", **materials)
+    cases = groups["metals on metals, 500 to 2000 m/s"] = {}
     for material, on, velocity in (
         ("Cu", "Cu", 2000), ("Cu", "SS304", 1500), ("Al", "42CrMo4", 1250), ("42CrMo4", "Al", 1250), ("Cu", "Ti", 1250),
         ("Ti", "Cu", 1250), ("Ni", "Al", 1250), ("Al", "Cu", 1250), ("SS304", "Cu", 1250), ("Al", "Al", 1250), ("Cu", "SS304", 1250),
@@ -131,12 +134,14 @@ def battery() -> dict[str, Table]:
         ("Ni", "SS304", 500), ("Ni", "Al", 500), ("Ti", "SS304", 500), ("Cu", "Al", 500), ("Al", "SS304", 500), ("SS304", "Ti", 500),
     ):  # fmt: skip
         cases[f"{material} on {on}, {velocity} m/s"] = scene(p(material, velocity=velocity), on=on)
+    cases = groups["oblique, 15 to 80 degrees"] = {}
     cases["Ni at 80 degrees, gap of 25 um"] = scene(p(angle=80) | {"gap": "25 um"})
     for angle in (15, 45, 60, 75, 80):
         cases[f"Ni at {angle} degrees"] = scene(p(angle=angle))
     cases["Cu 800 m/s at 75 degrees"] = scene(p("Cu", velocity=800, angle=75))
     cases["Al 1250 m/s at 80 degrees"] = scene(p("Al", velocity=1250, angle=80))
     cases["Ti at 45 degrees on Al"] = scene(p("Ti", angle=45), on="Al")
+    cases = groups["hot, up to 0.95 of melting"] = {}
     for material, T, on, T_on, velocity in (
         ("Al", 812, "SS304", 300, 800), ("Ni", 1639, "SS304", 300, 500), ("Ti", 1826, "Al", 300, 500), ("Cu", 1288, "Al", 812, 500),
         ("42CrMo4", 1722, "SS304", 1710, 800), ("Al", 800, "SS304", 300, 500), ("Cu", 1250, "Al", 780, 500),
@@ -146,6 +151,7 @@ def battery() -> dict[str, Table]:
         cases[f"{material} at {T} K on {on} at {T_on} K, {velocity} m/s"] = scene(
             p(material, velocity=velocity, T=T), on=on, substrate={"temperature": f"{T_on} K"}
         )
+    cases = groups["rods, flakes, hollow and angular particles"] = {}
     for material, shape, tilt, on, velocity in (
         ("Ni", "hollow_sphere", 0, "SS304", 500), ("Al", "hollow_sphere", 0, "42CrMo4", 1250), ("Ni", "rod", 90, "SS304", 500),
         ("Ni", "rod", 0, "SS304", 500), ("Ni", "rod", 45, "SS304", 500), ("Al", "rod", 90, "42CrMo4", 1000),
@@ -155,10 +161,12 @@ def battery() -> dict[str, Table]:
         points = {"flake": 1200, "hollow_sphere": 600}.get(shape, POINTS)
         name = f"{material} {shape.replace('_', ' ')}, tilt {tilt}, on {on}, {velocity} m/s"
         cases[name] = scene(p(material, shape=shape, tilt=tilt, velocity=velocity), on=on, points=points)
+    cases = groups["friction of 0 to 2"] = {}
     for friction, velocity, angle in ((0, 500, 0), (0, 1000, 0), (1, 800, 60), (2, 500, 0), (2, 1000, 75)):
         cases[f"Ni friction {friction}, {velocity} m/s, {angle} degrees"] = scene(
             p(velocity=velocity, angle=angle), contact={"friction": float(friction)}
         )
+    cases = groups["thin substrates"] = {}
     thin = {"height": "50 um", "bottom": "free", "sides": "free"}
     cases["Ni on a thin free substrate, 800 m/s"] = scene(p(velocity=800), substrate=thin)
     cases["Ni on a thinner free substrate of Al, 800 m/s"] = scene(
@@ -167,6 +175,7 @@ def battery() -> dict[str, Table]:
     cases["Ni on a thin fixed substrate of Al"] = scene(
         p(), on="Al", substrate=thin | {"bottom": "fixed", "sides": "fixed"}
     )
+    cases = groups["on and beside splats"] = {}
     cases["Ni on the rim of a Ni splat"] = scene(p(), p(offset=(15, 0)))
     cases["Ni between two Ni splats"] = scene(p(offset=(-17, 0)), p(offset=(17, 0)), p())
     cases["Ni on a Ti splat that is not bonded"] = scene(p("Ti"), p(), adhesion={"kind": "none"})
@@ -178,18 +187,21 @@ def battery() -> dict[str, Table]:
         p(), p("Cu", velocity=700, angle=45, offset=(-20, 5))
     )
     cases["Cu 15 um on a Ni splat of 25 um"] = scene(p(), p("Cu", diameter=15.5), points=900)
+    cases = groups["diameters of 1 to 60 µm"] = {}
     for diameter in (1, 3, 10, 40, 60):
         cases[f"Ni {diameter} um"] = scene(p(diameter=diameter))
     cases["Al 1 um on SS304, 1250 m/s"] = scene(p("Al", diameter=1, velocity=1250))
     cases["Cu 60 um on Al, 1000 m/s"] = scene(p("Cu", diameter=60, velocity=1000), on="Al")
+    cases = groups["nickel, 50 to 1500 m/s"] = {}
     for velocity in (50, 150, 300, 750, 1000, 1500):
         cases[f"Ni {velocity} m/s"] = scene(p(velocity=velocity))
+    cases = groups["extreme resolution and duration"] = {}
     cases["Ni coarsest, 1000 m/s"] = scene(p(velocity=1000), points=210)
     cases["Ni elements four times the spacing"] = scene(p(), points=2000, resolution={"element_size": "6.2 um"})
     cases["Ni elements smaller than the spacing"] = scene(p(), resolution={"element_size": "2 um"})
     cases["Ni elements that grow at once"] = scene(p(), resolution={"growth": 1.0})
     cases["Ni followed for 1 us"] = scene(p(), end={"time": "1000 ns"}, output={"every": "50 ns"})
-    return cases
+    return groups
 
 
 def play(said: Table, folder: Path) -> Judged:
@@ -332,14 +344,51 @@ SPECIAL: dict[str, Callable[[Path], Judged]] = {
 
 
 def page_part(rows: list[Row]) -> list[str]:
-    """Checks, counts, the table, and the reasons of all that did not just pass."""
-    count = Counter(row["verdict"] for row in rows)
-    shown = [name for name in COLUMNS if name not in ("why", "cpu s")]
-    counted = ", ".join(f"{n} {verdict}" for verdict, n in count.most_common())
-    lines = [CHECKS, f"**{len(rows)} scenes: {counted}.** {versions(rows)}", ""]
-    lines += markdown(shown, ([marked(row["scene"], row), *(row[name] for name in shown[1:])] for row in rows))
-    lines += ["", "In the words of the check, or of the program:", ""]
-    return lines + [f"- **{row['scene']}** ({row['verdict']}): {row['why']}" for row in rows if row["why"]]
+    """Checks, and counts by kind of scene."""
+    verdicts = ("passes", "warned", "refused", "gives up", "undecided", "fails")
+    by_name = {row["scene"]: row for row in rows}
+    groups = {kind: list(scenes) for kind, scenes in kinds().items()} | {"restart, rigid motion": list(SPECIAL)}
+    groups = {kind: [name for name in names if name in by_name] for kind, names in groups.items()}
+    shown = [v for v in verdicts if v in verdicts[:4] or any(row["verdict"] == v for row in rows)]
+
+    def line(kind: str, own: list[Row]) -> list[object]:
+        count = Counter(row["verdict"] for row in own)
+        again = sum(row["rescues"] not in ("", "0") for row in own)
+        worst = (max(share(row, name) for row in own) for name in ("dissipated", "drift"))
+        return [kind, len(own), *(count[v] for v in shown), again, *(f"{value:.1%}" for value in worst)]
+
+    table = [line(kind, [by_name[name] for name in names]) for kind, names in groups.items()]
+    head = ["kind of scene", "scenes", *shown, "computed again", "dissipated, at most", "energy error, at most"]
+    return [CHECKS, *markdown(head, [*table, line("**all**", rows)]), "", versions(rows)]
+
+
+def share(row: Row, name: str) -> float:
+    """A share that the table has in percent, 0 where it has none."""
+    text = row[name]
+    return abs(float(text[:-1])) / 100.0 if text.endswith("%") else abs(float(text or 0.0))
+
+
+def draw(rows: list[Row]) -> None:
+    """Numerical dissipation over the largest plastic strain, by verdict and number of attempts."""
+    figure = blank(6.0, 3.6, 110)
+    axes = figure.add_axes((0.11, 0.14, 0.86, 0.83))
+    found = [row for row in rows if row["dissipated"]]
+    for words, colour, mark, choose in (
+        ("passes", "#0072b2", "o", lambda row: row["verdict"] == "passes"),
+        ("warned", "#d55e00", "^", lambda row: row["verdict"] == "warned"),
+        ("computed again", "none", "s", lambda row: row["rescues"] != "0"),
+    ):
+        x, y = zip(
+            *((float(row["eps_p max"]), 100.0 * share(row, "dissipated")) for row in found if choose(row)), strict=True
+        )
+        edge = "k" if colour == "none" else colour
+        axes.scatter(
+            x, y, s=60 if colour == "none" else 20, marker=mark, facecolors=colour, edgecolors=edge, label=words
+        )
+    axes.axhline(100.0 * verify.DISSIPATION, color="k", ls="--", lw=1)
+    axes.set(xscale="log", xlabel="largest plastic strain", ylabel="numerical dissipation (% of kinetic energy)")
+    axes.legend(loc="upper left")
+    save(figure, figure_path("stability", "stability.png"))
 
 
 def main() -> None:
@@ -363,6 +412,7 @@ def main() -> None:
         new = table.add({**row, "scene": name, "verdict": verdict, "cpu s": spent, "why": why})
         print(*filter(None, new.values()), sep=" | ", flush=True)
     rows = sorted((row for row in table.rows if row["scene"] in names), key=lambda row: names.index(row["scene"]))
+    draw(rows)
     write_parts(PAGES["stability"], {"table": page_part(rows)})
     print(Counter(row["verdict"] for row in rows))
 
