@@ -1,7 +1,7 @@
 """How much the size of the substrate shows in a coating, over places of the particles: python workflows/coating_size.py
 
 workflows/coating_size.toml with other seeds, on its substrate and on one of twice the size. Each coating is a row of
-docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the part of the page.
+docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the sentence of the page.
 """
 
 import tempfile
@@ -9,7 +9,7 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from pages import PAGES, ROOT, column, markdown, options, study_table, table_rows, versions, write_parts
+from pages import PAGES, ROOT, column, options, study_table, table_rows, versions, write_parts
 
 from coupler import Scene, run
 from coupler.progress import Progress
@@ -18,10 +18,9 @@ from coupler.studies import coating
 SEEDS = range(3, 11)
 SIZES = ((110, 60), (220, 120))  # um, diameter and height
 RADIUS = 10e-6  # m: of the disc that is measured
-MEASURES = {
-    "thickness_um": "thickness, mean (µm)", "strain": "mean strain", "von_mises_MPa": "mean von Mises stress (MPa)",
-    "impacts_MPa": "stress of the impacts (MPa)", "thermal_MPa": "stress of cooling (MPa)",
-    "residual_MPa": "residual stress (MPa)", "residual_error_MPa": "its error from place to place (MPa)",
+MEASURES = {  # column: name and unit of its change
+    "thickness_um": ("thickness", "%"), "strain": ("plastic strain", "%"), "von_mises_MPa": ("von Mises stress", "%"),
+    "thermal_MPa": ("stress of cooling", "MPa"), "residual_MPa": ("residual stress", "MPa"),
 }  # fmt: skip
 
 
@@ -43,33 +42,30 @@ def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
         "seed": seed, "diameter_um": diameter, "thickness_um": measures.thickness_mean_m * 1e6,
         "strain": np.average([layer["eps_p_mean"] for layer in layers], weights=volume),
         "von_mises_MPa": np.average([layer["von_mises_mean"] for layer in layers], weights=volume) * 1e-6,
-        "impacts_MPa": (measures.stress_in_plane_Pa - measures.thermal_in_plane_Pa) * 1e-6,
         "thermal_MPa": measures.thermal_in_plane_Pa * 1e-6, "residual_MPa": measures.stress_in_plane_Pa * 1e-6,
-        "residual_error_MPa": 1e-6 * (measures.stress_error_Pa or 0.0), "cpu_s": process_time() - started,
+        "cpu_s": process_time() - started,
     }  # fmt: skip
 
 
 def lines() -> list[str]:
-    """Means over the seeds, and the mean of the differences with its standard error."""
+    """A sentence: the mean changes from the small to the large substrate, with their standard errors."""
     rows = table_rows("coating_size_seeds")
     small, large = (
         sorted((r for r in rows if r["diameter_um"] == f"{d}"), key=lambda r: int(r["seed"])) for d, _ in SIZES
     )
     pairs = min(len(small), len(large))
-    table = []
-    for name, label in MEASURES.items():
+    changes = []
+    for name, (label, unit) in MEASURES.items():
         a, b = column(small[:pairs], name), column(large[:pairs], name)
-        change, error = (100.0 * v / abs(a.mean()) for v in ((b - a).mean(), (b - a).std(ddof=1) / np.sqrt(pairs)))
-        table.append((label, f"{a.mean():.4g}", f"{b.mean():.4g}", f"{change:+.1f} ± {error:.1f} %"))
-    return [
-        *markdown(f"mean of {pairs} coatings | 110 µm | 220 µm | change, standard error", table),
-        "",
-        versions(rows),
-    ]
+        scale = 1.0 if unit == "MPa" else 100.0 / abs(a.mean())
+        mean, error = scale * (b - a).mean(), scale * (b - a).std(ddof=1) / np.sqrt(pairs)
+        changes.append(f"{label} {mean:+.1f} ± {error:.1f} {unit}")
+    words = f"From 110 to 220 µm (mean of {pairs} coatings of three particles and its standard error): {'; '.join(changes)}."
+    return [f"- **Size of the substrate.** {words} {versions(rows)}"]
 
 
 def main() -> None:
-    """Run what is missing, write the part of the page."""
+    """Run what is missing, write the sentence of the page."""
     a = options(__doc__, "docs")
     columns = ("seed", "diameter_um", *MEASURES, "cpu_s")
     table = study_table("coating_size_seeds", columns, columns[:2], "python workflows/coating_size.py")

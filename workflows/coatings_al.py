@@ -1,6 +1,6 @@
 """Coatings of aluminium whose deposition stress and density others have measured: python workflows/coatings_al.py
 
-    python workflows/coatings_al.py --docs    # runs nothing: the part of the page from the table
+    python workflows/coatings_al.py --docs    # runs nothing: figure and table of the page
 
 The measurements, readings, ranges and bands are in workflows/measurements.toml. Each coating is a row of docs/tables/coating_al.csv
 that is not computed again. Nothing is fitted.
@@ -15,11 +15,14 @@ from itertools import product
 from pathlib import Path
 from time import process_time
 
-from pages import PAGES, column, markdown, options, study_table, table_rows, versions, write_parts
+import numpy as np
+from numpy.typing import NDArray
+from pages import PAGES, column, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.errors import ColdsprayError, SolverError
 from coupler.progress import Progress
+from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.table import Row
 
@@ -30,8 +33,8 @@ COLUMNS = (
     "failed",
 )  # fmt: skip
 KEY = COLUMNS[:10]
-DRAFT, BETWEEN, FINE, FINEST = 213, 500, 1000, 2000  # points of a particle
-FINEST_AT = (585, 805)  # m/s: the first of pure aluminium, and the one that is missed most
+POINTS, OTHER_POINTS = 1000, (213, 2000)  # of a particle
+LADDER_AT = (585, 805)  # m/s
 NUMBER, LAYERS = 12, 2
 DISC = 0.9  # diameters: radius of the disc that the particles are aimed at
 SCENE = """
@@ -70,7 +73,7 @@ class Case:
     diameter: float
     temperature: float
     seed: int
-    points: int = DRAFT
+    points: int = POINTS
     number: int = NUMBER
     layers: int = LAYERS
     disc: float = DISC
@@ -99,29 +102,23 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """The nominal coatings, the corners and other places of the particles, with two numbers of points, three with others, and what
-    tests the reasons for what is missed: another strength, with both, and other patches."""
+    """The nominal coatings, corners of the ranges, other places of the particles, other strengths of pure aluminium, other numbers of
+    points, and one heap as high as wide."""
     rows = [(MEASURED["metals"][name], row[0]) for name in MEASURED["metals"] for row in MEASURED[name]]
     first, *others = MEASURED["seeds"]
-    for state, seed in [
-        *((s, first) for s in (MEASURED["nominal"], *MEASURED["corners"])),
-        *((MEASURED["nominal"], s) for s in others),
-    ]:
-        for metal, velocity in rows:
-            for points in (DRAFT, FINE):
-                yield Case(metal, velocity, state["diameter_um"], state["temperature_K"], seed, points)
     nominal = MEASURED["nominal"]
+    states = [(state, first) for state in (nominal, *MEASURED["corners"])] + [(nominal, seed) for seed in others]
+    for state, seed in states:
+        for metal, velocity in rows:
+            yield Case(metal, velocity, state["diameter_um"], state["temperature_K"], seed)
     one = Case(*rows[0], nominal["diameter_um"], nominal["temperature_K"], first)
-    yield replace(one, points=BETWEEN)
-    for velocity in FINEST_AT:
-        yield replace(one, velocity=velocity, points=FINEST)
-    for strength, points in product(MEASURED["other_strength"], (DRAFT, FINE)):
+    for strength in MEASURED["other_strength"]:
         for metal, velocity in rows:
             if metal == one.metal:
-                yield replace(one, velocity=velocity, strength=strength, points=points)
-    for strength in ("Hassani_2016", ""):
-        yield replace(one, number=56, layers=4, disc=1.35, strength=strength)
-    yield replace(one, number=236, disc=4.0, strength="Hassani_2016")
+                yield replace(one, velocity=velocity, strength=strength)
+    for points, velocity in product(OTHER_POINTS, LADDER_AT):
+        yield replace(one, points=points, velocity=velocity)
+    yield replace(one, points=OTHER_POINTS[0], number=56, layers=4, disc=1.35)
 
 
 def row_of(case: Case) -> dict[str, object]:
@@ -158,67 +155,78 @@ def values_of(result: Result, case: Case) -> dict[str, object]:
     }  # fmt: skip
 
 
-def gap(low: float, high: float, value: float, error: float) -> float:
-    """Distance between the band [low, high] and value with its error; 0 where they overlap, negative where the band lies below."""
-    return max(low - value - error, 0.0) + min(high - value + error, 0.0)
+@dataclass(frozen=True)
+class Comparison:
+    """A measured coating beside the computed ones: stress MPa, density %; stress, density: mean of the nominal coatings, and all.
+
+    others: stress of seed 1 with the other strength sets, by set.
+    """
+
+    name: str
+    velocity: float
+    measured: tuple[float, float, float]  # stress, its error, density
+    stress: tuple[float, NDArray[np.float64]]
+    density: tuple[float, NDArray[np.float64]]
+    others: dict[str, float]
 
 
-def is_usual(row: Row) -> bool:
-    """Whether a row has the patch and the strength of the comparison."""
-    return (row["number"], row["strength"]) == (str(NUMBER), MEASURED["strength"][row["metal"]])
-
-
-def reasons(rows: Sequence[Row]) -> list[str]:
-    """What other patches and another strength change, beside the measured values."""
-    table, first = [], MEASURED["seeds"][0]
-    measured = {f"{velocity:g}": (density, stress) for velocity, density, stress, _ in MEASURED["pure_Al"]}
-    for row in rows:
-        is_nominal = row["diameter_um"] == f"{MEASURED['nominal']['diameter_um']:g}" and row["seed"] == str(first)
-        has_reference = row["metal"] == MEASURED["metals"]["pure_Al"] and row["points"] in (str(DRAFT), str(FINE))
-        if row["failed"] or not (is_nominal and has_reference):
-            continue
-        density, stress = measured[row["velocity_m_s"]]
-        table.append([
-            row["velocity_m_s"], f"{row['number']} in {row['layers']} layers, {row['disc']} diameters",
-            row["strength"].replace("_", " "), row["points"], f"{float(row['stress_MPa']):.0f}", stress,
-            f"{float(row['thermal_MPa']):+.0f}", f"{float(row['density']):.1f}", density,
-        ])  # fmt: skip
-    table.sort(key=lambda line: (int(line[0]), line[2], line[1], int(line[3])))
-    head = "m/s | particles, radius of the disc | strength | points | stress (MPa) | measured | of it cooling | density (%) | measured"
-    return markdown(head, table)
+def comparisons(rows: Sequence[Row]) -> Iterator[Comparison]:
+    """One for each measured coating, from the rows with POINTS points."""
+    size = f"{MEASURED['nominal']['diameter_um']:g}"
+    for name, metal in MEASURED["metals"].items():
+        for velocity, density, stress, error in MEASURED[name]:
+            chosen = metal, f"{velocity:g}", str(POINTS), str(NUMBER)
+            own = [
+                r
+                for r in rows
+                if (r["metal"], r["velocity_m_s"], r["points"], r["number"]) == chosen and not r["failed"]
+            ]
+            usual = [r for r in own if r["strength"] == MEASURED["strength"][metal]]
+            nominal = [r for r in usual if r["diameter_um"] == size]
+            values = ((float(column(nominal, key).mean()), column(usual, key)) for key in ("stress_MPa", "density"))
+            others = {r["strength"]: number(r, "stress_MPa") for r in own if r not in usual}
+            yield Comparison(name.replace("_", " "), velocity, (stress, error, density), *values, others)
 
 
 def lines(rows: Sequence[Row]) -> list[str]:
-    """Computed and measured stress and density of each coating, by number of points."""
+    """Computed and measured stress and density of each coating."""
     table = []
-    for points, name in product((DRAFT, FINE), MEASURED["metals"]):
-        metal = MEASURED["metals"][name]
-        for velocity, density, stress, error in MEASURED[name]:
-            chosen = (metal, f"{velocity:g}", str(points))
-            own = [row for row in rows if (row["metal"], row["velocity_m_s"], row["points"]) == chosen]
-            usual = [row for row in own if is_usual(row) and not row["failed"]]
-            if not usual:
-                continue
-            s, d = column(usual, "stress_MPa"), column(usual, "density")
-            nominal = [row for row in usual if row["diameter_um"] == f"{MEASURED['nominal']['diameter_um']:g}"]
-            table.append([
-                name.replace("_", " "), f"{velocity:g}", points, f"{stress} ± {error}",
-                f"{column(nominal or usual, 'stress_MPa').mean():.0f} ({s.min():.0f} to {s.max():.0f})",
-                f"{gap(s.min(), s.max(), stress, error):+.0f}", f"{density:.1f}",
-                f"{column(nominal or usual, 'density').mean():.1f} ({d.min():.1f} to {d.max():.1f})",
-                f"{gap(d.min(), d.max(), density, 0.0):+.1f}", len(usual),
-            ])  # fmt: skip
-    head = (
-        "coating | m/s | points | stress measured (MPa) | computed: nominal (band) | apart | density measured (%)"
-        " | computed: nominal (band) | apart | coatings"
-    )
-    failed = [row for row in rows if row["failed"]]
-    note = [f"{len(failed)} of {len(rows)} coatings did not end: {failed[0]['failed']}", ""] if failed else []
-    return [*markdown(head, table), "", *note, versions(rows)]
+    for c in comparisons(rows):
+        stress, error, density = c.measured
+        bands = (
+            f"{mean:.{n}f} ({all_.min():.{n}f} to {all_.max():.{n}f})"
+            for n, (mean, all_) in enumerate((c.stress, c.density))
+        )
+        of_stress, of_density = bands
+        others = (f"{c.others[name]:.0f}" if name in c.others else "-" for name in MEASURED["other_strength"])
+        table.append([c.name, f"{c.velocity:g}", f"{stress} ± {error}", of_stress, *others, density, of_density])
+    sets = (name.replace("_", " ") for name in MEASURED["other_strength"])
+    head = ["coating", "m/s", "stress measured (MPa)", "computed", *sets, "density measured (%)", "computed"]
+    return [*markdown(head, table), "", versions(rows)]
+
+
+def draw(rows: Sequence[Row]) -> None:
+    """Computed over measured: stress and density."""
+    figure = blank(8.0, 3.8, 110)
+    for left, title, of in ((0.09, "residual stress (MPa)", "stress"), (0.59, "density (%)", "density")):
+        axes = figure.add_axes((left, 0.14, 0.38, 0.77))
+        ends = []
+        for c in comparisons(rows):
+            stress, error, density = c.measured
+            x, dx = (stress, error) if of == "stress" else (density, 0.0)
+            mean, band = getattr(c, of)
+            label = f"{c.name}, {c.velocity:g} m/s"
+            axes.errorbar(x, mean, [[mean - band.min()], [band.max() - mean]], dx, "o", capsize=3, label=label)
+            ends += [x - dx, x + dx, band.min(), band.max()]
+        axes.plot([min(ends), max(ends)], [min(ends), max(ends)], "k--", lw=1)
+        axes.set(title=title, xlabel="measured", ylabel="computed" if of == "stress" else "")
+        if of == "stress":
+            axes.legend(fontsize=7, loc="upper left")
+    save(figure, figure_path("coating_stress", "coating_al.png"))
 
 
 def main() -> None:
-    """Run what is missing, write the part of the page."""
+    """Run what is missing, draw, write the table of the page."""
     a = options(__doc__, "docs")
     table = study_table("coating_al", COLUMNS, KEY, "python workflows/coatings_al.py")
     for case in () if a.docs else cases():
@@ -226,7 +234,8 @@ def main() -> None:
             row = table.add(row_of(case))
             print({name: row[name] for name in (*KEY, "stress_MPa", "density", "cpu_s", "failed")}, flush=True)
     rows = table_rows("coating_al")
-    write_parts(PAGES["coating"], {"aluminium": lines(rows), "reasons": reasons(rows)})
+    draw(rows)
+    write_parts(PAGES["coating_stress"], {"aluminium": lines(rows)})
 
 
 if __name__ == "__main__":

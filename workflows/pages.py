@@ -22,6 +22,7 @@ PAGES = {
     "accuracy": DOCS / "evidence" / "accuracy.md",
     "bonding": DOCS / "evidence" / "bonding.md",
     "coating": DOCS / "evidence" / "coating.md",
+    "coating_stress": DOCS / "evidence" / "coating_stress.md",
     "effects": DOCS / "evidence" / "effects.md",
     "experiments": DOCS / "evidence" / "experiments.md",
     "jets": DOCS / "evidence" / "jets.md",
