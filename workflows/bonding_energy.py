@@ -1,8 +1,8 @@
-"""Verdict, and energy of bonds and of rebound, over velocity, size, temperature, film and strength: python workflows/bonding_energy.py
+"""Critical velocities by exposure, over size, temperature, film and strength: python workflows/bonding_energy.py [--docs]
 
-Runs of workflows/critical_ni.toml and critical_cu.toml, kept in runs/bonding_energy (--runs). Writes docs/tables/bonding_energy.csv,
-whose rows are not computed again, critical_velocity.csv from its verdicts, bonding_scatter.csv of several placements of points and
-elements, and their parts and the figure of the page on bonding; --docs only these.
+Runs of workflows/critical_ni.toml, critical_cu.toml and critical_ni_rate.toml, kept in runs/bonding_energy (--runs). Each is a row of
+docs/tables/bonding_energy.csv that is not computed again; critical_velocity.csv has the brackets of their verdicts. Then the figure
+and the table of the page on bonding; --docs makes only these.
 """
 
 import math
@@ -10,7 +10,6 @@ import tomllib
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from statistics import fmean, stdev
 from typing import Any
 
 import numpy as np
@@ -30,10 +29,9 @@ from pages import (
 
 from coupler import Scene
 from coupler.files.result import Result
-from coupler.measures import REBOUNDS
 from coupler.physics.materials import material
 from coupler.report.picture import blank, save
-from coupler.studies.critical import bracket, point_name, rows_at, shares_of
+from coupler.studies.critical import bracket, rows_at
 from coupler.studies.table import Row
 
 COLUMNS = (
@@ -109,13 +107,6 @@ CASES = (
     Case("ni_rate", (764, 731), "fine", alpha=ALPHA), Case("ni_rate", (798, 764), "fine", diameter=5.0, alpha=ALPHA),
     Case("ni_rate", (731, 698), "fine", diameter=40.0, alpha=ALPHA),
 )  # fmt: skip
-# metal, diameter in um, preset, velocity in m/s, placements (`coupler.studies.critical.at_velocity`)
-PLACEMENTS = (
-    *(("ni", 10.0, "standard", v, 3) for v in (665, 598, 565, 532)), *(("cu", 14.0, "standard", v, 3) for v in (610, 580, 549, 488)),
-    *(("ni", 10.0, "draft", v, 3) for v in (665, 831)), *(("cu", 14.0, "draft", v, 3) for v in (610, 488)),
-)  # fmt: skip
-OF_SECTION = ("margin_J_m2", "bond_J_m2", "torn_J_m2", "let_go_J_m2", "torn_before_J_m2", "rebound_J_m2")
-PLACED = ("metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", *OF_SECTION)
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
     "ni": ((251, 0.129), (310, 0.101), (415, 0.086), (473, 0.098), (512, 0.076), (563, 0.068), (584, 0.045), (614, 0.021),
@@ -182,53 +173,6 @@ def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:
     return dict(zip(COLUMNS, values, strict=True))
 
 
-def placed_rows(
-    name: str, size: float, preset: str, velocity: float, repeat: int, runs: Path
-) -> list[dict[str, object]]:
-    """Runs of several placements: energies over the section of the particle; of a run without a verdict no margin or rebound.
-
-    let_go: of the centre of mass when it moves off fastest; torn_before: dissipated by bonds until then.
-    """
-    scene = scene_of(name, size, preset=preset)
-    folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
-    rows = []
-    for k, row in enumerate(rows_at(scene, velocity, folder, repeat)):
-        s = Result(folder / point_name(velocity, k)).values
-        speed = row["rebound_velocity_m_s"] if row["verdict_by_bonds"] == REBOUNDS else None
-        history, mass = Result(folder / point_name(velocity, k)).history(), s["particle_mass_kg"]
-        fastest = int(np.argmax(history["velocity_z"]))  # the net force turns: the contact lets go
-        energies = (
-            s["margin_J"], s["bond_energy_J"], history["bond"][-1], 0.5 * mass * history["velocity_z"][fastest] ** 2,
-            history["bond"][fastest], None if speed is None else 0.5 * mass * float(str(speed)) ** 2,
-        )  # fmt: skip
-        first = scene.particle.material, size, preset, velocity, k, row["verdict_by_bonds"], row["restitution"]
-        rows.append(dict(zip(PLACED, (*first, *(None if e is None else e / section for e in energies)), strict=True)))
-    return rows
-
-
-def scatter_page(rows: list[Row]) -> list[str]:
-    """Mean and standard deviation over the placements; a margin without a verdict counts as 0."""
-    lines = []
-    for key, each in groupby(rows, key=lambda row: tuple(row[k] for k in PLACED[:4])):
-        own, (metal, size, preset, velocity) = list(each), key
-        share = shares_of(own, len(own))[float(velocity)]
-        values = [[float(row[k] or 0.0) for row in own if k == "margin_J_m2" or row[k]] for k in PLACED[6:]]
-        words = [f"{fmean(v):.3g} ± {stdev(v):.2g}" if len(v) > 1 else "-" for v in values]
-        torn = fmean(values[3])
-        ratio = f"{stdev(values[1]) / torn:.2f}"
-        lines.append([f"{metal} {size} um", preset, f"{velocity} m/s", f"{share:.0%} of {len(own)}", *words, ratio])
-    head = (
-        "particle | preset | velocity | stick | restitution | margin | to tear the bonds | torn | moves off with | torn before"
-        " | rebound | scatter / torn"
-    )
-    return [*markdown(head, lines), "", versions(rows)]
-
-
-def name_of(row: Row) -> str:
-    """The particle of a row."""
-    return f"{row['metal']} {number(row, 'diameter_um'):g} um, {number(row, 'temperature_K'):g} K"
-
-
 def criticals(rows: list[Row]) -> list[dict[str, object]]:
     """The bracket that the verdicts of each particle, film and preset show, and its error where the velocity is measured."""
 
@@ -248,33 +192,30 @@ def criticals(rows: list[Row]) -> list[dict[str, object]]:
     return lines
 
 
-def critical_page(lines: list[dict[str, object]]) -> list[str]:
-    """Critical velocities as a table."""
+def critical_part(lines: list[dict[str, object]], rows: list[Row]) -> list[str]:
+    """Critical velocities at `fine` by size: without and with gradients of plastic strain, and with a rate of nickel."""
 
-    def words(r: dict[str, object]) -> object:
-        if r["rebounds_to_m_s"]:
-            return r["critical_m_s"] or f"none up to {r['rebounds_to_m_s']:g}"
-        return f"at most {r['sticks_from_m_s']:g}" if r["sticks_from_m_s"] else "undecided"
+    def words(r: dict[str, object]) -> str:
+        low, high = r["rebounds_to_m_s"], r["sticks_from_m_s"]
+        if low and high:
+            middle, half = (low + high) / 2, (high - low) / 2  # type: ignore[operator]
+            return f"{int(middle + 0.5)} ± {int(half + 0.5)}"
+        return f"above {low:g}" if low else f"below {high:g}"
 
-    rows = [
-        [f"{r['metal']} {r['diameter_um']} um, {r['temperature_K']} K", r["film"], r["strength"], r["taylor_alpha"], r["preset"],
-         words(r), r["measured_m_s"] or "-", r["relative_error"] or "-"] for r in lines
-    ]  # fmt: skip
-    return markdown("particle | film | strength | alpha | preset | computed, m/s | measured, m/s | error", rows)
-
-
-def page(rows: list[Row]) -> list[str]:
-    """The rows as a table."""
-    lines = [
-        [name_of(row), row["film"], row["strength"], row["taylor_alpha"], row["preset"], f"{row['velocity_m_s']} m/s",
-         row["verdict"], row["restitution"] or "-", row["restitution_measured"] or "-", row["bonded_over_section"],
-         *(f"{row[key]} J/m2" if row[key] else "-" for key in ("bond_J_m2", "torn_J_m2", "rebound_J_m2"))] for row in rows
-    ]  # fmt: skip
-    head = (
-        "particle | film | strength | alpha | preset | velocity | verdict | restitution | measured | bonded / section | to tear it"
-        " | torn | rebound"
-    )
-    return [*markdown(head, lines), "", versions(rows)]
+    fine = [r for r in lines if r["preset"] == "fine"]
+    usual = {metal: data_of(name)["materials"][metal]["strength"] for name, metal in (("ni", "Ni"), ("cu", "OFHC_Cu"))}
+    columns = {
+        "without gradients": ("0", True),
+        "with gradients": (f"{ALPHA:g}", True),
+        "and a rate of nickel": (f"{ALPHA:g}", False),
+    }
+    table = []
+    for metal, size in sorted({(str(r["metal"]), float(str(r["diameter_um"]))) for r in fine}):
+        own = [r for r in fine if (r["metal"], float(str(r["diameter_um"]))) == (metal, size)]
+        found = {(r["taylor_alpha"], r["strength"] == usual[metal]): words(r) for r in own}
+        measured = f"{MEASURED_CRITICAL[metal, size]:g}" if (metal, size) in MEASURED_CRITICAL else "-"
+        table.append([f"{metal} {size:g} µm", *(found.get(key, "-") for key in columns.values()), measured])
+    return [*markdown(["critical velocity, m/s", *columns, "measured"], table), "", versions(rows)]
 
 
 def draw(rows: list[Row]) -> None:
@@ -313,12 +254,6 @@ def main() -> None:
         for velocity in case.velocities:
             if case.key(velocity) not in table:
                 print(table.add(row_of(case, velocity, Path(a.runs))), flush=True)
-    scatter = study_table("bonding_scatter", PLACED, PLACED[:5], "python workflows/bonding_energy.py")
-    for name, size, preset, velocity, repeat in PLACEMENTS if not a.docs else ():
-        first = METALS[name][0], f"{size:.6g}", preset, str(velocity)
-        if not all((*first, str(k)) in scatter for k in range(repeat)):
-            for row in placed_rows(name, size, preset, velocity, repeat, Path(a.runs)):
-                scatter.add(row)
     lines = criticals(table.rows)
     draw(table.rows)
     about = (
@@ -326,10 +261,7 @@ def main() -> None:
         "strength: strength set of the metal; taylor_alpha: of its hardening by gradients of plastic strain, 0 for none"
     )
     write_table(TABLES / "critical_velocity.csv", lines, about)
-    write_parts(
-        PAGES["bonding"],
-        {"energy": page(table.rows), "critical": critical_page(lines), "scatter": scatter_page(scatter.rows)},
-    )
+    write_parts(PAGES["bonding"], {"critical": critical_part(lines, table.rows)})
 
 
 if __name__ == "__main__":
