@@ -2,7 +2,7 @@
 # make test   format, lint, types and tests, those marked slow left out
 # make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
-# make studies effects  Taylor bars and convergence, into docs/tables (hours; rows in the convergence table are not computed again)
+# make studies  Taylor bars, and the particle as finite elements, into docs/tables (hours)
 # make accuracy  what accuracy costs in time, and whether the errors of runs are true, into docs/evidence/accuracy.md (an hour; rows in the tables are not computed again)
 # make effects  what each effect changes and costs, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
 # make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; goes on where it was stopped)
@@ -109,7 +109,6 @@ bench: setup
 
 studies: test-setup
 	$(VENV)/bin/python workflows/taylor_bar.py
-	$(VENV)/bin/python workflows/convergence.py --parameters
 	$(VENV)/bin/python workflows/element_particle.py
 
 accuracy: setup

@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-import convergence
 import numpy as np
 import pytest
 
 from coupler import __version__
 from coupler.errors import StoreError
-from coupler.sph import shapes
 from coupler.studies.order import fit_order
 from coupler.studies.table import StudyTable, other_version, read_rows
 
@@ -70,22 +68,6 @@ def test_a_study_keeps_its_rows_with_their_versions(tmp_path: Path) -> None:
     ]
     with pytest.raises(StoreError, match="has other columns"):
         StudyTable(path, ("case", "points"), ("case",), "")
-
-
-def test_rows_of_the_study_differ_by_points_and_parameters() -> None:
-    plain = convergence.key_of({"points": "4000"})
-    same = {"points": 4000, "kernel_radius": "0.75", "Q1": 0.06, "lattice": "fcc", "hourglass": ""}
-    assert plain == convergence.key_of(same)
-    others = [convergence.key_of({"points": 4000, **change}) for change in convergence.CHANGES]
-    assert len({plain, *others}) == len(others) + 1
-
-
-def test_another_lattice_lasts_as_long_as_its_context() -> None:
-    default = shapes.shape("sphere", 25e-6, 300).points
-    with convergence.packed_on("bcc"):
-        other = shapes.shape("sphere", 25e-6, 300).points
-    assert other.shape != default.shape or not np.allclose(other, default)
-    assert np.array_equal(shapes.shape("sphere", 25e-6, 300).points, default)
 
 
 @pytest.mark.parametrize(

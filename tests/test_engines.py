@@ -8,7 +8,7 @@ from threading import Event
 
 import numpy as np
 import pytest
-from convergence import HCP  # workflows/convergence.py
+from lattices import HCP
 from numba import njit
 from threadpoolctl import threadpool_info, threadpool_limits
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import elastic
-from convergence import BCC, HCP  # workflows/convergence.py
+from lattices import BCC, HCP
 
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material

@@ -6,7 +6,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from convergence import BCC, HCP, turned_at_random  # workflows/convergence.py
+from lattices import BCC, HCP, turned_at_random
 from scipy.spatial import cKDTree
 from test_scene import problems_with, scene_with
 

@@ -1,25 +1,19 @@
-"""Taylor bars of each domain alone against a rigid, frictionless wall: docs/tables/taylor_bar.csv and taylor_bar_sph.csv.
+"""Taylor bars of each domain alone against a rigid, frictionless wall: python workflows/taylor_bar.py [--docs]
 
-    python workflows/taylor_bar.py                      # every case of both domains, the default ladders
-    python workflows/taylor_bar.py 42CrMo4 0.9 0.65     # elements: one case, these sizes (mm); prints, and writes nothing
-    python workflows/taylor_bar.py points 1000 2000     # points: so many; prints, and writes nothing
-
-Elements: bars of copper and of 42CrMo4 steel, a quarter of each between two planes of symmetry; edges have the given size within
-five radii of the struck face and grow by a tenth per unit of distance behind. Points: a bar of 42CrMo4 by each of two engines;
-plastic, numerical, drift: over the initial kinetic energy; rows in that table are not computed again. The numbers of others, with
-their sources, are in tests/data/references.toml and sph_references.toml.
+Elements (docs/tables/taylor_bar.csv): bars of copper and of 42CrMo4 steel, a quarter of each between two planes of symmetry; edges have
+the given size within five radii of the struck face and grow by a tenth per unit of distance behind. Points (taylor_bar_sph.csv): a bar
+of 42CrMo4; rows in that table are not computed again. plastic, numerical, drift: over the initial kinetic energy. The numbers of
+others, with their sources, are in tests/data/references.toml and sph_references.toml. --docs only draws.
 """
 
-import sys
 import time as clock
 import tomllib
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from pages import ROOT, TABLES, study_table, write_table
+from pages import ROOT, TABLES, column, figure_path, options, study_table, table_rows, write_table
 from scipy.spatial import ConvexHull
 
 from coupler.fe.explicit import Target
@@ -29,6 +23,7 @@ from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
+from coupler.report.picture import blank, save
 from coupler.sph import shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.sph.engine import ENGINES
@@ -38,7 +33,6 @@ LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # mm; 
 POINTS = (500, 1000, 2000, 4000, 8000, 16000)  # some ten minutes
 LARGEST = 1.0  # mm, of the elements
 GROWTH = 0.1
-MEASURES = ("length", "diameter", "T_max", "eps_p_max")
 HEAD = """\
 remake: python workflows/taylor_bar.py
 size: edge of the elements near the struck face, mm (a quarter of the bar is computed); length, diameter: mm, T: degrees Celsius
@@ -49,7 +43,6 @@ DIAMETER, LENGTH, VELOCITY, TEMPERATURE, END = 6.4e-3, 32.4e-3, 287.0, 293.15, 8
 # With stretch = 1.2 single points at the foot go unstable (eps_p_max 5.9 in place of 1.9, 1.4 % more plastic work) and the
 # ledger still closes; from 0.6 to 1.0 nothing changes beyond the third digit.
 NUMERICS = Numerics(courant=0.3, stretch=0.8)
-SHOWN = ("enriched", "compiled")  # engines; compiled is MACHDYN's scheme
 
 
 def reference(case: str) -> dict[str, Any]:
@@ -174,49 +167,54 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
     return result
 
 
-def of_points(counts: list[int]) -> None:
-    """Compute bars of points: the rows of the default ladder that the table lacks, or, with no table, so many points."""
+def of_points() -> None:
+    """Compute the bars of points that the table lacks."""
     columns = ("asked", *(field.name for field in fields(Bar)))
-    table = study_table("taylor_bar_sph", columns, ("engine", "asked"), "python workflows/taylor_bar.py")
-    for engine in SHOWN:
-        for count in counts or POINTS:
-            if counts:
-                print(taylor_bar(count, engine=engine), flush=True)
-            elif (engine, str(count)) not in table:
-                print(table.add({"asked": count, **asdict(taylor_bar(count, engine=engine))}), flush=True)
+    table = study_table("taylor_bar_sph", columns, ("asked",), "python workflows/taylor_bar.py")
+    for count in POINTS:
+        if (str(count),) not in table:
+            print(table.add({"asked": count, **asdict(taylor_bar(count))}), flush=True)
 
 
-def shown(values: Mapping[str, float]) -> str:
-    """The measures of a reference in one line."""
-    return ", ".join(f"{name} {values[name]:g}" for name in MEASURES if name in values)
+def of_elements() -> None:
+    """Compute all bars of elements and write their table."""
+    rows: list[dict[str, object]] = []
+    for case, sizes in LADDER.items():
+        for size in sizes:
+            values = {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in bar(case, size).items()}
+            rows.append({"case": case} | {name: value for name, value in values.items() if name != "wall_s"})
+            print(rows[-1], flush=True)
+    write_table(TABLES / "taylor_bar.csv", rows, HEAD)
 
 
-def of_elements(case: str, sizes: list[float]) -> list[dict[str, object]]:
-    """Compute bars of elements; a row for each."""
-    print(f"{case}: {reference(case)['title']}")
-    for author, values in reference(case)["results"].items():
-        print(f"  {author:33} {shown(values)}")
-    rows = []
-    for size in sizes or LADDER[case]:
-        row = {"case": case} | {k: f"{v:.5g}" if isinstance(v, float) else v for k, v in bar(case, size).items()}
-        print("  " + " ".join(f"{k} {v}" for k, v in row.items()), flush=True)
-        rows.append({name: value for name, value in row.items() if name != "wall_s"})
-    return rows
+def draw() -> None:
+    """Length and diameter of the struck face of the steel bar over the number of elements or points, and the references."""
+    figure = blank(8.0, 3.4, 110)
+    elements = [row for row in table_rows("taylor_bar") if row["case"] == "42CrMo4"]
+    points = table_rows("taylor_bar_sph")
+    for left, name, title in (
+        (0.09, "length", "final length (mm)"),
+        (0.59, "diameter", "diameter of the struck face (mm)"),
+    ):
+        axes = figure.add_axes((left, 0.16, 0.38, 0.75))
+        axes.plot(column(elements, "elements"), column(elements, name), "o-", label="elements")
+        axes.plot(column(points, "points"), column(points, f"{name}_mm"), "s--", label="points")
+        others = [values[name] for values in reference("42CrMo4")["results"].values()]
+        axes.axhspan(min(others), max(others), color="k", alpha=0.15, lw=0, label="DynELA and Abaqus")
+        axes.set(title=title, xscale="log", xlabel="number of elements or points")
+        if name == "diameter":
+            axes.legend(fontsize=8)
+    save(figure, figure_path("solvers", "taylor_bar.png"))
 
 
-def main(arguments: list[str]) -> None:
-    """Compute what is asked for, or all cases with their tables."""
-    if arguments[:1] == ["points"]:
-        of_points(list(map(int, arguments[1:])))
-    elif arguments:
-        of_elements(arguments[0], list(map(float, arguments[1:])))
-    else:
-        rows = [row for case in LADDER for row in of_elements(case, [])]
-        results = {case: reference(case)["results"] for case in LADDER}
-        lines = [f"{case}, {author}: {shown(values)}" for case in LADDER for author, values in results[case].items()]
-        write_table(TABLES / "taylor_bar.csv", rows, HEAD + "\n".join(lines))
-        of_points([])
+def main() -> None:
+    """Compute what is asked for, and draw."""
+    a = options(__doc__, "docs")
+    if not a.docs:
+        of_elements()
+        of_points()
+    draw()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()
