@@ -1,5 +1,4 @@
 """What a step costs, part by part: python workflows/bench.py   # docs/tables/bench.csv
-                                 python workflows/bench.py --laws   # only runs by strength law: docs/tables/law_costs.csv
 
 Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines, and part by part in an impact
 (medians; the rest: the fastest of several repeats). Machines differ, ratios within a table compare.
@@ -20,7 +19,7 @@ from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
 from coupler.physics.constitutive import law_record
-from coupler.physics.materials import entry, material
+from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.sph import packing
@@ -121,8 +120,6 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     n, unit = len(cloud), "us per point and step"
     for name, seconds in times.items():
         rows.append((f"whole step, {n} points, {name}", seconds / steps / n * 1e6, unit))
-    for name in ("enriched", "compiled"):
-        rows.append((f"machdyn over {name}, {n} points", times["machdyn"] / times[name], ""))
 
     def passes() -> None:
         for _ in range(steps):
@@ -194,52 +191,9 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     p.local.close()
 
 
-def laws(count: int, until: float = 20e-9, metal: str = "OFHC_Cu") -> list[dict[str, object]]:
-    """CPU seconds of the same impact with a set of each law of a metal, and over the first's; 500 m/s on its own kind, to a time (s).
-
-    All impacts advance in turn, a window each: what slows down one slows down the others. The first windows compile and do not count.
-    """
-    sets: dict[str, str] = {}
-    for name, table in entry(metal).sets.items():
-        sets.setdefault(str(table["law"]), name)
-    impacts: dict[str, Impact] = {}
-    for law, name in sets.items():
-        text = single_impact(
-            metal, 25.0, 500.0, metal, spacing_of(count), f'[materials.{metal}]\nstrength = "{name}"\n'
-        )
-        impacts[law] = Impact(build_domains(plan(Scene.from_text(text, "laws"))))
-    for impact in impacts.values():
-        advance_window(impact)
-    spent, steps = dict.fromkeys(impacts, 0.0), {law: -impact.particle.steps for law, impact in impacts.items()}
-    while any(impact.time < until for impact in impacts.values()):
-        for law, impact in impacts.items():
-            if impact.time < until:
-                start = clock()
-                advance_window(impact)
-                spent[law] += clock() - start
-    rows: list[dict[str, object]] = []
-    first: tuple[float, float] | None = None
-    for law, impact in impacts.items():
-        taken = steps[law] + impact.particle.steps
-        first = first or (spent[law], spent[law] / taken)  # Johnson-Cook is the first law of the library
-        ratios = {"run_over_first": spent[law] / first[0], "step_over_first": spent[law] / taken / first[1]}
-        rows.append(
-            {"law": law, "set": sets[law], "points": impact.particle.n, "steps": taken, "cpu_s": round(spent[law], 3)}
-            | {name: round(ratio, 3) for name, ratio in ratios.items()}
-        )
-        impact.particle.close()
-    return rows
-
-
 def main() -> None:
     """Measure, print, record."""
-    a = options(__doc__, "laws", points=5000)
-    if a.laws:
-        table = [row for count in (1000, a.points) for row in laws(count)]
-        print(*table, sep="\n")
-        about = f"remake: python workflows/bench.py --laws; {machine()}\nimpacts advance in turn, processor seconds of one thread"
-        write_table(TABLES / "law_costs.csv", table, about)
-        return
+    a = options(__doc__, points=5000)
     rows: list[tuple[str, float, str]] = []
     elements(rows)
     for count in (1000, 5000, 16000):

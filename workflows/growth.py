@@ -1,19 +1,20 @@
-"""How the cost of an impact grows with the splats before it: python workflows/growth.py [--impacts 10]   # docs/tables/growth.csv
+"""How the cost of an impact grows with the splats before it: python workflows/growth.py [--impacts 10] [--docs]
 
 Nickel particles of 20 um at 550 m/s on steel, coarse (700 points), at places drawn from a seed within 12 um of the axis. One line for
-each impact, written when it is over: elements, steps, processor time (one thread) of the steps, of what comes before them (the splat
-before becomes a body, joins, comes to rest; building), who set dt.
+each impact in docs/tables/growth.csv: elements, steps, processor time (one thread) of the steps, of what comes before them (the splat
+before becomes a body, joins, comes to rest; building), who set dt. --docs computes nothing and draws the figure of the page on speed.
 """
 
 import random
 import tempfile
 from pathlib import Path
 
-from pages import TABLES, options, write_table
+from pages import TABLES, column, figure_path, options, table_rows, write_table
 
 from coupler import Scene, run
 from coupler.impact.exchange import Impact
 from coupler.progress import Progress
+from coupler.report.picture import blank, save
 from coupler.studies.ladder_runs import spent
 
 COLUMNS = (
@@ -65,14 +66,31 @@ class Clock:
         write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
 
 
+def draw() -> None:
+    """Processor time of each impact, and its number of steps."""
+    rows = table_rows("growth")
+    number, before, steps = (column(rows, name) for name in ("impact", "before s", "steps s"))
+    figure = blank(6.0, 3.2, 110)
+    axes = figure.add_axes((0.11, 0.16, 0.77, 0.81))
+    axes.bar(number, before, color="#999999", label="new body, joining, equilibrium")
+    axes.bar(number, steps, bottom=before, color="#0072b2", label="steps of the impact")
+    axes.set(xlabel="impact", ylabel="processor time (s)", xticks=number)
+    right = axes.twinx()
+    right.plot(number, column(rows, "steps"), "ko--", ms=4, label="number of steps (right)")
+    right.set_ylim(0, None)
+    figure.legend(loc="upper left", bbox_to_anchor=(0.11, 0.97))
+    save(figure, figure_path("speed", "growth.png"))
+
+
 def main() -> None:
-    """Run, tabulate, record."""
-    a = options(__doc__, impacts=10, seed=2)
-    clock = Clock()
-    with tempfile.TemporaryDirectory() as place:
-        run(scene(a.impacts, a.seed), Path(place) / "run", progress=Progress(), threads=1, probe=clock)
-    clock.write()
-    print("\n".join("  ".join(f"{cell:>10}" for cell in row) for row in [COLUMNS, *clock.rows]))
+    """Run, record, draw."""
+    a = options(__doc__, "docs", impacts=10, seed=2)
+    if not a.docs:
+        clock = Clock()
+        with tempfile.TemporaryDirectory() as place:
+            run(scene(a.impacts, a.seed), Path(place) / "run", progress=Progress(), threads=1, probe=clock)
+        clock.write()
+    draw()
 
 
 if __name__ == "__main__":

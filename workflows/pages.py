@@ -28,6 +28,7 @@ PAGES = {
     "jets": DOCS / "evidence" / "jets.md",
     "scene": DOCS / "guide" / "scene.md",
     "solvers": DOCS / "evidence" / "solvers.md",
+    "speed": DOCS / "evidence" / "speed.md",
     "splats": DOCS / "evidence" / "splats.md",
     "stability": DOCS / "evidence" / "stability.md",
     "validation": DOCS / "evidence" / "validation.md",
