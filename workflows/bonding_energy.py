@@ -193,7 +193,7 @@ def criticals(rows: list[Row]) -> list[dict[str, object]]:
 
 
 def critical_part(lines: list[dict[str, object]], rows: list[Row]) -> list[str]:
-    """Critical velocities at `fine` by size: without and with gradients of plastic strain, and with a rate of nickel."""
+    """Critical velocities at `fine` by size: without and with gradients of plastic strain, and with a rate."""
 
     def words(r: dict[str, object]) -> str:
         low, high = r["rebounds_to_m_s"], r["sticks_from_m_s"]
@@ -207,7 +207,7 @@ def critical_part(lines: list[dict[str, object]], rows: list[Row]) -> list[str]:
     columns = {
         "without gradients": ("0", True),
         "with gradients": (f"{ALPHA:g}", True),
-        "and a rate of nickel": (f"{ALPHA:g}", False),
+        "with gradients and a rate": (f"{ALPHA:g}", False),
     }
     table = []
     for metal, size in sorted({(str(r["metal"]), float(str(r["diameter_um"]))) for r in fine}):

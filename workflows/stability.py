@@ -54,7 +54,7 @@ CHECKS = f"""A scene passes if an independent check of its files (`workflows/ver
 
 It is *warned* if the run says that it leaves the range of its models: melting, fitted strain rates,
 numerical dissipation above {verify.DISSIPATION:.0%}.
-"""
+""".replace("%", " %")
 
 
 class Slow(Exception):
@@ -355,7 +355,7 @@ def page_part(rows: list[Row]) -> list[str]:
         count = Counter(row["verdict"] for row in own)
         again = sum(row["rescues"] not in ("", "0") for row in own)
         worst = (max(share(row, name) for row in own) for name in ("dissipated", "drift"))
-        return [kind, len(own), *(count[v] for v in shown), again, *(f"{value:.1%}" for value in worst)]
+        return [kind, len(own), *(count[v] for v in shown), again, *(f"{100.0 * value:.1f} %" for value in worst)]
 
     table = [line(kind, [by_name[name] for name in names]) for kind, names in groups.items()]
     head = ["kind of scene", "scenes", *shown, "computed again", "dissipated, at most", "energy error, at most"]
