@@ -5,8 +5,8 @@ import struct
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import meshio
 import numpy as np
-import powder  # workflows/powder.py
 import pytest
 from scipy.spatial import ConvexHull
 from test_coating import COATING
@@ -26,6 +26,59 @@ from coupler.plan.text import describe
 from coupler.sph import packing, shapes
 
 D, SPHERE = 25e-6, np.pi / 6.0
+Surface = tuple[np.ndarray, np.ndarray]
+
+
+def lumpy(seed: int, roughness: float = 0.2, edge: float = 0.12, waves: int = 6) -> Surface:
+    """A ball whose radius changes with the direction, by a few plane waves."""
+    vertices, triangles = packing.surface(2.0, edge)
+    rng = np.random.default_rng(seed)
+    k, phase = rng.normal(size=(waves, 3)) * 1.5, rng.random(waves) * 2.0 * np.pi
+    radius = 1.0 + roughness * np.sin(vertices @ k.T + phase).mean(axis=1) * np.sqrt(waves)
+    return vertices * radius[:, None], triangles
+
+
+def rock(seed: int, corners: int = 14) -> Surface:
+    """The hull of random points: flat faces and sharp edges, few triangles."""
+    x = np.random.default_rng(seed).normal(size=(corners, 3))
+    hull = ConvexHull(x / np.linalg.norm(x, axis=1)[:, None] * [1.3, 1.0, 0.8])
+    t = hull.simplices.copy()
+    a, b, c = (hull.points[t[:, i]] for i in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0.0
+    t[inwards] = t[inwards][:, ::-1]
+    return hull.points, t
+
+
+def dumbbell() -> Surface:
+    """Two balls with a neck, as satellites on a powder particle: not convex."""
+    vertices, triangles = packing.surface(2.0, 0.1)
+    waist = 1.0 - 0.45 * np.exp(-((vertices[:, :1] / 0.35) ** 2))
+    return vertices * np.concatenate([np.full_like(waist, 1.8), waist, waist], axis=1), triangles
+
+
+def dented() -> Surface:
+    """A ball with a deep dent."""
+    vertices, triangles = packing.surface(2.0, 0.08)
+    return vertices * (1.0 - 0.55 * np.exp(-((vertices[:, 2:] - 1.0) ** 2 / 0.15))), triangles
+
+
+SHAPES: dict[str, Callable[[], Surface]] = {
+    **{f"lumpy_{seed}": lambda seed=seed: lumpy(seed) for seed in (1, 2, 3)},  # type: ignore[misc]
+    "rough": lambda: lumpy(4, 0.12, 0.06, 20),
+    **{f"rock_{seed}": lambda seed=seed: rock(seed) for seed in (1, 2)},  # type: ignore[misc]
+    "splinter": lambda: (rock(3, 10)[0] * [2.2, 1.0, 0.9], rock(3, 10)[1]),
+    "dumbbell": dumbbell,
+    "dented": dented,
+    "fine": lambda: lumpy(5, 0.15, 0.025),
+}
+
+
+def written(folder: Path, name: str, unit: float = 1.0) -> Path:
+    """An STL file of one of SHAPES."""
+    points, triangles = SHAPES[name]()
+    path = folder / f"{name}.stl"
+    meshio.Mesh(points * unit, [("triangle", triangles)]).write(path)
+    return path
 
 
 def inertia(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -38,11 +91,11 @@ def inertia(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return moments / volume.sum() - np.outer(centre, centre)
 
 
-@pytest.mark.parametrize("name", powder.SHAPES)
+@pytest.mark.parametrize("name", SHAPES)
 def test_an_irregular_shape_is_cleaned_and_packed(name: str, tmp_path: Path) -> None:
     """Mass, centre and inertia of the points, each with its cell of the lattice, are those of the solid. The splinter's tips, thinner
     than a spacing, hold no point."""
-    solid = load(powder.write(tmp_path, name, unit=3.7))
+    solid = load(written(tmp_path, name, unit=3.7))
     assert enclosed_volume(solid.points, solid.triangles) == pytest.approx(SPHERE)
     assert len(solid.triangles) <= MOST_TRIANGLES
     form = form_of(solid)
@@ -238,7 +291,7 @@ def test_a_scene_without_its_shape_is_refused(changes: dict[str, str], told: str
 
 def test_a_particle_of_a_file_flies_and_lands(tmp_path: Path) -> None:
     """Rests on the plan alone once it is planned: the file may go."""
-    path = powder.write(tmp_path, "lumpy_1")
+    path = written(tmp_path, "lumpy_1")
     scene = scene_with(
         particle__shape="file", particle__file=str(path), particle__tilt="30 deg", end__time="4 ns", output__every="4 ns",
         resolution__spacing="2.6 um", resolution__element_size="4 um",
@@ -258,7 +311,7 @@ def test_a_particle_of_a_file_flies_and_lands(tmp_path: Path) -> None:
 
 def test_a_folder_of_shapes_serves_a_coating(tmp_path: Path) -> None:
     for name in ("rock_1", "rock_2", "lumpy_1"):
-        powder.write(tmp_path, name)
+        written(tmp_path, name)
     text = COATING.replace("shapes = { sphere = 0.5, oblate = 0.5 }", 'files = "*.stl"')
     (tmp_path / "coating.toml").write_text(text)
     scene = Scene.load(tmp_path / "coating.toml")

@@ -1,59 +1,69 @@
-"""What accuracy costs in time: computes the ladders of the accuracy page and writes all that rests on them.
+"""What accuracy costs in time: five cases at many resolutions, with the presets marked.
 
-    python workflows/accuracy.py             # docs/tables/accuracy_*.csv, their figures, the page
+    python workflows/accuracy.py             # docs/tables/accuracy_*.csv and presets.csv, the figure, the page
     python workflows/accuracy.py --docs      # runs nothing: from the tables that exist
 
-Rows in the tables are not computed again; a stopped ladder goes on where it was.
+Each case has a ladder of points (accuracy_*.csv), whose limit at zero spacing the errors refer to, and a grid of points, element size
+and contact stiffness (presets.csv). Rows in the tables are not computed again.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from pages import PAGES, ROOT, figure_path, markdown, marked, options, table_rows, versions, write_parts
+import numpy as np
+from matplotlib.ticker import NullFormatter
+from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
 
-from coupler.measures import CONVERGING, MEASURES
+from coupler.measures import MEASURES
+from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING, PRESETS
 from coupler.plan.reading import Scene
 from coupler.plan.refinement import line
-from coupler.report.picture import save
-from coupler.studies import accuracy_fit as fit
+from coupler.report.picture import blank, save
 from coupler.studies import ladder, ladder_runs
-from coupler.studies.accuracy_figures import diagram, order_of, preset_of
-from coupler.studies.accuracy_fit import Row
-from coupler.studies.table import StudyTable
+from coupler.studies.table import Row, StudyTable
+
+POINTS = (300, 500, 700, 1000, 1400, 2000, 3500, 5000)
+ELEMENTS = (1.2, 1.45, 1.7, 2.1)  # smallest edge of the target's elements over the spacing
+STIFFNESS = (1.0, 3.0)  # of the contact, over the default
+JUDGED = ("flattening_ratio", "crater_depth_m", "splat_diameter_m")
+FINEST = 4  # rows of a ladder that its limit rests on
+TICKS = (1, 2, 5, 10, 20)  # percent
+USUAL = f"e{ELEMENT_SIZE_OVER_SPACING:g} k1"  # elements and contact stiffness of the presets
 
 
 @dataclass(frozen=True)
 class Study:
-    """A case of the page. knobs_at: points at which the other settings are tried, 0 for not at all."""
+    """A case of the page. grid: most points of its grid; without_limit: measures whose ladder shows no limit."""
 
     heading: str
     scene: str
-    points: tuple[int, ...] = (500, 1000, 2000, 5000, 12000)
-    reference: int = 24000
-    knobs_at: int = 0
+    grid: int
+    points: tuple[int, ...] = (500, 1000, 2000, 5000)
+    reference: int = 16000
+    without_limit: tuple[str, ...] = ()
 
     def load(self) -> Scene:
         return Scene.load(ROOT / "workflows" / f"{self.scene}.toml")
 
 
+FINE = (500, 1000, 2000, 5000, 12000, 16000)
 STUDIES = {
-    "ni500": Study("Ni at 500 m/s", "single_ni", knobs_at=1000),
-    "ti500": Study("Ti at 500 m/s", "single_ti", knobs_at=1000),
-    "ni1000": Study("Ni at 1000 m/s", "fast_ni", (500, 1000, 2000, 5000), 12000),
-    "al725": Study("Al at 725 m/s", "al_on_steel", (500, 1000, 2000), 5000),
-    "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", (700, 1000, 2000), 4000),
+    "ni500": Study("Ni, 500 m/s", "single_ni", 5000, FINE, 24000),
+    "ti500": Study("Ti, 500 m/s", "single_ti", 5000, FINE, 24000),
+    "ni1000": Study("Ni, 1000 m/s", "fast_ni", 1000, without_limit=("flattening_ratio",)),
+    "al725": Study("Al, 725 m/s", "al_on_steel", 700, without_limit=("splat_diameter_m",)),
+    "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", 2000, (700, 1000, 2000, 5000)),
 }
 
 
-@dataclass(frozen=True)
-class StudyCase:
-    """A scene of the accuracy study. impacts: of the run; speed m/s and temperature K: of its last particle; rows: of its ladder."""
+class Entry(NamedTuple):
+    """A setting of a case: time of its loop, s; largest error of the judged measures, percent; points, and the other settings."""
 
-    name: str
-    impacts: int
-    speed: float
-    temperature: float
-    rows: Sequence[Row]
+    time: float
+    error: float
+    points: int
+    kind: str
 
 
 def table_of(name: str) -> StudyTable:
@@ -61,88 +71,115 @@ def table_of(name: str) -> StudyTable:
     return ladder.ladder_table(ROOT / "docs" / "tables" / f"accuracy_{name}.csv", about)
 
 
-def case_of(name: str) -> StudyCase:
-    particles = STUDIES[name].load().particles
-    last = particles[-1]
-    return StudyCase(STUDIES[name].heading, len(particles), last.velocity, last.temperature, table_of(name).rows)
-
-
 def compute(names: Sequence[str]) -> None:
-    """Compute the rows that the tables lack."""
+    """Compute the rows that the tables lack, the cheap ones first."""
+    grid = study_table("presets", ladder.COLUMNS, ladder.KEY, "make accuracy")
     for name in names:
-        study = STUDIES[name]
-        print(study.heading)
-        points = ladder.ladder_points(study.points, study.reference, study.knobs_at or None)
-        ladder_runs.compute_missing(study.load(), ROOT / "runs" / "accuracy" / name, points, table_of(name), print)
+        study, scene = STUDIES[name], STUDIES[name].load()
+        rungs = ladder.ladder_points(study.points, study.reference, None)
+        ladder_runs.compute_missing(scene, ROOT / "runs" / "accuracy" / name, rungs, table_of(name), print)
+        settings = [
+            ladder.LadderPoint(name, f"e{element:g} k{k:g}", n, element, None, {"contact_stiffness": k})
+            for n in POINTS
+            for element in ELEMENTS
+            for k in STIFFNESS
+            if n <= study.grid
+        ]
+        ladder_runs.compute_missing(scene, ROOT / "runs" / "presets", settings, grid, print)
 
 
-def cases_part(cases: dict[str, StudyCase]) -> list[str]:
-    """A section for each case: figure, reference, differences of each setting in percent, failures."""
-    lines: list[str] = []
-    for name, case in cases.items():
-        best = fit.reference(case.rows)
-        assert best is not None
-        finest = max(int(r["points_used"]) for r in ladder.finished(case.rows) if r["axis"] == "points")
-        last = " in the last of its particles" if case.impacts > 1 else ""
-        lines += [
-            f"### {case.name}", "", f"![{case.name}](accuracy_{name}.png)", "",
-            f"The reference has {int(best['points_used'])} points{last}, {int(best['points_used']) / finest:.1f} times those of"
-            f" the finest setting compared with it, and took {float(best['cpu_s']):.0f} s"
-            f" ([table](../tables/accuracy_{name}.csv)). {versions(case.rows)}", "",
-        ]  # fmt: skip
-        by_measure = {m: fit.errors(case.rows, m, case.temperature) for m in CONVERGING}
-        errors = {m: {(r["axis"], r["setting"]): e for r, e in pairs} for m, pairs in by_measure.items()}
-        shown = []
-        for row in ladder.finished(case.rows):
-            if row["axis"] != "reference":
-                text = row["setting"] + ("" if row["axis"] == "points" else f", {row['points']} points")
-                text = marked(text + (f" ({preset_of(row)})" if preset_of(row) else ""), row)
-                cells = [f"{errors[m][row['axis'], row['setting']]:+.1f}" for m in CONVERGING]
-                shown.append([text, f"{float(row['cpu_s']):.3g}", *cells])
-        lines += [*markdown(["setting", "s", *(MEASURES[m].short for m in CONVERGING)], shown), ""]
-        failed = [f"{r['setting']} ({r['points']} points): {r['failed']}" for r in case.rows if r["failed"]]
-        lines += [f"Failed: {'; '.join(failed)}" if failed else "No setting failed.", ""]
-    return lines
+def ladder_of(name: str) -> list[Row]:
+    """Finished rows of the ladder of a case, the finest last."""
+    return sorted(ladder.finished(table_of(name).rows), key=lambda row: number(row, "points_used"))
 
 
-def orders_part(cases: Sequence[StudyCase]) -> list[str]:
-    """Fitted order of each measure, common to the single impacts, and its limit over the reference in each case."""
+def limits(name: str) -> dict[str, tuple[float, float]]:
+    """Measure -> its limit at zero spacing (first order through the FINEST rows), and how far the finest row is off it, percent."""
+    rows = ladder_of(name)[-FINEST:]
+    h = np.array([number(row, "points_used") ** (-1.0 / 3.0) for row in rows])
+    found = {}
+    for measure in JUDGED:
+        if measure not in STUDIES[name].without_limit:
+            values = np.array([number(row, measure) for row in rows])
+            limit = float(line(h, values, 1.0)[0])
+            found[measure] = limit, 100.0 * abs(values[-1] / limit - 1.0)
+    return found
+
+
+def entries(name: str) -> list[Entry]:
+    """All settings of a case, by time; grid and ladder."""
+    at = limits(name)
+    grid = [row for row in ladder.finished(table_rows("presets")) if row["axis"] == name]
+    found: dict[tuple[str, int], Entry] = {}
+    for row in [*grid, *({**row, "setting": USUAL} for row in ladder_of(name))]:
+        worst = max(100.0 * abs(number(row, measure) / limit - 1.0) for measure, (limit, _) in at.items())
+        kind, points = row["setting"], int(row["points"])
+        found[kind, points] = Entry(number(row, "cpu_loop_s"), worst, points, kind)
+    return sorted(found.values())
+
+
+def of_preset(preset: str, listed: Sequence[Entry]) -> Entry | None:
+    """The setting that a preset takes, if it is computed."""
+    return next((each for each in listed if (each.points, each.kind) == (PRESETS[preset], USUAL)), None)
+
+
+def presets_part() -> list[str]:
+    """Of each case: error and time of the presets, the limits that the errors refer to, and how far the finest run is off them."""
     lines = []
-    for measure in CONVERGING:
-        used, fitted = fit.order([fit.resolutions(c.rows, measure, c.temperature) for c in cases if c.impacts == 1])
-        limits = [line(*fit.resolutions(c.rows, measure, c.temperature), used)[0] for c in cases]
-        orders = (f"{fitted.order:.2g}", " to ".join(fitted.interval()), f"{used:.2g}")
-        lines.append([MEASURES[measure].short, *orders, *(f"{limit:.3f}" for limit in limits)])
-    return markdown(
-        ["measure", "fitted order", "95 %", "order taken", *(f"limit, {case.name}" for case in cases)], lines
-    )
+    for name, study in STUDIES.items():
+        listed, at, cells = entries(name), limits(name), []
+        for preset in PRESETS:
+            own = of_preset(preset, listed)
+            cells.append(f"{own.error:.1f} % in {own.time:.{1 if own.time < 9.95 else 0}f} s" if own else "-")
+        for measure in JUDGED:
+            m = MEASURES[measure]
+            cells.append(f"{at[measure][0] * m.factor:.3g} ({at[measure][1]:.1f} %)" if measure in at else "none")
+        lines.append([study.heading, *cells])
+    head = ["case", *PRESETS, "flattening", "crater, µm", "diameter, µm"]
+    rows = [row for name in STUDIES for row in table_of(name).rows]
+    return [*markdown(head, lines), "", versions([*rows, *table_rows("presets")])]
 
 
 def pace_part() -> list[str]:
     """The estimates of time (workflows/pace.py) against the times taken."""
     rows = table_rows("pace")
-    steps = [abs(float(row["steps_said"]) / float(row["steps"]) - 1.0) for row in rows]
-    within = [sum(x <= 0.3 for x in off) for off in (steps, [abs(float(row["off_percent"])) / 100.0 for row in rows])]
-    line = f"Of {len(rows)} scenes {within[0]} are within 30 % in steps, {within[1]} in time."
-    cells = [
-        [marked(r["scene"], r), r["steps_said"], r["steps"], r["said_s"], r["took_s"], f"{float(r['off_percent']):+.0f} %"]
-        for r in rows
-    ]  # fmt: skip
-    return [line, "", *markdown(["scene", "steps estimated", "steps", "s estimated", "s", "off"], cells)]
+    steps = [abs(number(row, "steps_said") / number(row, "steps") - 1.0) for row in rows]
+    within = [sum(x <= 0.3 for x in off) for off in (steps, [abs(number(row, "off_percent")) / 100.0 for row in rows])]
+    return [
+        f"Of {len(rows)} scenes that its constants are not fitted to, the estimate of `coldspray check` is within 30 % in"
+        f" {within[0]} for the number of steps and in {within[1]} for the time ([table](../tables/pace.csv))."
+    ]
+
+
+def draw() -> None:
+    """Error over time of all settings, with the presets; a panel for each case."""
+    figure = blank(3.1 * len(STUDIES), 3.4, 100, "constrained")
+    axes = figure.subplots(1, len(STUDIES), sharey=True)
+    for axis, (name, study) in zip(axes, STUDIES.items(), strict=True):
+        listed = entries(name)
+        axis.loglog([each.time for each in listed], [each.error for each in listed], ".", color="0.7", label="settings")
+        own = sorted((each for each in listed if each.kind == USUAL), key=lambda each: each.points)
+        axis.loglog([each.time for each in own], [each.error for each in own], "-", color="C0", label="more points")
+        for k, preset in enumerate(PRESETS, start=1):
+            if each := of_preset(preset, listed):
+                axis.loglog(each.time, each.error, "D", color=f"C{k}", label=preset)
+        axis.set_title(study.heading, fontsize=10)
+        axis.set_xlabel("time of the loop (s)")
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.set_yticks(TICKS, [str(tick) for tick in TICKS])
+        axis.yaxis.set_minor_formatter(NullFormatter())
+    axes[0].set_ylabel("largest error of flattening,\ncrater, diameter (%)")
+    axes[0].legend(fontsize=7)
+    save(figure, figure_path("accuracy", "presets.png"))
 
 
 def main() -> None:
-    """Compute the ladders and write what rests on them."""
+    """Compute what is missing; write figure and page."""
     a = options(__doc__, "docs", only=list(STUDIES))
     if not a.docs:
         compute(a.only)
-    cases = {name: case_of(name) for name in STUDIES}
-    cases = {name: case for name, case in cases.items() if fit.reference(case.rows) is not None}
-    tables = [*cases_part(cases), "## Orders", "", *orders_part(list(cases.values()))]
-    for name, case in cases.items():
-        save(diagram(case.rows, case.name, case.temperature), figure_path("accuracy", f"accuracy_{name}.png"))
-        print(f"{case.name}: flattening, {order_of(case.rows, 'flattening_ratio_total', case.temperature)}")
-    write_parts(PAGES["accuracy"], {"tables": tables, "pace": pace_part()})
+    draw()
+    write_parts(PAGES["accuracy"], {"presets": presets_part(), "pace": pace_part()})
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from concurrent.futures import as_completed
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, ROOT, markdown, number, options, study_table, versions, write_parts
+from pages import PAGES, ROOT, TABLES, number, options, study_table, versions, write_parts, write_table
 
 from coupler import Result, Scene, run
 from coupler.deposition.error import Companions
@@ -112,9 +112,9 @@ def missing(
                 yield case, preset
 
 
-def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float, float]]:
+def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float]]:
     """Of the scenes with a measure at a preset, its error, and the measure at `fine`: error and difference from fine, both over
-    the value (of temperatures: over their rise at 300 K), and the value."""
+    the value (of temperatures: over their rise at 300 K)."""
     found = []
     fine = {row["scene"]: row for row in rows if row["preset"] == "fine" and not row["failed"]}
     for row in rows:
@@ -122,50 +122,51 @@ def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float
             value, best, error = number(row, key), number(fine[row["scene"]], key), number(row, f"{key} error")
             whole = abs(value - record(key).initial(300.0))
             if np.isfinite([value, best, error]).all() and whole > 0.0:
-                found.append((error / whole, abs(best - value) / whole, value))
+                found.append((error / whole, abs(best - value) / whole))
     return found
 
 
-def page(rows: Sequence[Row]) -> list[str]:
-    """For each measure and all together: in how many scenes fine lies within the error, the median error and difference."""
-    lines, all_of = [], {preset: [] for preset in PRESETS[:2]}
-    for key in CONVERGING:
-        cells = [MEASURES[key].short]
+def by_measure(rows: Sequence[Row]) -> list[dict[str, str]]:
+    """Of each measure and of all together, at each preset: in how many scenes fine lies within the error, the median error and the
+    median difference from fine, both in percent of the value; as rows of a table."""
+    found = {(key, preset): pairs(rows, preset, key) for key in CONVERGING for preset in PRESETS[:2]}
+    found |= {("all", preset): [pair for key in CONVERGING for pair in found[key, preset]] for preset in PRESETS[:2]}
+    lines = []
+    for key in (*CONVERGING, "all"):
+        line = {"measure": MEASURES[key].short if key in MEASURES else key}
         for preset in PRESETS[:2]:
-            found = pairs(rows, preset, key)
-            all_of[preset] += found
-            cells += _cells(found)
-        lines.append(cells)
-    lines.append(["all", *(cell for preset in PRESETS[:2] for cell in _cells(all_of[preset]))])
-    head = [
-        "measure",
-        *(f"{preset}: {text}" for preset in PRESETS[:2] for text in ("fine within", "error", "fine off")),
-    ]
+            own = found[key, preset]
+            error, off = (100.0 * float(np.median([pair[k] for pair in own])) if own else np.nan for k in (0, 1))
+            line[f"{preset}: fine within"] = f"{sum(off <= error for error, off in own)} of {len(own)}"
+            line |= {f"{preset}: error, %": f"{error:.2g}", f"{preset}: fine off, %": f"{off:.2g}"}
+        lines.append(line)
+    return lines
+
+
+def page(rows: Sequence[Row]) -> list[str]:
+    """What the page says: the counts of each measure, what the error costs, and the runs that failed."""
+    lines = by_measure(rows)
     shares = [
-        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["error_cpu_s"] and r["preset"] == "standard"
+        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["preset"] == "standard" and r["error_cpu_s"]
     ]
-    cost = (
-        f"At `standard` the coarser runs take {100 * np.median(shares):.0f} % of the run's processor time (median)."
-        if shares
-        else ""
-    )
     failed = [f"{row['scene']}, {row['preset']}: {row['failed']}" for row in rows if row["failed"]]
-    return [
-        *markdown(head, lines),
+    scenes = len({row["scene"] for row in rows if row["preset"] == "fine" and not row["failed"]})
+    texts = [
+        f"`fine` lies within the printed error, in {scenes} scenes ([by measure](../tables/errors_by_measure.csv)):",
         "",
-        cost,
-        f"Failed: {'; '.join(failed)}." if failed else "No run failed.",
-        "",
-        versions(rows),
     ]
-
-
-def _cells(found: Sequence[tuple[float, float, float]]) -> list[str]:
-    if not found:
-        return ["-", "-", "-"]
-    inside = sum(off <= error for error, off, _ in found)
-    errors, offs = (100.0 * float(np.median([pair[k] for pair in found])) for k in (0, 1))
-    return [f"{inside} of {len(found)}", f"{errors:.2g} %", f"{offs:.2g} %"]
+    for preset in PRESETS[:2]:
+        counts = ", ".join(f"{line['measure']} {line[f'{preset}: fine within']}" for line in lines[:-1])
+        texts.append(
+            f"- at `{preset}` in {lines[-1][f'{preset}: fine within']} comparisons: {counts}. The median error is"
+            f" {lines[-1][f'{preset}: error, %']} %, the median difference from `fine` {lines[-1][f'{preset}: fine off, %']} %."
+        )
+    texts += [
+        "",
+        f"At `standard` the coarser runs take {100 * np.median(shares):.0f} % of the run's processor time (median).",
+    ]
+    texts.append(f"Failed: {'; '.join(failed)}." if failed else "No run failed.")
+    return [*texts, "", versions(rows)]
 
 
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
@@ -196,6 +197,8 @@ def main() -> None:
         known.rows.sort(key=lambda row: order.get((row["scene"], row["preset"]), len(order)))
         known.write()
     print("FORECAST =", forecast(known.rows))
+    about = "remake: make accuracy; error and difference in percent of the value, medians over the scenes"
+    write_table(TABLES / "errors_by_measure.csv", by_measure(known.rows), about)
     write_parts(PAGES["accuracy"], {"errors": page(known.rows)})
 
 

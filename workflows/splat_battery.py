@@ -1,37 +1,53 @@
-"""Clouds of points that must become meshes: real impacts and synthetic hard ones, by each method, in one table.
+"""Clouds of points that must become meshes: real impacts, synthetic hard ones and splats of runs.
 
-    python workflows/splat_battery.py [--clouds DIR] [--only PART] [--summary]
+    python workflows/splat_battery.py [--clouds DIR] [--only PART]    # docs/tables/splats.csv, the figure and the page
+    python workflows/splat_battery.py --docs                          # converts nothing but the clouds of the figure
 
-Clouds in DIR and rows in the table docs/tables/splats.csv are not computed again: a run that was stopped goes on. Run
-it with OMP_NUM_THREADS=1: seconds are those of one core, of the whole conversion, with gmsh's process; kernels are loaded before.
+Clouds in DIR and rows in the table are not computed again. Seconds are those of one core (OMP_NUM_THREADS=1) for the whole conversion,
+with gmsh's process; kernels are loaded before.
 """
 
-import itertools
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import splat_clouds
-from pages import markdown, options, study_table, versions
+from matplotlib.collections import PolyCollection
+from pages import PAGES, figure_path, markdown, options, study_table, versions, write_parts
 
 from coupler.errors import ColdsprayError, SplatError
+from coupler.geometry.sections import crossing, cut_tets
+from coupler.report.picture import blank, save
 from coupler.sph import packing
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
 from coupler.studies.ladder_runs import spent
-from coupler.studies.table import Row
+from coupler.studies.table import Row, StudyTable
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements
 COLUMNS = [
-    "cloud", "kind", "points", "size_over_spacing", "asked", "used", "result", "bodies", "lost_mass", "tets", "volume_before",
+    "cloud", "kind", "points", "size_over_spacing", "used", "result", "bodies", "lost_mass", "tets", "volume_before",
     "moved_spacings", "gamma_min", "gamma_mean", "dihedral_deg", "step_over_size", "width", "top_spacings", "outside_half",
     "outside_max", "T_raw", "eps_p_raw", "energy_raw", "momentum", "angular_momentum", "kinetic", "stress_square", "cpu_s",
     "wall_s", "failed_tries",
 ]  # fmt: skip
-KEY = ("cloud", "asked", "size_over_spacing")
+KEY = ("cloud", "size_over_spacing")
 CLOUDS = Path(tempfile.gettempdir()) / "splat_battery"
+KINDS = {"impact": "impacts", "synthetic": "synthetic", "splat": "splats of runs"}
+DRAWN = {"Ni1000": "Ni, 1000 m/s", "Ni500_angular": "Ni, angular, 500 m/s", "long_lip_5000": "long lip, synthetic"}
+SHOWN = {  # label -> column, factor, form, the worst of all
+    "volume error before the correction": ("volume_before", 100.0, "{:+.1f} %", max),
+    "width against the points": ("width", 100.0, "{:+.1f} %", max),
+    "points more than half a spacing outside": ("outside_half", 100.0, "{:.1f} %", max),
+    "worst gamma": ("gamma_min", 1.0, "{:.2f}", min),
+    "mean gamma": ("gamma_mean", 1.0, "{:.2f}", min),
+    "least dihedral angle": ("dihedral_deg", 1.0, "{:.0f}°", min),
+    "worst step length over edge": ("step_over_size", 1.0, "{:.2f}", min),
+    "volume integral of σ:σ": ("stress_square", 100.0, "{:+.0f} %", max),
+    "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
+}
 SIZES = {"lens_2000": (1.0, 3.0), "lip_2000": (1.0, 3.0)}  # further element sizes over the spacing, by cloud
 
 
@@ -64,18 +80,18 @@ def warm_up() -> None:
     convert(Cloud(x, np.full(len(x), volume), spacing, 1.0, J=np.ones(len(x))), SIZE_OVER_SPACING * spacing)
 
 
-def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dict[str, Any]:
+def row_of(name: str, kind: str, cloud: Cloud, ratio: float) -> dict[str, Any]:
     """Convert one cloud; its line of the table."""
-    row: dict[str, Any] = dict(zip(COLUMNS, (name, kind, len(cloud.x), ratio, method), strict=False))
+    row: dict[str, Any] = dict(zip(COLUMNS, (name, kind, len(cloud.x), ratio), strict=False))
     before = spent()
     try:
-        splat = convert(cloud, ratio * cloud.spacing, method, time_limit=180.0)
+        splat = convert(cloud, ratio * cloud.spacing, time_limit=180.0)
     except SplatError as problem:
         return row | {"result": f"failed: {problem}"[:400], "cpu_s": spent() - before}
     row["cpu_s"] = spent() - before
     r, t, dx = splat.report, splat.report["transfer"], cloud.spacing
     row |= {
-        "used": r["method"], "result": "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
+        "used": r["method"], "result": "; ".join(r["missed"]) or "meshed", "bodies": len(splat.bodies), "tets": r["tets"],
         "lost_mass": splat.lost_mass / cloud.mass.sum(), "volume_before": r["volume_error_before"],
         "moved_spacings": r["moved_m"] / dx, "gamma_min": r["gamma_min"], "gamma_mean": r["gamma_mean"],
         "dihedral_deg": r["dihedral_min_deg"], "step_over_size": r["step_length_min_m"] / r["element_size_m"],
@@ -88,52 +104,81 @@ def row_of(name: str, kind: str, cloud: Cloud, ratio: float, method: str) -> dic
     return row
 
 
-def main() -> None:
-    """Make what is missing of the clouds and of the table."""
-    a = options(__doc__, "summary", clouds=CLOUDS, methods=["auto"], only="")
-    table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
-    if a.summary:
-        print("\n".join(summary(table.rows)))
-        return
+def compute(only: str, folder: Path, table: StudyTable) -> None:
+    """Convert the clouds that the table lacks."""
     warm_up()
     for name, (kind, make) in splat_clouds.every().items():
-        if a.only not in name:
-            continue
-        try:
-            cloud = cloud_of(name, a.clouds, make)
-        except ColdsprayError as problem:
-            print(f"{name}: no cloud, {problem}", flush=True)
-            continue
-        for ratio, method in itertools.product((SIZE_OVER_SPACING, *SIZES.get(name, ())), a.methods):
-            if (name, method, f"{ratio:g}") not in table:
-                new = table.add(row_of(name, kind, cloud, ratio, method))
-                shown = ("asked", "used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
-                print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
+        for ratio in (SIZE_OVER_SPACING, *SIZES.get(name, ())) if only in name else ():
+            if (name, f"{ratio:g}") in table:
+                continue
+            try:
+                cloud = cloud_of(name, folder, make)
+            except ColdsprayError as problem:
+                print(f"{name}: no cloud, {problem}", flush=True)
+                break
+            new = table.add(row_of(name, kind, cloud, ratio))
+            shown = ("used", "result", "bodies", "tets", "gamma_min", "step_over_size", "cpu_s")
+            print(f"{name}:", *(new[column][:150] or "-" for column in shown), flush=True)
 
 
-def summary(rows: list[Row]) -> list[str]:
-    """The measures as a table in Markdown: medians over the clouds, with the worst in brackets."""
-    measures = {
-        "volume error before matching": ("volume_before", 100.0, "{:+.1f} %", max),
-        "width against the source": ("width", 100.0, "{:+.1f} %", max),
-        "points more than half a spacing outside": ("outside_half", 100.0, "{:.1f} %", max),
-        "farthest point outside, spacings": ("outside_max", 1.0, "{:.2f}", max),
-        "worst gamma": ("gamma_min", 1.0, "{:.2f}", min),
-        "mean gamma": ("gamma_mean", 1.0, "{:.2f}", min),
-        "least dihedral angle": ("dihedral_deg", 1.0, "{:.0f} deg", min),
-        "worst step length over edge": ("step_over_size", 1.0, "{:.3f}", min),
-        "tetrahedra over points": ("tets", 1.0, "{:.1f}", max),
-        "seconds of one core": ("cpu_s", 1.0, "{:.1f}", max),
-    }
-    meshed = [row for row in rows if row["result"] == "meshed"]
-    lines = [["all gates passed", f"{len(meshed)} of {len(rows)}"]]
-    for label, (name, factor, form, worst) in measures.items():
-        values = [factor * float(row[name]) for row in meshed if row.get(name)]
-        if name == "tets":
-            values = [float(row["tets"]) / float(row["points"]) for row in meshed]
-        far = worst(values, key=abs) if worst is max else min(values)
-        lines.append([label, f"{form.format(float(np.median(values)))} ({form.format(far)})"])
-    return [*markdown("| median (worst)", lines), "", versions(rows)]
+def part(rows: Sequence[Row]) -> list[str]:
+    """The table of the page: medians over each kind of clouds, with the worst in brackets."""
+    groups = {kind: [row for row in rows if row["kind"] == kind] for kind in KINDS}
+    lines = [["conversions", *(len(own) for own in groups.values())]]
+    lines.append(["all gates passed", *(sum(row["result"] == "meshed" for row in own) for own in groups.values())])
+    lines.append(["at the first try", *(sum(not row["failed_tries"] for row in own) for own in groups.values())])
+    for label, (name, factor, form, worst) in SHOWN.items():
+        cells = []
+        for own in groups.values():
+            values = [factor * float(row[name]) for row in own if row[name]]
+            cells.append(f"{form.format(float(np.median(values)))} ({form.format(worst(values, key=abs))})")
+        lines.append([label, *cells])
+    return [*markdown(["", *KINDS.values()], lines), "", versions(rows)]
+
+
+def draw(folder: Path, path: Path) -> None:
+    """Points and mesh of three clouds, cut at y = 0 and coloured by plastic strain."""
+    makers = {name: make for name, (_, make) in splat_clouds.every().items()}
+    clouds = {label: cloud_of(name, folder, makers[name]) for name, label in DRAWN.items()}
+    most = max(float(np.percentile(cloud.eps_p, 99)) for cloud in clouds.values() if cloud.eps_p is not None)
+    colours: dict[str, Any] = {"cmap": "viridis", "clim": (0.0, most)}
+    figure = blank(12.0, 4.4, 100, "constrained")
+    axes = figure.subplots(2, len(clouds))
+    for (above, below), (label, cloud) in zip(axes.T, clouds.items(), strict=True):
+        assert cloud.eps_p is not None
+        near = np.abs(cloud.x[:, 1]) < 0.8 * cloud.spacing
+        above.scatter(
+            *(cloud.x[near][:, [0, 2]].T * 1e6), s=9, c=cloud.eps_p[near], vmin=0.0, vmax=most, cmap="viridis"
+        )
+        above.set_title(f"{label}: {len(cloud.x)} points", fontsize=9)
+        splat = convert(cloud, SIZE_OVER_SPACING * cloud.spacing)
+        for body in splat.bodies:
+            assert body.eps_p is not None
+            edges, owner = cut_tets(body.points, body.tets, 0.0)
+            corners = list(crossing(body.points, edges, 0.0)[0] * 1e6)
+            drawn = below.add_collection(
+                PolyCollection(corners, array=body.eps_p[owner], edgecolors="k", linewidths=0.3, **colours)
+            )
+        r = splat.report
+        below.set_title(f"{r['tets']} tetrahedra, worst gamma {r['gamma_min']:.2f}", fontsize=9)
+        low, high = cloud.x.min(axis=0) * 1e6 - 2.0, cloud.x.max(axis=0) * 1e6 + 2.0
+        for panel in (above, below):
+            panel.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[2], high[2]))
+        below.set_xlabel("x (µm)")
+    for panel, words in zip(axes[:, 0], ("points at y = 0", "elements"), strict=True):
+        panel.set_ylabel(f"{words}\nz (µm)")
+    figure.colorbar(drawn, ax=axes[:, -1], label="plastic strain", shrink=0.8)
+    save(figure, path)
+
+
+def main() -> None:
+    """Make what is missing of the clouds and of the table; write figure and page."""
+    a = options(__doc__, "docs", clouds=CLOUDS, only="")
+    table = study_table("splats", COLUMNS, KEY, "OMP_NUM_THREADS=1 python workflows/splat_battery.py")
+    if not a.docs:
+        compute(a.only, a.clouds, table)
+    draw(a.clouds, figure_path("splats", "splats.png"))
+    write_parts(PAGES["splats"], {"battery": part(table.rows)})
 
 
 if __name__ == "__main__":
