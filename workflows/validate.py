@@ -1,12 +1,12 @@
 """The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
 
     python workflows/validate.py                   # what is not in the tables yet, then the page
-    python workflows/validate.py --only cases      # of: cases, spread, draft, wave, trends, shapes, scatter
-    python workflows/validate.py --docs            # runs nothing: the page and its figures from the tables
+    python workflows/validate.py --only cases      # of: cases, spread, wave, trends, shapes, scatter
+    python workflows/validate.py --docs            # runs nothing: the page and its figure from the tables
 
 A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv; rows
 in the tables are not computed again, and a run that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py`
-writes the page and its figures from the tables and from paper_values.toml. Nothing is fitted to the paper.
+writes the page and its figure from the tables and from paper_values.toml. Nothing is fitted to the paper.
 """
 
 import shutil
@@ -28,16 +28,13 @@ from scipy.stats import norm, qmc
 from coupler import Result, Scene, run
 from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
-from coupler.geometry.tetrahedra import boundary_faces, volumes
+from coupler.geometry.tetrahedra import volumes
 from coupler.impact.exchange import Impact
 from coupler.physics.constitutive import von_mises
-from coupler.report.picture import stage
-from coupler.report.profiles import on_vertical, profiles
 
 HERE, RUNS = Path(__file__).parent, Path(__file__).parents[1] / "runs" / "validate"
 REMAKE = "remake: make validate (rows in this table are not computed again)"
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
-PURE_TI = "-CP_Ti"  # ending of the name of a case with the titanium of the library in place of the paper's
 TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
 # What the measured spread of impact velocities makes of cases A and B (m/s).
@@ -46,34 +43,27 @@ DIAMETERS, VELOCITIES = (5, 10, 15, 20, 25, 30, 40, 50, 60), (125, 250, 375, 500
 TEMPERATURES = (300, 350, 400, 450, 500, 550, 600)
 # Scatter of case D: number of runs; mean and standard deviation of the first velocity (m/s); ratios of the three; largest offset (um)
 SAMPLES, FIRST_VELOCITY, RATIOS, OFFSET = 32, (483.0, 70.0), (1.0, 1.04, 1.10), 6.25
-COLUMNS = [
-    "run", "impact", "preset", "engine", "material", "strength", "diameter_um", "speed_m_s", "offset_um", "temperature_K",
-    *(f"{name}_{when}" for when in ("greatest", "own", "end")
-      for name in ("flattening", "flattening_total", "height_um", "thickness_um", "axial_um", "diameter_um")),
-    "widest_um_own", "widest_um_end", "crater_greatest_um", "crater_um", "rebound_m_s", "penetration_um",
-    *(f"{name}_{which}" for name in ("eps_p", "T") for which in ("mean", "p99", "max")),
-    "target_eps_p_max", "target_T_max", "von_mises_greatest_MPa", "von_mises_MPa", "target_von_mises_MPa",
-    "plastic_radius_um", "strained_radius_um", "kinetic_over_internal", "numerical_share", "drift",
-    "points", "elements", "steps", "dt_ps", "wall_s", "run_wall_s", "run_cpu_s", "failed",
-]  # fmt: skip
 # Columns of the table: measures of an impact, of its end, of a shape at some moment, with the factor from SI.
 OF_IMPACT = {
-    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0),
-    "penetration_um": ("penetration_max_m", 1e6), "numerical_share": ("numerical_dissipation", 1.0), "drift": ("energy_drift", 1.0),
-    "points": ("points", 1), "elements": ("elements", 1), "steps": ("steps", 1), "dt_ps": ("dt_mean_s", 1e12),
-    "wall_s": ("wall_s", 1.0),
+    "diameter_um": ("diameter_m", 1e6), "speed_m_s": ("speed_m_s", 1.0), "numerical_share": ("numerical_dissipation", 1.0),
+    "drift": ("energy_drift", 1.0), "points": ("points", 1), "elements": ("elements", 1), "steps": ("steps", 1),
+    "dt_ps": ("dt_mean_s", 1e12), "wall_s": ("wall_s", 1.0),
 }  # fmt: skip
 AT_END = {
-    "rebound_m_s": ("velocity_z_m_s", 1.0),
-    "crater_um": ("crater_depth_m", 1e6), "target_eps_p_max": ("target_eps_p_max", 1.0), "target_T_max": ("target_T_max_K", 1.0),
+    "rebound_m_s": ("velocity_z_m_s", 1.0), "crater_um": ("crater_depth_m", 1e6), "target_T_max": ("target_T_max_K", 1.0),
     "von_mises_MPa": ("von_mises_max_Pa", 1e-6), "target_von_mises_MPa": ("target_von_mises_max_Pa", 1e-6),
     "plastic_radius_um": ("plastic_radius_m", 1e6), **{f"eps_p_{which}": (f"eps_p_{which}", 1.0) for which in ("mean", "p99", "max")},
     **{f"T_{which}": (f"T_{which}_K", 1.0) for which in ("mean", "p99", "max")},
 }  # fmt: skip
 OF_SHAPE = {
-    "flattening": ("flattening_ratio", 1.0), "flattening_total": ("flattening_ratio_total", 1.0), "height_um": ("height_m", 1e6),
+    "flattening": ("flattening_ratio", 1.0), "flattening_total": ("flattening_ratio_total", 1.0),
     "thickness_um": ("thickness_m", 1e6), "diameter_um": ("splat_diameter_m", 1e6),
 }  # fmt: skip
+COLUMNS = (
+    "run", "impact", "preset", "engine", "material", "strength", "offset_um", "temperature_K", *OF_IMPACT,
+    *(f"{name}_{when}" for when in ("own", "end") for name in OF_SHAPE), "widest_um_end", *AT_END, "strained_radius_um",
+    "run_wall_s", "run_cpu_s", "failed",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -97,21 +87,9 @@ def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
     return text
 
 
-def with_pure_ti(preset: str = "standard") -> dict[str, str]:
-    """Cases A to D by name, and those with titanium again with the library's."""
-    texts = {letter: scene_of(name, preset) for letter, name in CASES.items()}
-    pure = {letter + PURE_TI: text.replace('"Ti"', '"CP_Ti"') for letter, text in texts.items() if '"Ti"' in text}
-    return texts | pure
-
-
 def cases() -> Iterator[Case]:
     """Cases A to D at the preset of the page."""
-    yield from (Case(name, text, keep=True) for name, text in with_pure_ti().items())
-
-
-def drafts() -> Iterator[Case]:
-    """The same, coarser: how far the resolution can move them."""
-    yield from (Case(f"{name}-draft", text) for name, text in with_pure_ti("draft").items())
+    yield from (Case(letter, scene_of(name), keep=True) for letter, name in CASES.items())
 
 
 def scatter() -> Iterator[Case]:
@@ -133,7 +111,7 @@ def scatter() -> Iterator[Case]:
 
 
 def spread() -> Iterator[Case]:
-    """Cases A and B at the ends and the mean of the measured impact velocities, coarse: held against the drafts."""
+    """Cases A and B at the ends and the mean of the measured impact velocities, coarse."""
     for letter, speeds in SPREAD.items():
         for v in speeds:
             yield Case(f"{letter}-{v}", scene_of(CASES[letter], "draft", velocity=f"{v} m/s"))
@@ -148,8 +126,6 @@ def trends() -> Iterator[Case]:
         text = scene_of("single_ni", "draft", **particle)
         # the cylinder of the other runs, 200 x 100 um, is too small for the largest: `check` says so
         yield Case(f"{d}um-{v}-{T}K", in_proportion(text, d) if d > 50 else text, T)
-    for d in (10, 40):
-        yield Case(f"{d}um-500-300K-similar", in_proportion(scene_of("single_ni", "draft", diameter=f"{d} um"), d))
 
 
 def in_proportion(text: str, diameter: int) -> str:
@@ -177,21 +153,14 @@ def compute(case: Case, probe: Callable[[Impact], None] | None = None) -> Result
     return run(scene, folder, force=True, threads=1, probe=probe)
 
 
-def axial(points: NDArray, triangles: NDArray) -> float:
-    """Metal of a closed surface on the vertical line through its middle, m. points (n,3) m, triangles (k,3)."""
-    x, y = (0.5 * (points[:, k].min() + points[:, k].max()) for k in (0, 1))
-    z = on_vertical(points, triangles, float(x), float(y))
-    return float(sum(high - low for low, high in zip(z[0::2], z[1::2], strict=False)))
-
-
 def widest(points: NDArray) -> float:
     """Largest distance of two points seen from above, m. points (n,3) m."""
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     return float(pdist(outline).max())
 
 
-def splats_of(result: Result, least: float) -> list[tuple[float, float]]:
-    """Thickness on the axis and largest diameter (m) of each splat that has joined the target, lowest first: of `least` m3 or more.
+def widths_of(result: Result, least: float) -> list[float]:
+    """Largest diameter (m) of each splat that has joined the target, lowest first: of `least` m3 or more.
 
     Bodies are told apart by their nodes, which they do not share; the largest is the substrate.
     """
@@ -203,8 +172,7 @@ def splats_of(result: Result, least: float) -> list[tuple[float, float]]:
     volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
     splats = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
     middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in splats}
-    faces = {b: boundary_faces(cells[owner == b])[0] for b in sorted(splats, key=lambda b: middle[b])}
-    return [(axial(f.points, own), widest(f.points[np.unique(own)])) for own in faces.values()]
+    return [widest(f.points[np.unique(cells[owner == b])]) for b in sorted(splats, key=lambda b: middle[b])]
 
 
 def strained_radius(result: Result, least: float = 0.2) -> float:
@@ -218,39 +186,34 @@ def rows_of(case: Case, result: Result) -> list[dict[str, object]]:
     """Rows of the table, one for each impact of a finished run."""
     when, rows, impacts = 0.0, [], result.impacts
     volumes = [np.pi / 6 * impact["diameter_m"] ** 3 for impact in impacts]
-    standing = splats_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
+    standing = widths_of(result, 0.5 * min(volumes)) if len(impacts) > 1 else []
     stayed = [k for k, impact in enumerate(impacts[:-1]) if impact["at_end"] is not None]
-    # splats in several parts, or lost ones, cannot be told from each other by their order: no thickness then
+    # splats in several parts, or lost ones, cannot be told from each other by their order: no width then
     at_end = dict(zip(stayed, standing, strict=True)) if len(stayed) == len(standing) else {}
     times, radius = result.times("surface"), strained_radius(result) * 1e6
     scene = Scene.from_text(case.text, case.name)
     for k, impact in enumerate(impacts):
-        end, greatest, energies = impact["end"], impact["greatest"], impact["energies"]
+        end = impact["end"]
         when += end["time_s"]
         f = result.fields(int(np.abs(times - when).argmin()), "surface")
-        at_end[len(impacts) - 1] = own = axial(f.points, f.cells), widest(f.points)
-        kinetic = energies["kinetic_particle"] + energies["kinetic_target"]
+        at_end[len(impacts) - 1] = widest(f.points)
         particle = scene.particles[k]
         row: dict[str, object] = {
             "run": case.name, "impact": k + 1, "preset": scene.preset, "engine": scene.resolution.engine,
             "strength": scene.derived.material(particle.material).strength.label, "temperature_K": case.start,
             "offset_um": float(np.hypot(*particle.offset)) * 1e6, "strained_radius_um": radius,
-            "kinetic_over_internal": kinetic / (1.0 - kinetic), "run_wall_s": result.wall_s, "failed": "",
+            "run_wall_s": result.wall_s, "failed": "",
         }  # fmt: skip
         row |= {column: impact[key] * factor for column, (key, factor) in OF_IMPACT.items()} | {
             "material": impact["material"]
         }
         row |= {column: end[key] * factor for column, (key, factor) in AT_END.items()}
-        moments = {"greatest": greatest, "own": end, "end": impact.get("at_end", end)}
+        moments = {"own": end, "end": impact.get("at_end", end)}
         for moment, m in moments.items():
             if m is not None:
                 row |= {f"{column}_{moment}": m[key] * factor for column, (key, factor) in OF_SHAPE.items()}
-        if greatest is not None:
-            row["crater_greatest_um"] = greatest["crater_depth_m"] * 1e6
-            row["von_mises_greatest_MPa"] = greatest["von_mises_max_Pa"] * 1e-6
-        row |= {"axial_um_own": own[0] * 1e6, "widest_um_own": own[1] * 1e6}
         if k in at_end:
-            row |= {"axial_um_end": at_end[k][0] * 1e6, "widest_um_end": at_end[k][1] * 1e6}
+            row["widest_um_end"] = at_end[k] * 1e6
         rows.append(row)
     return rows
 
@@ -291,14 +254,10 @@ class WaveProbe:
         force = float(impact.force[2])
         pressure, area = contact_pressure(force, touching)
         of_particle, of_target = von_mises(p.stress()), von_mises(t.stress())
-        self.rows.append(
-            {
-                "time_ns": impact.time * 1e9, "force_mN": force * 1e3, "contact_um2": area * 1e12, "pressure_MPa": pressure / 1e6,
-                "particle_MPa": of_particle[self._points].mean() / 1e6, "target_MPa": of_target[self._elements].mean() / 1e6,
-                "particle_mean_MPa": np.average(of_particle, weights=p.mass) / 1e6, "particle_max_MPa": of_particle.max() / 1e6,
-                "pressure_target_MPa": -t.stress()[self._elements, :3].mean() / 1e6,
-            }
-        )  # fmt: skip
+        self.rows.append({
+            "time_ns": impact.time * 1e9, "force_mN": force * 1e3, "contact_um2": area * 1e12, "pressure_MPa": pressure / 1e6,
+            "particle_MPa": of_particle[self._points].mean() / 1e6, "target_MPa": of_target[self._elements].mean() / 1e6,
+        })  # fmt: skip
 
 
 def wave() -> None:
@@ -314,20 +273,6 @@ def wave() -> None:
     shutil.rmtree(RUNS / "A-150ns")
 
 
-def depth_profiles(result: Result) -> None:
-    """Fields of case A along the axis, at its end: docs/tables/validation_profiles.csv."""
-    names, rows = ("eps_p", "T", "von_mises", "stress"), []
-    for profile in profiles(result, len(result.times("particle")) - 1, names, stage(result), 60e-6):
-        v = profile.values
-        for k in np.flatnonzero(np.isfinite(v["T"])):
-            xx, yy, zz = v["stress"][k, :3] / 1e6
-            rows.append({
-                "body": profile.body, "depth_um": profile.depth[k] * 1e6, "eps_p": v["eps_p"][k], "T_K": v["T"][k],
-                "von_mises_MPa": v["von_mises"][k] / 1e6, "xx_MPa": xx, "yy_MPa": yy, "zz_MPa": zz,
-            })  # fmt: skip
-    write_table(TABLES / "validation_profiles.csv", rows, REMAKE)
-
-
 def fill(name: str, cases: Iterable[Case]) -> None:
     """Compute the runs that a table lacks."""
     table = study_table(name, COLUMNS, ("run", "impact"), "make validate")
@@ -339,12 +284,10 @@ def fill(name: str, cases: Iterable[Case]) -> None:
             result = compute(case)
             cpu = process_time() - started  # of both threads; not of other programs
             rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
-            if case.name == "A":
-                depth_profiles(result)
         except ColdsprayError as problem:
             failed = " ".join(str(problem).split())[:200]
             rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": failed}]
-        shown = ("run", "impact", "flattening_own", "flattening_end", "axial_um_end", "run_wall_s", "failed")
+        shown = ("run", "impact", "flattening_own", "flattening_end", "run_wall_s", "failed")
         for row in rows:
             new = table.add(row)
             print({column: new[column] for column in shown}, flush=True)
@@ -354,8 +297,8 @@ def fill(name: str, cases: Iterable[Case]) -> None:
 
 def main() -> None:
     """Fill the tables, write the page."""
-    a = options(__doc__, "docs", only=["cases", "wave", "draft", "spread", "trends", "shapes", "scatter"])
-    parts = {"cases": cases, "draft": drafts, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
+    a = options(__doc__, "docs", only=["cases", "wave", "spread", "trends", "shapes", "scatter"])
+    parts = {"cases": cases, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
     for part in () if a.docs else a.only:
         if part == "wave":
             wave()
