@@ -137,7 +137,8 @@ validate: setup
 maps: test-setup
 	OMP_NUM_THREADS=1 $(VENV)/bin/snakemake -s workflows/Snakefile -j 2 --quiet all --config map=workflows/map_ni.toml
 	cp runs/map_ni/map.csv docs/tables/map_ni.csv
-	for name in flattening_ratio T_p99_K restitution velocity_ratio; do cp runs/map_ni/map_Ni_$$name.png docs/evidence/map_ni_$$name.png; done
+	cp runs/map_ni/map_Ni_T_p99_K.png docs/evidence/map_ni_T_p99_K.png
+	$(VENV)/bin/python workflows/map_page.py
 
 gallery: setup
 	$(VENV)/bin/python workflows/gallery.py

@@ -201,70 +201,24 @@ def digits(value: float, places: int = 3) -> str:
 
 
 def restitution_part(rows: Sequence[Row]) -> list[str]:
-    """Mean errors of each set over the window, and the restitution at each velocity."""
+    """Mean errors of each set over the window, and the band of the discretisation."""
     lines = []
     for metal in METALS:
-        for name, table in entry(metal).sets.items():
-            for preset in PRESETS:
-                rms, mean, count = errors(rows, metal, name, preset)
-                if count:
-                    sign = f"{mean:+.3f}" if math.isfinite(mean) else "-"
-                    lines.append([metal, name, table["law"], preset, count, digits(rms), sign])
-    total = {preset: [errors(rows, m, next(iter(entry(m).sets)), preset)[0] for m in METALS] for preset in PRESETS}
-    words = [
-        f"{preset}: {digits(math.sqrt(np.mean(np.square(v))))}" for preset, v in total.items() if np.all(np.isfinite(v))
-    ]
-    halves = {metal: band_of(rows, metal) for metal in METALS}
-    bands = ", ".join(
-        f"{metal} ± {digits(half)}" if math.isfinite(half) else f"{metal} not computed"
-        for metal, half in halves.items()
-    )
-    head = "metal | strength set | law | preset | velocities | rms of e - measured | mean"
-    return [
-        *markdown(head, lines),
-        "",
-        f"Both metals with the first set of each, rms: {'; '.join(words) or '-'}. Band of the discretisation: {bands}.",
-        "",
-        *curves_table(rows),
-        "",
-        versions(rows),
-    ]
-
-
-def curves_table(rows: Sequence[Row]) -> list[str]:
-    """Measured and computed restitution by velocity, where any set is computed: draft, and standard after a stroke."""
-    lines = []
-    for metal in METALS:
-        for v, e in REBOUND[metal]["e"]:
-            cells = []
-            for name in entry(metal).sets:
-                own = [
-                    row
-                    for p in PRESETS
-                    for row in chosen(
-                        rows, metal=metal, set=name, contact_stiffness="1", velocity_m_s=f"{v:g}", preset=p
-                    )
-                ]
-                if own:
-                    cells.append(f"{name} {' / '.join(digits(number(row, 'restitution')) for row in own)}")
-            if cells:
-                lines.append([metal, v, f"{e:.3f}", "; ".join(cells)])
-    return markdown("metal | m/s | measured | computed: draft / standard", lines)
+        for name, entry_of in entry(metal).sets.items():
+            found = [errors(rows, metal, name, preset)[:2] for preset in PRESETS]
+            lines.append([metal, name, entry_of["law"], *(f"{rms:.3f} ({mean:+.3f})" for rms, mean in found)])
+    bands = ", ".join(f"{metal} ± {digits(band_of(rows, metal))}" for metal in METALS)
+    head = ["metal", "strength set", "law", *(f"{preset}: rms (mean)" for preset in PRESETS)]
+    return [*markdown(head, lines), "", f"Error of the discretisation: {bands}.", "", versions(rows)]
 
 
 def splat_part(rows: Sequence[Row]) -> list[str]:
-    """Splat ratios and craters on 4340."""
-    lines = []
-    for row in rows:
-        if row["failed"]:
-            lines.append([row["metal"], row["set"], row["failed"], "-", "-", "-"])
-            continue
-        by_splat = 1.0 - number(row, "thickness_um") / number(row, "splat_diameter_um")
-        lines.append([row["metal"], row["set"], f"{number(row, 'flattening'):.2f} ± {digits(number(row, 'flattening_band'), 2)}",
-                      f"{by_splat:.2f}", f"{number(row, 'crater_um'):.2f}", f"{number(row, 'restitution'):.3f}"])  # fmt: skip
-    head = "metal | strength set | 1 - h / D0 | 1 - h / d | crater µm | restitution"
-    measured = [[name, f"{mean:.2f} ± {error:.2f}"] for name, (mean, error) in SPLAT["measured"].items()]
-    return [*markdown(head, lines), "", *markdown("measured | (d - h) / d", measured), "", versions(rows)]
+    """Flattening on 4340 by each strength set, and the measured ratios, in a sentence each."""
+    done = [row for row in rows if not row["failed"]]
+    done.sort(key=lambda row: number(row, "flattening"))
+    ours = ", ".join(f"{row['metal']} ({row['set']}) {number(row, 'flattening'):.2f}" for row in done)
+    measured = ", ".join(f"{name} {mean:.2f} ± {error:.2f}" for name, (mean, error) in SPLAT["measured"].items())
+    return [f"Measured (d - h) / d: {measured}. Computed 1 - h / D0: {ours}. {versions(done)}"]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
@@ -279,17 +233,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         for name, colour in zip(entry(metal).sets, colours, strict=False):
             for preset, style in zip(PRESETS, ("o:", "o-"), strict=True):
                 x, y = curve(rows, metal, name, preset)
-                if len(x):
-                    axis.plot(
-                        x,
-                        y,
-                        style,
-                        color=colour,
-                        ms=4,
-                        lw=1.2,
-                        label=f"{name}, {preset}",
-                        mfc="none" if preset == "draft" else colour,
-                    )
+                face = "none" if preset == "draft" else colour
+                axis.plot(x, y, style, color=colour, ms=4, lw=1.2, label=f"{name}, {preset}", mfc=face)
             if len(x) and math.isfinite(half):
                 axis.fill_between(x, y - half, y + half, color=colour, alpha=0.08, lw=0)
         axis.axvline(REBOUND[metal]["critical_velocity_m_s"], color="0.5", lw=1, ls="--")

@@ -8,7 +8,7 @@ import time as clock
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, column, figure_path, markdown, marked, options, study_table, versions, write_parts
+from pages import PAGES, column, figure_path, markdown, number, options, study_table, versions, write_parts
 
 from coupler import Scene, run
 from coupler.impact.exchange import Impact
@@ -65,13 +65,18 @@ def row(case: str, preset: str) -> dict[str, object]:
 
 
 def page(rows: list[Row]) -> None:
-    """Write the table of the page."""
-    lines = [
-        [marked(f"{r['case']}, {r['preset']}", r), r["points"], r["stretch_median"], r["stretch_99"], f"{float(r['thinned']):.1%}",
-         f"{r['height']} ({r['top']})", f"{r['thickness']} ({r['span']})", r["diameter"], r["jet_um"]]
-        for case in CASES for r in rows if r["case"] == case
-    ]  # fmt: skip
-    head = "impact | points | s, median | s, 99 % | thinned | height | thickness | diameter | jet, µm"
+    """Write the table of the page: of each impact the measures at the presets."""
+    lines = []
+    for case in CASES:
+        own = {r["preset"]: r for r in rows if r["case"] == case}
+        measures = (("stretch_median", "{:.2f}"), ("stretch_99", "{:.1f}"), ("height", "{:.2f}"), ("thickness", "{:.2f}"),
+                    ("diameter", "{:.2f}"), ("jet_um", "{:.1f}"))  # fmt: skip
+        cells = [
+            " / ".join(form.format(number(own[preset], name)) for preset in PRESETS if preset in own)
+            for name, form in measures
+        ]
+        lines.append([case, *cells])
+    head = "impact | stretch, median | stretch, 99 % | height | thickness | diameter | jet, µm"
     write_parts(PAGES["jets"], {"table": [*markdown(head, lines), "", versions(rows)]})
 
 
@@ -79,8 +84,8 @@ def figure(rows: list[Row]) -> None:
     """Draw thickness and stretch over the number of points."""
     drawing = blank(9.6, 3.8, 110, "constrained")
     left, right = drawing.subplots(1, 2)
-    for number, case in enumerate(CASES):
-        own, color = [r for r in rows if r["case"] == case], f"C{number}"
+    for k, case in enumerate(CASES):
+        own, color = [r for r in rows if r["case"] == case], f"C{k}"
         points = column(own, "points")
         left.semilogx(points, column(own, "thickness"), "o-", color=color, label=case)
         left.semilogx(points, column(own, "span"), "s:", color=color, mfc="none")

@@ -26,6 +26,7 @@ PAGES = {
     "effects": DOCS / "evidence" / "effects.md",
     "experiments": DOCS / "evidence" / "experiments.md",
     "jets": DOCS / "evidence" / "jets.md",
+    "maps": DOCS / "evidence" / "maps.md",
     "scene": DOCS / "guide" / "scene.md",
     "solvers": DOCS / "evidence" / "solvers.md",
     "speed": DOCS / "evidence" / "speed.md",

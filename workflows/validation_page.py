@@ -165,14 +165,14 @@ def trends(rows: Sequence[Row]) -> list[str]:
     size = f"{number(by_size[0], 'diameter_um'):.0f} to {number(by_size[-1], 'diameter_um'):.0f} µm"
     best, last = (f"{flat[k]:.2f} at {number(by_speed[k], 'speed_m_s'):.0f} m/s" for k in (peak, -1))
     return [
-        f"- **Diameter** ({size}): flattening {flattening[0]:.3f} to {flattening[1]:.3f}, mean strain {strains[0]:.2f} to {strains[1]:.2f},"
-        f" temperature of 99 % {heat[0]:.0f} to {heat[1]:.0f} K. The paper's flattening rises and falls; its law has no length that could"
-        " do so.",
-        f"- **Velocity**: flattening rises to {best} and falls to {last}, because the crater deepens; strain and temperature rise. The paper"
-        " says the same.",
-        f"- **Initial temperature**: 600 K raises the mean strain from {cold:.2f} to {hot:.2f}, 1000 m/s raises it to {faster:.2f}. The"
-        " paper says that 600 K does more. With its constants the strength of nickel falls by 11 % at 600 K; the energy at 1000 m/s is"
-        " four times as large.",
+        f"- **Diameter** ({size}): flattening {flattening[0]:.3f} to {flattening[1]:.3f}, mean strain {strains[0]:.2f} to"
+        f" {strains[1]:.2f}, temperature of 99 % {heat[0]:.0f} to {heat[1]:.0f} K. The paper's flattening rises and falls;"
+        " its law has no length that could do so.",
+        f"- **Velocity**: flattening rises to {best} and falls to {last}, because the crater deepens; strain and temperature rise."
+        " The paper says the same.",
+        f"- **Initial temperature**: 600 K raises the mean strain from {cold:.2f} to {hot:.2f}, 1000 m/s raises it to {faster:.2f}."
+        " The paper says that 600 K does more. With its constants the strength of nickel falls by 11 % at 600 K;"
+        " the energy at 1000 m/s is four times as large.",
         f"- **Shape** (mean strain over three impacts): {order}. The paper has the same order, but oblate before angular.",
     ]
 
