@@ -27,8 +27,7 @@ from coupler.spray import nozzles
 PAGE = Path(__file__).parents[1] / "docs" / "guide" / "scene.md"
 DEFAULTS = {  # numbers of the plan, in words
     "preset": ": points of the particle, " + ", ".join(f"{n} for `{p}`" for p, n in estimates.PRESETS.items()),
-    "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, and everything with fewer,"
-    " by default",
+    "substrate.window": f"; {estimates.WINDOW_OVER_DIAMETER:g} diameters from {estimates.MANY} particles on, the whole target with fewer",
     "resolution.element_size": f"; {estimates.ELEMENT_SIZE_OVER_SPACING} spacings by default",
 }
 MATERIAL = {
@@ -40,7 +39,7 @@ MATERIAL = {
     "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
     "oxide_threshold": "share of clean metal at which the film cracks",
     "burgers": "Burgers vector",
-    "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2: for `gradient_hardening`; 0: none",
+    "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2, for `gradient_hardening`",
     "cp": "specific heat: one value, or two pairs [T, cp], linear between",
     "k": "conductivity: one value, or two pairs [T, k], linear between",
     "source": "where the numbers come from", "note": "what to know of them",
@@ -96,9 +95,8 @@ def page() -> str:
 
 <!-- written by workflows/scene_page.py from coupler/scene/tables.py and words.toml: change those -->
 
-A scene is a TOML file. Values with a unit are texts, `"25 um"`; any unit of the same dimension will do. Whatever is
-wrong is reported at once, by key. `coldspray check SCENE` prints what would be computed; the `scene.toml` of a run holds
-every default written out.
+A scene is a TOML file. Values with a unit are texts, `"25 um"`, in any unit of the same dimension. The `scene.toml` of a run
+holds every default written out.
 
 Units: {known}.
 """
