@@ -61,7 +61,7 @@ def test_the_same_points_in_every_form(name: str, tmp_path: Path) -> None:
     points = read_points(tmp_path / name, ())
     np.testing.assert_array_equal(points.x, BALL)
     has_names = "only" not in name and "element" not in name and "quoted_commas" not in name
-    assert any("are taken for x, y, z" in note for note in points.notes) == (not has_names)
+    assert any("are used as x, y, z" in note for note in points.notes) == (not has_names)
     assert any("decimal commas" in note for note in points.notes) == ("commas" in name)
     if has_names:
         np.testing.assert_array_equal(points.fields["T"], T)

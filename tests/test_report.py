@@ -21,7 +21,7 @@ from coupler.report import picture, screen, section_picture
 from coupler.report.compare import _change
 from coupler.report.fields import FIELDS, from_points
 from coupler.report.page import report
-from coupler.report.picture import axes_at, blank, cut, label_log, stage, window
+from coupler.report.picture import axes_at, blank, cut, label_log, stage, view
 from coupler.report.profiles import on_vertical, profiles
 from coupler.report.words import alerts, notes, remarks, span, summary_table, title
 
@@ -123,10 +123,10 @@ def test_title_of_many_particles():
 
 
 def test_the_section_shows_jets_whole(folder):
-    """A jet of the target beyond the particle, and a particle deeper than its diameter, are inside the window."""
+    """A jet of the target beyond the particle, and a particle deeper than its diameter, are inside the view."""
     result = Result(folder)
     at, fields = stage(result), result.fields
-    _, right, bottom, _ = window(result, [-1], at)
+    _, right, bottom, _ = view(result, [-1], at)
     jet = np.array([[right * 1e-6 + 20e-6, at.plane, 30e-6]])
 
     class WithJet:
@@ -135,7 +135,7 @@ def test_the_section_shows_jets_whole(folder):
             points = np.vstack([seen.points, jet]) if domain == "target" else seen.points - [0, 0, 40e-6]
             return dataclasses.replace(seen, points=points)
 
-    wide = window(WithJet(), [-1], at)
+    wide = view(WithJet(), [-1], at)
     assert wide[1] > right + 20
     assert wide[2] < bottom - 15
     assert wide[3] > 30
@@ -402,7 +402,7 @@ def test_a_hollow_particle_is_not_painted_inside(folder, tmp_path):
     store.close()
     result = Result(copy)
     at = stage(result)
-    image = cut(result, 0, ("T",), at, window(result, [0], at), 200).images["T"]
+    image = cut(result, 0, ("T",), at, view(result, [0], at), 200).images["T"]
     rows, columns = np.indices(image.shape)
     r = np.hypot(rows / image.shape[0] - 0.5, columns / image.shape[1] - 0.5) * 2
     assert np.isnan(image[r < 0.4]).all()
@@ -459,7 +459,7 @@ def test_a_change_below_its_digits_has_no_minus():
 
 
 def test_a_picture_keeps_its_size_while_the_particle_flies_away(folder) -> None:
-    """30 and 300 um above the surface, also aside: the same window, in which the crater stays as large."""
+    """30 and 300 um above the surface, also aside: the same view, in which the crater stays as large."""
     result = Result(folder)
     at, fields = stage(result), result.fields
 
@@ -471,7 +471,7 @@ def test_a_picture_keeps_its_size_while_the_particle_flies_away(folder) -> None:
                     seen, points=seen.points + np.array([aside, 0, height]) * (domain == "surface")
                 )
 
-        return window(Away(), [-1], at)
+        return view(Away(), [-1], at)
 
     near = seen_from(30e-6, 0.0)
     assert near == seen_from(300e-6, 200e-6)

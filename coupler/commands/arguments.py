@@ -71,7 +71,7 @@ def add_scene(option: Option) -> None:
     option("scene", type=path, metavar="SCENE", help="scene file (TOML)")
     option("--set", type=_setting, action="append", default=[], dest="settings", metavar="KEY=VALUE",
            help="a key of the scene in place of the file's, may be repeated: particle.velocity='600 m/s', contact.friction=0.3,"
-           " 'particle[2].material=Ti'; KEY= takes the key out")  # fmt: skip
+           " 'particle[2].material=Ti'; KEY= removes the key")  # fmt: skip
     option(
         "--preset",
         metavar="NAME",

@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
     option("run", type=path, metavar="DIR", help="folder of a run of several impacts, finished or not")
     option("--out", type=path, metavar="DIR", help="where the files go (default: DIR/coating)")
     option("--window", type=quantity("--window", "length"), metavar="L",
-           help='radius of what is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
+           help='radius of the disc that is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
     option("--section", type=quantity("--section", "length", positive=False), metavar="L",
            help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
     add_force(option)
@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))
         progress.stage("drawing and writing meshes")
         heading = f"{measures.impacts} of {measures.of} impacts" if measures.warnings else f"{measures.of} impacts"
-        radius = 1.3 * measures.window_radius_m / coating.WINDOW
+        radius = 1.3 * measures.window_radius_m / coating.DISC
         plane = stage(result).plane if arguments.section is None else arguments.section
         coating_files.section(result, splats, folder / "section.png", radius, heading, plane)
         coating_files.micrograph(splats, folder / "micrograph.png", radius, plane)

@@ -109,8 +109,8 @@ def _given(arguments: argparse.Namespace, out: Path) -> list[str]:
 
 
 def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: float, picture: Path) -> None:
-    """Restitution, bonded area over the cross section of the particle (diameter, m), and where there are several placements the share
-    that sticks, over velocity; markers by verdict, lines through the means."""
+    """Figure over velocity: restitution, bonded area over the cross section of the particle (diameter, m), and with several placements
+    the share that sticks; markers by verdict, lines through the means."""
     import math
     from itertools import groupby
 
@@ -122,7 +122,7 @@ def draw(rows: "Sequence[Mapping[str, str]]", bracket: "Bracket", diameter: floa
     for at, key, factor, colour, label in (
         (left, "restitution", 1.0, "k", "rebound velocity / impact velocity"),
         (right, "bonded_area_m2", 1.0 / section, "0.6", "that bonded"),
-        (right, "bonded_area_end_m2", 1.0 / section, "k", "that holds"),
+        (right, "bonded_area_end_m2", 1.0 / section, "k", "left at the end"),
     ):
         points = [
             (float(row["velocity_m_s"]), factor * float(row[key]), row["verdict_by_bonds"]) for row in rows if row[key]

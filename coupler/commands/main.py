@@ -45,7 +45,7 @@ _BROKEN_PIPE = 141
 _UNDECIDED = 4  # computed, but its end criterion was not met at the time limit
 _PLAIN = {"µ": "u", "±": "+-", "°": "deg ", "─": "-", "²": "2", "³": "3"}  # for terminals that lack these
 _NOT_WRITTEN = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF)
-_MORE_MEMORY = "take a coarser resolution, a smaller file, or a machine with more memory"
+_MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more memory"
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
@@ -409,7 +409,7 @@ def _completion(arguments: argparse.Namespace) -> int:
 
 def _stopped(progress: "Progress", out: Path, saved: bool) -> str:
     go_on = f"; go on with coldspray resume {out}" if saved else ""
-    if progress.time != progress.time:  # nan, also on a rank that does not follow the time
+    if progress.time != progress.time:  # nan, also on a rank that does not know the time
         return ("stopped" if saved else "stopped before the first step") + go_on
     return f"stopped at t = {progress.time * 1e9:.1f} ns, files in {out} are readable{go_on}"
 

@@ -44,13 +44,13 @@ def _listed(entries: "list[Entry]") -> list[str]:
         "",
         *textwrap.wrap(f"Other names: {others}.", 118),
         "The symbol and the name of an element are one metal of the list: Al is the alloy 6061-T6, Al1100 nearly pure aluminium.",
-        'The first set is taken unless [materials.NAME] names another: strength = "Preston_2003", or a law.',
+        'The first set is the default; [materials.NAME] names another: strength = "Preston_2003", or a law.',
         "coldspray materials NAME: numbers, sources and flow stresses of one",
     ]
 
 
 def _explained(known: "Entry") -> list[str]:
-    """All about one metal."""
+    """Description of one metal: numbers, sources, strength sets, flow stresses."""
     metal, show = known.material, _value
     lines = [metal.name + (f"  (also: {', '.join(known.aliases)})" if known.aliases else ""), ""]
     for name, text in (

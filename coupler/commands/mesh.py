@@ -98,7 +98,7 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
         whole = result.fields(int(skin[-1]), "surface")
         surface = whole.points, whole.cells
     else:
-        notes.append("no surface was stored at this step: the shape is taken from the points")
+        notes.append("no surface was stored at this step: the shape is that of the points")
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
         fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
@@ -202,7 +202,7 @@ def estimated_spacing(x: "np.ndarray") -> float:
     """Edge of the cube that each of points x (n,3) has to itself, from the distances to neighbours; m.
 
     Half the points see the ball that the k-th neighbour touches filled with k points and half of it; averaged over k, and
-    taken where neighbours are densest, inside the body. Within 3 % for lattices and scattered points. Raises SplatError.
+    measured where neighbours are densest, inside the body. Within 3 % for lattices and scattered points. Raises SplatError.
     """
     import numpy as np
     from scipy.spatial import cKDTree

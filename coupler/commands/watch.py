@@ -1,4 +1,4 @@
-"""The command `coldspray watch`: follows a run, from its files alone."""
+"""The command `coldspray watch`: shows a run while it is computed, from its files alone."""
 
 import argparse
 import time
@@ -26,12 +26,15 @@ _LEDGER = ("kinetic", "elastic", "plastic", "numerical", "contact", "friction", 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
     option = add_command(
-        commands, "watch", run, "follow a run: measures, energies, time to go; writes nothing into its folder"
+        commands,
+        "watch",
+        run,
+        "show a run while it is computed: measures, energies, time to go; writes nothing into its folder",
     )
     option("run", type=path, metavar="DIR", help="folder of a run")
-    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="between two looks (default: 5)")
+    option("--every", type=seconds, default=5.0, metavar="SECONDS", help="between two readings (default: 5)")
     option("--picture", type=path, metavar="FILE", help="a .png file for the section, drawn anew with each stored step")
-    option("--once", action="store_true", help="look once")
+    option("--once", action="store_true", help="read once")
     add_force(option)
 
 

@@ -165,7 +165,7 @@ def _meshio(path: Path) -> Points:
     if kinds and all(kind.startswith(_FLAT) for kind in kinds):
         raise InputError(path, SURFACE)
     notes = (
-        [f"the nodes of its cells ({', '.join(sorted(kinds))}) are taken for points that fill the body evenly"]
+        [f"the nodes of its cells ({', '.join(sorted(kinds))}) are used as points that fill the body evenly"]
         if kinds
         else []
     )

@@ -27,15 +27,15 @@ _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy
 def write_fields(
     result: Result, folder: Path, form: str, stage: Callable[[str], None] = lambda text: None
 ) -> list[Path]:
-    """Write the stored steps of each domain in a format of FORMATS, SI units. Returns the files to open. stage(text): told what comes
-    next. Raises StoreError."""
+    """Write the stored steps of each domain in a format of FORMATS, SI units. Returns the files to open. stage(text): called with the
+    name of each step. Raises StoreError."""
     return (write_pvd if form == "pvd" else write_xdmf)(result, folder, stage)
 
 
 def write_pvd(result: Result, folder: Path, stage: Callable[[str], None] = lambda text: None) -> list[Path]:
     """Write each stored step of each domain as a .vtu file, and a .pvd file for each domain that names its steps with their times.
 
-    stage(text): told what comes next. Returns the .pvd files. SI units.
+    stage(text): called with the name of each step. Returns the .pvd files. SI units.
     """
     collections = []
     for domain in WRITTEN:
@@ -56,7 +56,7 @@ def write_pvd(result: Result, folder: Path, stage: Callable[[str], None] = lambd
 def write_xdmf(result: Result, folder: Path, stage: Callable[[str], None] = lambda text: None) -> list[Path]:
     """Write each domain as an .xdmf file (XDMF 3) of all its steps, each with its own mesh, and an .h5 file of the arrays.
 
-    stage(text): told what comes next. Returns the .xdmf files. SI units.
+    stage(text): called with the name of each step. Returns the .xdmf files. SI units.
     """
     written = []
     for domain in WRITTEN:

@@ -1,4 +1,4 @@
-"""Read what a run left behind. Imports no solver, and takes every file for data from a stranger.
+"""Read what a run left behind. Imports no solver, and trusts no file.
 
 Nothing is unpickled or executed; a file cannot make the reader open another file or fill the memory.
 """
@@ -81,7 +81,7 @@ class Result:
 
     @property
     def at_limit(self) -> bool:
-        """Whether the run is undecided because its time was over, so that more of it decides."""
+        """Whether the run is undecided at its time limit: a longer run can decide it."""
         return "time limit" in (self.undecided or "")
 
     @property

@@ -80,7 +80,7 @@ class Store:
                 )
             if checkpoint.stored(directory) and not force:
                 raise StoreError(
-                    f"{directory} holds an unfinished run; go on with it by coldspray resume {directory}, add {REPLACE} to replace it,"
+                    f"{directory} holds an unfinished run; continue it with coldspray resume {directory}, add {REPLACE} to replace it,"
                     f" or choose {ELSEWHERE}"
                 )
             claim_folder(directory, "run", (*RUN_FILES, "checkpoint-*.ckpt"), force=force)

@@ -1,4 +1,4 @@
-"""Closed surfaces that users bring: STL, OBJ and PLY, in all the ways that programs write them.
+"""Closed surfaces that users bring: STL, OBJ and PLY, in all dialects that programs write.
 
 The formats are read here: open3d leaves out polygons of OBJ without a word, trimesh reads relative indices wrongly, meshio refuses
 other properties of faces, and none of them reads a binary STL with bytes behind its end.
@@ -74,9 +74,7 @@ def _stl(raw: bytes) -> Surface:
         if room < 1:
             raise ValueError("it is neither a text, with facets, nor long enough for a binary file")
         if not room - 1 <= count <= room:
-            raise ValueError(
-                f"its head promises {count} triangles, its {len(raw)} bytes are those of {room}; {_CUT_OFF}"
-            )
+            raise ValueError(f"its header states {count} triangles, its {len(raw)} bytes hold {room}; {_CUT_OFF}")
         corners = np.frombuffer(raw, _STL, count, _HEAD)["corners"].reshape(-1, 3).astype(float)
     return _triangles(corners, np.arange(len(corners)).reshape(-1, 3).tolist())
 
@@ -138,11 +136,11 @@ class _Body:
         self.order, self.at = order, 0
         self.values: NDArray = np.frombuffer(raw, np.uint8) if order else np.array(raw.split(), object)
 
-    def take(self, dtype: np.dtype, count: int) -> NDArray:
+    def next_values(self, dtype: np.dtype, count: int) -> NDArray:
         """The next values (count,) of a type. Raises ValueError where the file ends before them."""
         length = count * (dtype.itemsize if self.order else 1)
         if not 0 <= length <= len(self.values) - self.at:
-            raise ValueError(f"it ends before all that its head promises; {_CUT_OFF}")
+            raise ValueError(f"it ends before the values that its header states; {_CUT_OFF}")
         part = self.values[self.at : self.at + length]
         self.at += length
         return part.view(dtype) if self.order else part.astype(float)
@@ -152,15 +150,15 @@ class _Body:
         types = {kind: np.dtype(self.order + _TYPES[kind]) for column in columns for kind in column[1:] if kind}
         if not any(counted for _, _, counted in columns):
             if not self.order:
-                block = self.take(np.dtype(float), count * len(columns)).reshape(count, -1)
+                block = self.next_values(np.dtype(float), count * len(columns)).reshape(count, -1)
                 return {name: block[:, k] for k, (name, _, _) in enumerate(columns)}
-            rows = self.take(np.dtype([(name, types[kind]) for name, kind, _ in columns]), count)
+            rows = self.next_values(np.dtype([(name, types[kind]) for name, kind, _ in columns]), count)
             return {name: rows[name] for name, _, _ in columns}
         found: dict[str, list[NDArray]] = {name: [] for name, _, _ in columns}
         for _ in range(count):
             for name, kind, counted in columns:
-                number = int(self.take(types[counted], 1)[0]) if counted else 1
-                found[name].append(self.take(types[kind], number))
+                number = int(self.next_values(types[counted], 1)[0]) if counted else 1
+                found[name].append(self.next_values(types[kind], number))
         return dict(found)
 
 

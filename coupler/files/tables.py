@@ -13,7 +13,7 @@ _UNIT = re.compile(
 )  # none of these patterns takes more than linear time in a line of any length
 _COMMENT = ("#", "%", "!", "//")
 _LONGEST = 100_000  # characters of a line
-_COUNTED = 10  # rows from which on a column that counts them is taken for their number
+_COUNTED = 10  # rows from which on a column that counts them is read as their number
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _values(
     comma = any("," in word for column in words for word in column)
     point = any("." in word for column in words for word in column)
     if comma and point:
-        raise ValueError("it has numbers with a decimal comma and with a decimal point: write all in one way")
+        raise ValueError("it has numbers with a decimal comma and with a decimal point: use one of them")
     if separator == "," and not comma and not point and len(of_numbers) >= 6 and len(of_numbers) % 2 == 0:
         raise ValueError("its commas may separate columns or be decimal commas: separate the columns by semicolons")
     columns = {}
@@ -118,7 +118,7 @@ def _values(
         except ValueError:
             at = next(i for i, word in enumerate(column) if not _is_number(word))
             raise ValueError(f"line {lines[at] + 1}, column {k + 1}: {column[at][:30]!r} is no number") from None
-    return columns, ["its commas are taken for decimal commas"] if comma else []
+    return columns, ["its commas are read as decimal commas"] if comma else []
 
 
 def _titles(line: str, separator: str, count: int) -> list[str] | None:
@@ -134,12 +134,12 @@ def _titles(line: str, separator: str, count: int) -> list[str] | None:
 
 
 def _unnamed(columns: dict[int, NDArray[np.float64]]) -> tuple[dict[str, NDArray[np.float64]], list[str]]:
-    """x, y and z of columns without names, and what was taken where there are more than three."""
+    """x, y and z of columns without names, and which are used where there are more than three."""
     places = list(columns)
     values = columns[places[0]]
     if len(values) >= _COUNTED and np.all(np.diff(values) == 1.0):
         places = places[1:]
     if len(places) < 3:
         raise ValueError("beside the number of each line it has no three columns, x, y and z")
-    told = f"columns {', '.join(str(k + 1) for k in places[:3])} are taken for x, y, z, the others left out: name them with --columns"
+    told = f"columns {', '.join(str(k + 1) for k in places[:3])} are used as x, y, z, the others left out: name them with --columns"
     return dict(zip("xyz", (columns[k] for k in places[:3]), strict=True)), [told] if len(columns) > 3 else []

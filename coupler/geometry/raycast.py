@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class RaySurface:
-    """A surface of points (n,3) m and triangles (m,3) that rays and places are held against. Loads open3d when it is made.
+    """A surface of points (n,3) m and triangles (m,3) for rays and distances. Loads open3d when it is made.
 
     closed: it must be closed and oriented; raises SplatError where it is not.
     """
@@ -41,7 +41,7 @@ class RaySurface:
         self._scene.add_triangles(self._single(points), self._tensor(np.ascontiguousarray(triangles)))
 
     def _single(self, x: NDArray) -> "Tensor":
-        """Places as open3d takes them."""
+        """Places in the form of open3d."""
         return self._tensor(np.ascontiguousarray((x - self.middle) / self.unit, np.float32))
 
     def distance_outside(self, x: NDArray) -> NDArray[np.float64]:

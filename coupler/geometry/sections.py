@@ -30,7 +30,7 @@ def cut_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.i
     """Cut triangles with a plane of constant y.
 
     points: (n, 3). triangles: (m, 3). Returns segments as start and end, each given by the two points whose
-    edge it lies on, smaller index first, (q, 2, 2). Triangles that turn the same way give segments that do.
+    edge it lies on, smaller index first, (q, 2, 2). Triangles of one orientation give segments of one orientation.
     """
     side = points[triangles, 1] >= y
     above = side.sum(axis=1)
@@ -47,7 +47,7 @@ def cut_triangles(points: NDArray, triangles: NDArray, y: float) -> NDArray[np.i
 def section_loops(points: NDArray, triangles: NDArray, y: float) -> list[NDArray]:
     """Closed lines in which a closed surface meets a plane of constant y, as x and z, (k, 2) each.
 
-    points: (n, 3). triangles: (m, 3), all turning the same way; a hole then turns against its outline.
+    points: (n, 3). triangles: (m, 3), all of one orientation; a hole then turns against its outline.
     """
     segments = cut_triangles(points, triangles, y).tolist()
     following = {tuple(start): tuple(end) for start, end in segments}

@@ -170,8 +170,8 @@ def ligament_bonds(
     this is G = 2.97 f c' sigma_0 a; Ashby, Blunt & Bannister (1989), Acta Metall. 37, 1847, measured 1.6 to 6.
 
     sound f (n,): `sound_fraction`; width w (n,) m: `ligament_width`; opposite c' (n,): share of the other surface that is clean;
-    strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, which hold no more than at an opening of w c'. Returns the arguments of
-    `contact.bond.Bond`.
+    strength sigma_0 (n,) Pa; stiffness Pa/m: of the springs, whose traction is at most that at an opening of w c'. Returns the
+    arguments of `contact.bond.Bond`.
     """
     welded, width = sound * opposite, width * opposite
     most = 0.999 * stiffness * width
@@ -184,7 +184,7 @@ def ligament_bonds(
 
 
 def stored_at_strength(strength: float, stiffness: float) -> float:
-    """Energy (J/m2) that a cohesive spring holds at its strength (Pa), at a stiffness in Pa/m: a bond's fracture energy cannot be less,
+    """Energy (J/m2) that a cohesive spring stores at its strength (Pa), stiffness in Pa/m: a bond's fracture energy cannot be less,
     unless it is 0 (brittle)."""
     return strength**2 / (2.0 * stiffness)
 
@@ -205,7 +205,7 @@ LAW = ("strength", "energy", "shear_strength", "shear_energy")
 
 @dataclass(frozen=True)
 class Adhesion:
-    """What holds a splat to what it lies on, decided when it joins the target.
+    """Adhesion of a splat to the bodies below it, decided when it joins the target.
 
     kind: "none" (contact and friction only), "tied" (bonded nodes never part) or "cohesive" (they part when strength and
     fracture energy are spent). strength Pa, energy J/m2: in tension; the shear ones are equal to them unless given. energy 0
@@ -213,7 +213,7 @@ class Adhesion:
     the interface or the "pressure" (Pa) of contact has come to the threshold, or all or none by the "velocity" of impact over
     the critical one (threshold 1 unless given), or by "exposure" (cohesive only): the share of each place that has bonded by
     `sound_fraction`, with the law of `ligament_bonds`, from the oxide films of the metals. Thresholds of strain and pressure
-    depend on the pair of metals and on the mesh, no published one holds in general, and there is no default. pairs: laws of two
+    depend on the pair of metals and on the mesh, no published one is valid in general, and there is no default. pairs: laws of two
     metals in place of that of all. Raises
     SceneError with every problem.
     """
@@ -238,7 +238,7 @@ class Adhesion:
             if self.criterion == "exposure":
                 if value is not None:
                     problems.append(
-                        f'{name} has no effect with criterion = "exposure": it follows from metal and oxide film'
+                        f'{name} has no effect with criterion = "exposure": it depends on metal and oxide film'
                     )
             elif self.kind == "cohesive" and value is None and name in ("strength", "energy"):
                 problems.append(f'{name} is needed by kind = "cohesive"')
@@ -312,7 +312,7 @@ class Adhesion:
     @property
     def in_impact(self) -> bool:
         """Whether bonds act from the greatest deformation on, while the particle rebounds: where they may break, or where the
-        contact decides which there are. Others hold what has come to rest."""
+        contact decides which there are. Other bonds form at rest."""
         return self.kind == "cohesive" or (self.kind == "tied" and self.criterion in ("plastic_strain", "pressure"))
 
     @property

@@ -454,7 +454,7 @@ def _read(key: str, value: object) -> float | Pairs | str:
 
 
 def _pairs(value: object, unit: str, low: float, high: float) -> Pairs:
-    """One value, or two pairs of a temperature and a value."""
+    """Read a property that may depend on temperature: one value, or two pairs [temperature, value]."""
     if isinstance(value, str):
         return ((300.0, library.read_number(value, unit, low, high)),)
     example = f'"... {unit}", or [["300 K", "... {unit}"], ["1073 K", "... {unit}"]]'

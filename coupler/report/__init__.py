@@ -1,4 +1,4 @@
-"""What a person looks at: pictures of the cut, tables, a page, an animation, a comparison. Reads results, imports no solver."""
+"""Output for people: pictures of the cut, tables, a page, an animation, a comparison. Reads results, imports no solver."""
 
 from .picture import section_picture
 from .screen import screen

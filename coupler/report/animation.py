@@ -16,7 +16,7 @@ from PIL import Image
 from ..errors import StoreError
 from ..files.outputs import MARK, replacing
 from ..files.result import Result
-from .picture import colour_range, cut, drawable, panels, stage, stored_steps, window
+from .picture import colour_range, cut, drawable, panels, stage, stored_steps, view
 from .words import title
 
 SECONDS = 4.0  # a film lasts about so long, whatever the number of its pictures
@@ -36,9 +36,9 @@ def animate(
     """Write a film of the cut through particle and target, a picture for each stored step.
 
     path: an .mp4 file, which needs ffmpeg (`ffmpeg`), or a .gif file; `<field>.mp4`, without ffmpeg `<field>.gif`, in the run's folder
-    unless given. field: a name of `fields.FIELDS`. fps: pictures in a
-    second; such that the film lasts some seconds unless given. stage(text): told what comes next. Returns the path. Raises StoreError
-    if the run lacks what is needed, the name of the file ends otherwise or the file cannot be written.
+    unless given. field: a name of `fields.FIELDS`. fps: pictures in a second; such that the film lasts some seconds unless given.
+    stage(text): called with the name of each step. Returns the path. Raises StoreError if the run lacks what is needed, the name of
+    the file ends otherwise or the file cannot be written.
     """
     path = Path(path) if path is not None else result.directory / f"{field}{SUFFIXES[ffmpeg() is None]}"
     if path.suffix.lower() not in SUFFIXES:
@@ -64,7 +64,7 @@ def animate(
 def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
     """The pictures, (rows, columns, 3) each, all of one size with even numbers of rows and columns, as films need."""
     at, steps = stage(result), range(stored_steps(result))
-    seen = window(result, steps, at)
+    seen = view(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
     ranges, heading = {field: colour_range(cuts, field)}, title(result)
     for section in cuts:
@@ -130,7 +130,7 @@ def _mp4(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: i
 def _gif(path: Path, pictures: Iterator[NDArray[np.uint8]], rate: float, rest: int) -> None:
     images = [Image.fromarray(picture) for picture in pictures]
     images = [image.resize((image.width * 2 // 3, image.height * 2 // 3), Image.Resampling.LANCZOS) for image in images]
-    # One palette for all: the same colour has the same number, and the same look, in every picture.
+    # One palette for all: the same colour has the same number in every picture.
     sample = np.vstack([np.asarray(images[k]) for k in (0, len(images) // 2, -1)])
     palette = Image.fromarray(sample).quantize(colors=256)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]

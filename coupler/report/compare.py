@@ -105,7 +105,7 @@ def comparison_picture(results: Sequence[Result]) -> Figure:
             axis = picture.axes_at(figure, margin + k * (wide + margin), bottom, wide, tall)
             picture.draw(axis, section, name, ends)
             if row == 0:
-                picture.scale_bar(axis, section.window, 10)
+                picture.scale_bar(axis, section.view, 10)
         place = picture.axes_at(figure, width - bar + 0.02, bottom, 0.1, 0.96 * tall)
         picture.colour_bar(place, name, ends, 0.96 * tall)
     for k, (name, result, section) in enumerate(zip(names_of(results), results, cuts, strict=True)):
@@ -159,10 +159,10 @@ def check_count(runs: int) -> None:
 
 
 def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture.Cut], tuple[float, float, float]]:
-    """The last cut of each run in windows of one size, and half its width, its bottom and top over the surface, um."""
+    """The last cut of each run in views of one size, and half its width, its bottom and top over the surface, um."""
     stages = [picture.stage(result) for result in results]
     steps = [picture.stored_steps(result) - 1 for result in results]
-    own = [picture.window(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]
+    own = [picture.view(result, [step], at) for result, step, at in zip(results, steps, stages, strict=True)]
     half = max((right - left) / 2 for left, right, _, _ in own)
     low = min(bottom - at.level for (_, _, bottom, _), at in zip(own, stages, strict=True))
     high = max(top - at.level for (_, _, _, top), at in zip(own, stages, strict=True))

@@ -95,7 +95,7 @@ def write_report(
 def report(
     result: Result, stage: Callable[[str], None] = lambda text: None, coating: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """The page about a run as HTML. stage(text): told what comes next. coating: as of `write_report`."""
+    """The page about a run as HTML. stage(text): called with the name of each step. coating: as of `write_report`."""
     page, summary, values = Page(), result.summary, result.values
     history = result.history() if (result.directory / "history.csv").is_file() else {}
     conditions = parts.conditions(result)
@@ -112,7 +112,7 @@ def report(
     page.section("measures", "Measures" if count < 2 else "Whole run", parts.measures(summary))
     if names := picture.drawable(result):
         at, picked = picture.stage(result), picks(result)
-        seen = picture.window(result, picked, at)
+        seen = picture.view(result, picked, at)
         stage("cutting the bodies")
         cuts = [picture.cut(result, step, names, at, seen, PICTURE_PIXELS) for step in picked]
         ranges = {name: picture.colour_range(cuts, name) for name in names}
@@ -121,10 +121,10 @@ def report(
         page.section("in3d", "In 3D", SOLID)
         stage("drawing the cuts")
         main = {name: ranges[name] for name in names if name in ("T", "eps_p")}
-        lower, caption = replace(cuts[-1], window=(*seen[:3], picture.window(result, picked[-1:], at)[3])), {}
+        lower, caption = replace(cuts[-1], view=(*seen[:3], picture.view(result, picked[-1:], at)[3])), {}
         page.section("cuts", "Cuts", _cuts(cuts, ranges, _named_times(summary)))
         if len(result.times(COLD)):
-            section, colours = picture.cut_cold(result, at, lower.window)
+            section, colours = picture.cut_cold(result, at, lower.view)
             caption = {"after the closing stage, at ambient temperature": section.time}
             page.section("cold", "Residual stress", parts.cold(summary, coating) + _cuts([section], colours, caption))
             lower, main = section, {name: colours[name] for name in ("eps_p", "in_plane")}
@@ -145,7 +145,7 @@ def report(
 
 
 def picks(result: Result, most: int = PICTURES) -> list[int]:
-    """Steps worth a picture: on the way to greatest deformation, where the summary names it, that one, and the last.
+    """Steps worth a picture: before the greatest deformation, where the summary names it, that one, and the last.
 
     Of several impacts their greatest deformations, as many as there is room for, and the last step.
     """
@@ -205,7 +205,7 @@ def _state(result: Result, history: Mapping[str, NDArray]) -> str:
     notes: list[tuple[str, str, str]] = []  # id, head and text as HTML
     if not result.finished:
         reached = f" It has reached {history['time'][-1] * 1e9:.1f} ns." if len(history.get("time", ())) else ""
-        text = f": it is still running or was stopped.{reached} What follows is what was written so far."
+        text = f": it is still running or was stopped.{reached} This page shows what is written so far."
         notes.append(("unfinished", "This run is not finished", text))
     if result.undecided is not None:
         hint = ". <code>coldspray resume</code> goes on with it." if result.at_limit else ""
@@ -245,13 +245,13 @@ def _cuts(cuts: Sequence[picture.Cut], ranges: Mapping[str, picture.Range], name
 
 def _panel(section: picture.Cut, name: str, ends: picture.Range) -> Figure:
     """A cut by one field, its colours below."""
-    left, right, bottom, top = section.window
+    left, right, bottom, top = section.view
     wide, bar = 4.0, 0.66  # inches
     tall = wide * (top - bottom) / (right - left)
     figure = picture.blank(wide, tall + bar, 150)
     axis = picture.axes_at(figure, 0, bar, wide, tall)
     picture.draw(axis, section, name, ends)
-    picture.scale_bar(axis, section.window, 10)
+    picture.scale_bar(axis, section.view, 10)
     place = picture.axes_at(figure, 0.25, 0.73 * bar, wide - 0.5, 0.17 * bar)
     picture.colour_bar(place, name, ends, wide - 0.5, across=True)
     return figure

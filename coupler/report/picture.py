@@ -43,7 +43,7 @@ READABLE = 8.0  # points
 LETTER = 0.6  # width of a letter over the size of its font, at most, in words
 COLD_FIELDS = ("eps_p", "von_mises", "in_plane")
 
-Window = tuple[float, float, float, float]  # left, right, bottom, top, um
+View = tuple[float, float, float, float]  # left, right, bottom, top, um
 
 
 class Range(NamedTuple):
@@ -76,12 +76,12 @@ class Cut:
 
     time: float
     level: float
-    window: Window
+    view: View
     loops: list[NDArray]
     corners: NDArray
     rim: NDArray
     is_substrate: NDArray[np.bool_]
-    extent: Window
+    extent: View
     values: dict[str, NDArray]
     images: dict[str, NDArray]
 
@@ -125,7 +125,7 @@ def _most_cut(plan: Values, first: float) -> float:
     return impacts[best][0] if best else first
 
 
-def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
+def view(result: Result, steps: Iterable[int], at: Stage) -> View:
     """What a picture shows, um: the particle, the splats and the jets of the target at all the given steps, and room around.
 
     While a particle flies away it keeps its size (`reach`).
@@ -149,11 +149,11 @@ def window(result: Result, steps: Iterable[int], at: Stage) -> Window:
 
 
 def reach(raised: NDArray, at: Stage) -> float:
-    """Height (um) up to which a picture follows a particle: FAR diameters above all that is raised, (m, 3) um."""
+    """Height (um) up to which a picture shows a flying particle: FAR diameters above all that is raised, (m, 3) um."""
     return float(max(raised[:, 2].max(initial=at.level), at.level) + FAR * at.diameter)
 
 
-def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window, pixels: int = PIXELS) -> Cut:
+def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: View, pixels: int = PIXELS) -> Cut:
     """Cut particle and target at a stored step; names: fields of `FIELDS`; pixels: along the particle's longer side.
 
     Raises StoreError if something that is needed is missing.
@@ -164,7 +164,7 @@ def cut(result: Result, step: int, names: Sequence[str], at: Stage, seen: Window
     return replace(cut_bodies(target, names, at, seen), loops=loops, images=images, extent=extent)
 
 
-def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: Window) -> Cut:
+def cut_bodies(target: Fields, names: Sequence[str], at: Stage, seen: View) -> Cut:
     """Cut tetrahedra alone; arguments as for `cut`."""
     polygons, _ = cut_tets(target.points, target.cells, at.plane)
     corners, share = crossing(target.points, polygons, at.plane)
@@ -194,7 +194,7 @@ def surfaces_cut(target: Fields, at: Stage) -> tuple[NDArray, NDArray[np.bool_]]
     return np.concatenate(parts), is_substrate
 
 
-def cut_cold(result: Result, at: Stage, seen: Window) -> tuple[Cut, dict[str, Range]]:
+def cut_cold(result: Result, at: Stage, seen: View) -> tuple[Cut, dict[str, Range]]:
     """The cut through all bodies after the closing stage, and the colours of COLD_FIELDS: tension and compression reach as far.
 
     Raises StoreError where nothing is stored of that stage.
@@ -227,7 +227,7 @@ def read(result: Result, step: int, names: Collection[str]) -> tuple[Fields, Fie
 
 def _images(
     particle: Fields, names: Sequence[str], loops: list[NDArray], at: Stage, pixels: int
-) -> tuple[dict[str, NDArray], Window]:
+) -> tuple[dict[str, NDArray], View]:
     """The particle's fields on pixels over its section, averaged from the nearest points, no numbers where it is
     hollow; the extent in um."""
     if not loops:
@@ -260,7 +260,7 @@ def colour_range(cuts: Sequence[Cut], name: str) -> Range:
 
 def draw(axis: Axes, section: Cut, name: str, ends: Range) -> None:
     """Draw the cut coloured by one field."""
-    left, right, bottom, top = section.window
+    left, right, bottom, top = section.view
     colours, scale = FIELDS[name].colours, Normalize(ends.low, ends.high)
     corners, values = section.corners, section.values[name]
     halves = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
@@ -319,7 +319,7 @@ def fitted(words: str, length: float) -> tuple[str, float]:
     return label, size
 
 
-def scale_bar(axis: Axes, seen: Window, fontsize: float = 11) -> None:
+def scale_bar(axis: Axes, seen: View, fontsize: float = 11) -> None:
     """Draw a length of 1, 2 or 5 times a power of ten, in um."""
     left, right, bottom, top = seen
     wanted = (right - left) / 7
@@ -367,7 +367,7 @@ LONGEST_HEADING = 56  # characters that fit beside the time at the full size of 
 
 def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
     """A figure of one cut with a panel and a colour bar for each field of `ranges`, below each other."""
-    left, right, bottom, top = section.window
+    left, right, bottom, top = section.view
     width, bar, margin, gap = 6.4, 1.15, 0.15, 0.12  # inches
     tall, count = width * (top - bottom) / (right - left), len(ranges)
     size = (width + bar + 2 * margin, count * tall + (count - 1) * gap + margin + 0.55)
@@ -376,7 +376,7 @@ def panels(section: Cut, ranges: Mapping[str, Range], heading: str) -> Figure:
         axis = axes_at(figure, margin, margin + (count - 1 - row) * (tall + gap), width, tall)
         draw(axis, section, name, ends)
         colour_bar(axis.inset_axes((1.02, 0.02, 0.025, 0.96)), name, ends, 0.96 * tall)
-    scale_bar(figure.axes[0], section.window)
+    scale_bar(figure.axes[0], section.view)
     height = 1 - 0.27 / size[1]
     font = 13 * min(1.0, LONGEST_HEADING / max(len(heading), 1))
     figure.text(margin / size[0], height, heading, fontsize=font, va="center", parse_math=False)
@@ -394,7 +394,7 @@ def section_picture(result: Result, path: str | Path | None = None, step: int = 
     path = Path(path) if path is not None else result.directory / "section.png"
     at, names = stage(result), ("T", "eps_p")
     read(result, step, names)
-    section = cut(result, step, names, at, window(result, [step], at))
+    section = cut(result, step, names, at, view(result, [step], at))
     save(panels(section, {name: colour_range([section], name) for name in names}, title(result)), path)
     return path
 

@@ -21,7 +21,7 @@ from ..files.result import Result
 from ..geometry.sections import crossing, cut_tets, section_loops
 from ..geometry.tetrahedra import boundary_faces
 from .fields import FIELDS, at_nodes, from_points
-from .picture import MICRO, Range, Stage, read, surfaces_cut, window
+from .picture import MICRO, Range, Stage, read, surfaces_cut, view
 
 FRAMES = 26  # of the time slider, at most
 VERTICES = 2500  # of the particle's surface: more are merged
@@ -46,7 +46,7 @@ def solid(result: Result, steps: Sequence[int], ranges: Mapping[str, Range], at:
     "particle", "target cut" and "particle cut", each with the number of its triangles, its points (in a box three times
     as large about the same middle) and values, and `lines`, x and z (um) of what outlines the cut.
     """
-    seen = window(result, steps, at)
+    seen = view(result, steps, at)
     box = _box([result.fields(step, "surface").points * MICRO for step in steps], seen[3], at)
     cells, kept = np.zeros((0, 3), int), (np.zeros(0, int), np.zeros((0, 3), int))
     times, shown, lines = [], [], []

@@ -313,9 +313,9 @@ class PairTable(Section):
 
 
 class AdhesionTable(Section):
-    """What holds splats, as `coupler.physics.adhesion.Adhesion` has it. Pa, J/m2; threshold in Pa, a strain or a ratio, as the
-    criterion wants it. Unless kind or criterion is said, particles are tied by their velocity over the critical one, and by
-    nothing where a metal has no tensile strength."""
+    """Adhesion of splats (`coupler.physics.adhesion.Adhesion`). Pa, J/m2; threshold in Pa, a strain or a ratio, as the criterion
+    needs it. Without kind and criterion particles are tied by their velocity over the critical one, and not at all where a metal
+    has no tensile strength."""
 
     kind: Kind | None = None
     criterion: Criterion | None = None

@@ -14,7 +14,7 @@ from .. import units
 from .model import SceneData
 from .tables import BySize, Quantity, Section
 
-# (key such as "particle[2].velocity", its value as text; None takes the key out)
+# (key such as "particle[2].velocity", its value as text; None removes the key)
 Settings = Sequence[tuple[str, str | None]]
 
 _STEP = re.compile(r'("[^"]+"|[A-Za-z0-9_-]+)(?:\[(\d+)\])?(?:\.|$)')
@@ -47,9 +47,9 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
             continue
         lines += ["", head]
         if head == "[gas]":
-            lines.append("# takes effect again once the particle's velocity and temperature are deleted")
+            lines.append("# has an effect again once the particle's velocity and temperature are deleted")
         if head == "[coating]":
-            lines.append("# takes effect again once the tables [[particle]] are deleted: they are made of it")
+            lines.append("# has an effect again once the tables [[particle]] are deleted: they are made of it")
         defaults = derived(head, table)
         for field in type(table).model_fields:
             value = getattr(table, field)

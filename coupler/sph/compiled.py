@@ -101,7 +101,7 @@ class CompiledParticle(Particle):
         self._neighbour, self._signed = other.astype(np.uint32), row.astype(np.int32)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
-        """Which of the pairs (k,2) of rows at the distances r0 (k,) m take part (k,)."""
+        """Which of the pairs (k,2) of rows at the distances r0 (k,) m interact (k,)."""
         return r0 < self._h
 
     def _list_exchange(self) -> None:
@@ -150,7 +150,7 @@ class CompiledParticle(Particle):
         self.sums[0] = plastic
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """As of any particle; the plastic strain of the window adds to its gradient, where that hardens the metal."""
+        """As of any particle; the plastic strain of the chunk of steps adds to its gradient, where that hardens the metal."""
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
@@ -174,8 +174,8 @@ class CompiledParticle(Particle):
         """Those weights, computed."""
         return self._w_of[:, None] * np.einsum("kij,kj->ki", self._K_inverse[self._point], self._side_d)
 
-    def _end_window(self) -> None:
-        """Book the losses of the window, and turn them into heat of the points where the law says so."""
+    def _end_chunk(self) -> None:
+        """Book the losses of the chunk of steps, and turn them into heat of the points where the law says so."""
         k.share_losses(0, self.n, self._first, self._signed, self._loss, self._heat)
         self.sums[2:] += self._heat.sum(axis=0)
         if self.law[0]["dissipation"]:

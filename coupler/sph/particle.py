@@ -255,7 +255,7 @@ class Particle(ABC):
             raise SolverError(
                 self._failure(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
             )
-        self._end_window()
+        self._end_chunk()
 
     def _callback(self, _caller: object, _step: int, _nlocal: int, _tag: object, _x: object, f_out: np.ndarray) -> None:
         if self._on_step is None:
@@ -299,7 +299,7 @@ class Particle(ABC):
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
 
-    def _end_window(self) -> None:
+    def _end_chunk(self) -> None:
         """What an engine books after the last step of a `run`: nothing where it does not know its losses."""
         return
 

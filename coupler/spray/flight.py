@@ -1,4 +1,4 @@
-"""A particle on its way from the powder feed to the target, dragged and heated by the gas of `coupler.spray.gas`.
+"""Flight of a particle from the powder feed to the target, dragged and heated by the gas of `coupler.spray.gas`.
 
 It is a sphere of one temperature, alone on the axis; how good that is, is in docs/guide/gas.md. Many sizes fly in one integration.
 """
@@ -64,7 +64,7 @@ def nusselt(Re: Numbers, M: Numbers, Pr: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Flight:
-    """A particle's way to the target: at positions x (m), arrays (n,), the velocities of gas and particle u, v (m/s),
+    """Flight of a particle to the target: at positions x (m), arrays (n,), the velocities of gas and particle u, v (m/s),
     their temperatures T_gas, T (K) and the time t (s) since it was fed."""
 
     x: NDArray[np.float64]

@@ -11,13 +11,13 @@ from .ladder import finished
 from .order import Case, OrderFit, fit_order
 
 ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: the schemes converge no faster
-USUAL = 1.0  # the order taken where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
+USUAL = 1.0  # the order used where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
 PERCENT_AT_LEAST = 1e-3  # errors are drawn no lower, in percent: a log axis has no zero
 Row = Mapping[str, str]
 
 
 def value(row: Row, measure: str, T_0: float) -> float:
-    """A measure of a row; temperatures as their rise over T_0, K, the particle's before the impact."""
+    """Value of a measure in a row; of a temperature its rise over T_0, K, that of the particle before the impact."""
     return float(row[measure]) - record(measure).initial(T_0)
 
 

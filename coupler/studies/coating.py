@@ -1,6 +1,6 @@
-"""What a sequence of impacts has built: thickness, roughness, porosity, and what each layer holds. Reads results, no solver.
+"""Measures of a coating: thickness, roughness, porosity, and state of each layer. Reads results, no solver.
 
-The coating is looked at on a grid of upright columns (`Columns`): where each passes through matter follows from where it
+The coating is measured on a grid of upright columns (`Columns`): where each passes through matter follows from where it
 crosses the closed surfaces of the bodies, so overlaps and gaps between splats are counted as they are, to the columns' distance.
 """
 
@@ -25,9 +25,9 @@ from ..measures import UNDECIDED
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
 
-WINDOW = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
+DISC = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
-SECTORS = 8  # of the window, for the error of a mean
+SECTORS = 8  # of the disc, for the error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
@@ -204,7 +204,7 @@ class Columns:
         below = np.cumsum(whole[..., ::-1], axis=-1)[..., ::-1] > 0
         below &= self.inside[..., None]
         empty = ~whole
-        # the outside: above the tops; the window's rim is no outside, or half of what touches it would count as open
+        # the outside: above the tops; the disc's rim is no outside, or half of what touches it would count as open
         label, _ = ndimage.label(empty & self.inside[..., None])
         outer = np.unique(label[empty & ~below & self.inside[..., None]])
         outside = np.isin(label, outer[outer > 0])
@@ -215,7 +215,7 @@ class Columns:
 def roughness(z: NDArray) -> tuple[float, float]:
     """Sa and Sq, m, of heights z (k,) on an even grid: mean and root mean square of their distance from the mean. ISO 25178-2.
 
-    The plane that they are counted from is parallel to the substrate: one fitted to a window of a few splats would take the largest of
+    The plane that they are counted from is parallel to the substrate: one fitted to a disc of a few splats would take the largest of
     their steps away.
     """
     away = z - z.mean()
@@ -227,10 +227,10 @@ class CoatingMeasures:
     """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; undecided: impacts with that verdict,
     which count as stayed in deposition_efficiency and as lost in least_efficiency; thickness: height of the coating above the old
     surface of the substrate, z = 0, so that metal inside craters does not count, 0 where there is none; height_mean_m: mean height
-    of the surface, craters included, as a profilometer steps from the old surface; bare_share: share of the window
+    of the surface, craters included, as a profilometer steps from the old surface; bare_share: share of the disc
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
-    the coating's volume in the window of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
+    the coating's volume in the disc of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
     thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`."""
 
     impacts: int
@@ -261,11 +261,11 @@ class CoatingMeasures:
 
 
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """All measures of a coating. radius: of the window, m; WINDOW of the patch's by default. Raises StoreError where there is none."""
+    """All measures of a coating. radius: of the disc, m; DISC of the patch's by default. Raises StoreError where there is none."""
     if not splats.stayed.any():
         raise StoreError("no particle has stayed on the target: there is no coating to measure")
     size, planned = splats.element_size, splats.planned
-    radius = radius or window_radius(splats)
+    radius = radius or disc_radius(splats)
     unfinished = f"the run is not finished: {splats.finished} of {planned} impacts"
     stress, error = in_plane(splats, radius, "stress")
     return CoatingMeasures(
@@ -280,13 +280,13 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
     )  # fmt: skip
 
 
-def window_radius(splats: Splats) -> float:
+def disc_radius(splats: Splats) -> float:
     """Radius (m) of what is measured by default."""
-    return max(WINDOW * splats.patch, 4.0 * splats.element_size)
+    return max(DISC * splats.patch, 4.0 * splats.element_size)
 
 
 def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
-    """Thickness, heights, roughness, m, and the shares of voids and overlap in a window of `radius` m, from columns `step` m apart."""
+    """Thickness, heights, roughness, m, and the shares of voids and overlap in a disc of `radius` m, from columns `step` m apart."""
     columns = Columns(splats, (0.0, 0.0), radius, step)
     top = columns.top()
     is_bare = columns.interface() > top - step
@@ -303,9 +303,9 @@ def shape(splats: Splats, radius: float, step: float) -> dict[str, float]:
 
 
 def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | None]:
-    """Mean over the coating's volume in the window of (xx + yy) / 2 of a stress, Pa, and its standard error; 0 where the mesh has none.
+    """Mean over the coating's volume in the disc of (xx + yy) / 2 of a stress, Pa, and its standard error; 0 where the mesh has none.
 
-    radius m. The error is that from place to place: of a mean with the volumes as weights, with each of SECTORS sectors of the window
+    radius m. The error is that from place to place: of a mean with the volumes as weights, with each of SECTORS sectors of the disc
     left out in turn (delete-one jackknife of a ratio; Cochran 1977, Sampling techniques, 3rd ed., section 6.17). A sector holds all
     layers, whose stresses differ by more than chance. None where the coating fills fewer than two.
     """
@@ -403,7 +403,7 @@ def _percentiles(values: NDArray, weights: NDArray, shares: tuple[float, ...]) -
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:
-    """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the window, from the top down.
+    """Means over volume of the stress (Pa) and of strain and temperature in slices `step` m high of the disc, from the top down.
 
     sigma_xx, sigma_yy lie in the surface, sigma_zz across it; tension is positive. thermal_xx and so on: what of it changes of
     temperature have made, of a cold coating; the rest is that of the impacts. sigma_p5, sigma_p95: of (xx + yy) / 2. coating:

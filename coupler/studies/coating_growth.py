@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import StoreError
 from ..files.result import Result
 from ..report.picture import MICRO, blank, save
-from .coating import COLUMN, Splats, read, shape, window_radius
+from .coating import COLUMN, Splats, disc_radius, read, shape
 
 COARSE = 2.0  # times the distance of the columns: a curve needs less than the final figures
 MOST = 60  # rows
@@ -17,10 +17,10 @@ Row = dict[str, float]
 
 
 def growth(result: Result, radius: float | None = None) -> list[Row]:
-    """A row for each finished impact, of many for MOST of them (see `row`), in one window for all: radius m, by default that of the
+    """A row for each finished impact, of many for MOST of them (see `row`), on one disc for all: radius m, by default that of the
     coating."""
     built = read(result)
-    radius = radius or window_radius(built)
+    radius = radius or disc_radius(built)
     numbers = np.unique(np.linspace(2, built.finished, min(MOST, built.finished) - 1).round().astype(int))
     rows = [row(read(result, number), radius) for number in numbers.tolist()]
     return [*rows, row(built, radius)]
@@ -32,7 +32,7 @@ def latest(result: Result) -> Row:
     if number < 2:
         raise StoreError(f"{result.directory}: no impact is finished yet: nothing to measure")
     built = read(result, number)
-    return row(built, window_radius(built))
+    return row(built, disc_radius(built))
 
 
 def row(built: Splats, radius: float) -> Row:

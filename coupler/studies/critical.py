@@ -89,7 +89,7 @@ class Bracket:
 
     @property
     def words(self) -> str:
-        """The answer in a line."""
+        """The result as one line of text."""
         if self.low is not None and self.high is not None:
             between = f"; undecided at {', '.join(f'{v:.4g}' for v in self.undecided)} m/s" if self.undecided else ""
             answer = f"critical velocity {self.velocity:.4g} m/s +- {self.half_width:.2g} m/s"
@@ -186,7 +186,7 @@ def check(scene: Scene) -> None:
     if len(scene.particles) != 1:
         problems.append(f"particle: a critical velocity is that of one impact; this scene has {len(scene.particles)}")
     if scene.gas is not None:
-        problems.append("gas: leave it out; the study gives the velocity itself")
+        problems.append("gas: remove this table; the study sets the velocity")
     law = scene.derived.adhesion_law
     if not law.in_impact:
         problems.append(
@@ -351,7 +351,7 @@ def check_rows(path: Path, rows: Iterable[Mapping[str, str]]) -> None:
                 wrong.append(f"{key} = {row[key][:40]!r}: no number")
         if wrong:
             raise StoreError(
-                f"{path} is damaged in row {number}: {'; '.join(wrong)}; take the row out, and the same command puts it in again"
+                f"{path} is damaged in row {number}: {'; '.join(wrong)}; delete the row, and the same command computes it again"
             )
 
 

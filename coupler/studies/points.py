@@ -41,8 +41,9 @@ def run_points(
 ) -> dict[str, str]:
     """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
 
-    A point that fails is marked and does not stop the others; "stopped": it has no end, the next call goes on with it. pool: is shut
-    down. log: told of each point as it ends. refused: points whose scene cannot be computed -> why: marked as failed without a run.
+    A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. pool: is shut
+    down. log: called with a line as each point ends. refused: points whose scene cannot be computed -> why; they are marked as
+    failed.
     """
     folder = folder.resolve()
     statuses: dict[str, str] = {}
@@ -89,7 +90,7 @@ def run_points(
 
 
 def run_point(folder: Path, point: str, text: str, again: bool = False) -> dict[str, object]:
-    """Run a scene (TOML) as a point of a folder, unless it has been; how it ended, as `compute`. again: go on with an undecided one."""
+    """Run a scene (TOML) as a point of a folder, unless it is finished; how it ended (`compute`). again: continue an undecided one."""
     ended = None if again else _kept(folder, point, text)
     return compute(write_scene(folder, point, text), folder / f"{point}.json") if ended is None else ended
 

@@ -1,4 +1,4 @@
-"""A small impact, timed: the factor of `pace.Pace` for this machine."""
+"""Speed of this machine from a small timed impact: the factor of `pace.Pace`."""
 
 import itertools
 import math
@@ -49,7 +49,7 @@ def measure() -> float:
 
 
 def _timed() -> float:
-    """Processor time of a step, the median over the windows of steps, over that of the constants."""
+    """Processor time of a step, the median over the chunks of steps, over that of the constants."""
     marks: list[tuple[float, int]] = []
 
     def probe(impact: _Impact) -> None:
@@ -61,5 +61,5 @@ def _timed() -> float:
         expected = cost.step_time(1.0, int(result.points), int(result.elements), scene.resolution.engine)
     steps = [(t1 - t0) / (n1 - n0) for (t0, n0), (t1, n1) in itertools.pairwise(marks) if n1 > n0]
     if len(steps) < FEWEST_CHUNKS:
-        raise SolverError(f"only {len(steps)} windows of steps to time")
+        raise SolverError(f"only {len(steps)} chunks of steps to time")
     return statistics.median(steps) / expected
