@@ -19,6 +19,7 @@ from coupler.deposition import joining
 from coupler.deposition.equilibrium import settle
 from coupler.deposition.joining import cloud_of, point_of_impact, release_time
 from coupler.deposition.run import resume
+from coupler.deposition.summary import summary
 from coupler.errors import SplatError
 from coupler.fe import explicit, heat, stability
 from coupler.fe import mesh as meshes
@@ -31,9 +32,13 @@ from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.bodies import Bodies, level_under
 from coupler.impact.ending import EndCriterion
+from coupler.impact.summary import ImpactRecord
+from coupler.impact.verdict import efficiency_range
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
+from coupler.plan.planning import plan
+from coupler.ranks.ranks import Ranks
 from coupler.sph import compiled, frequency, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
@@ -276,6 +281,19 @@ def test_a_double(double: Result) -> None:
     assert np.all(np.diff(times) > 0)
     assert len(double.fields(-1, "target").cells) > len(double.fields(0, "target").cells)
     assert set(double.history("impact")) == {1.0, 2.0}
+
+
+def test_fragments_that_no_mesh_holds_count_as_lost(double: Result) -> None:
+    """A fifth of the first particle, half of the powder's mass or so: the efficiency is lower by its share, and the user is told."""
+    records = [ImpactRecord(values, [], [], 0.0) for values in double.impacts]
+    masses = [values["particle_mass_kg"] for values in double.impacts]
+    joins = [{**double.summary["joins"][0], "lost_mass_kg": 0.2 * masses[0]}]
+    standing = [values.get("at_end", values["end"]) for values in double.impacts]
+    made = summary(plan(Scene.from_text(double.scene_text, "double")), records, joins, standing, 1.0, Ranks())
+    assert made["impacts"][0]["detached_mass_kg"] == pytest.approx(0.2 * masses[0])
+    whole = efficiency_range(double.impacts)
+    assert efficiency_range(made["impacts"])[1] == pytest.approx(whole[1] - 0.2 * masses[0] / sum(masses))
+    assert any("impact 1: 20.0% of the particle has left as fragments" in text for text in made["run"]["warnings"])
 
 
 def assert_goes_on(text: str, whole: Result, out: Path, at: float | None, every: float = 0.0) -> None:

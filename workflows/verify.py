@@ -33,6 +33,7 @@ STORED_HEAT = 0.05  # share of the heat of earlier impacts that HEAT also counts
 JOINED = 0.05  # volume of a splat's elements when it joins, against its mass over its density
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
 SKIN = 0.20  # volume inside the particle's surface, which is carried between the points, off that of the points
+SUNK = 0.01  # share of a particle that may lie deeper than a spacing in the target: single points of a jet, as the program allows
 IMPULSE = 0.3  # integral of the contact force over the rows of the history, if it acts in so many, against the momentum it takes
 ROWS = 10
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
@@ -271,7 +272,7 @@ def check(result: Result) -> Findings:
     untouched = instants[0]["target"]
     for i, own in enumerate(impacts):
         rows = {name: column[history["impact"] == i + 1] for name, column in history.items()}
-        _ImpactCheck(found, scene, i, own, rows, records[i], untouched).all()
+        _ImpactCheck(found, scene, i, own, rows, records[i], untouched, result.summary["joins"][:i]).all()
     if scene.end.at == "cold" and found.undecided is None:
         found.fault(len(result.times(COLD)) != 1, "no fields of the closing stage")
         if not found.faults:
@@ -279,14 +280,27 @@ def check(result: Result) -> Findings:
     return found
 
 
-def bodies_of(scene: Scene, target: Fields) -> list[tuple[Material, float, float]]:
-    """Material, initial temperature (K) and volume from its mass (m3, nan of the substrate) of each body of a target."""
-    base = scene.substrate
+def bodies_of(scene: Scene, target: Fields) -> list[tuple[Material, float]]:
+    """Material and initial temperature (K) of each body of a target."""
     came = np.zeros(int(target.data["body"].max()) + 1, int)
     came[target.data["body"].astype(int)] = target.data["impact"]
-    splats = [scene.particles[k - 1] for k in came[1:]]
-    parts = [(base.material, base.temperature, np.nan), *((s.material, s.temperature, s.volume) for s in splats)]
-    return [(scene.derived.material(name), T, volume) for name, T, volume in parts]
+    parts = [scene.substrate, *(scene.particles[k - 1] for k in came[1:])]
+    return [(scene.derived.material(part.material), part.temperature) for part in parts]
+
+
+def splat_volumes(scene: Scene, target: Fields, volume: Array, joins: list[dict[str, Any]]) -> dict[int, float]:
+    """Volume of each splat in a target, over that of its mass: what the reports of joining say has left is subtracted.
+
+    volume (m,) m3, of the target's elements.
+    """
+    ratios = {}
+    for k in (int(k) for k in np.unique(target.data["impact"]) if k > 0):
+        fragments = [join.get("lost_mass_kg", 0.0) for join in joins if join.get("impact") == k]
+        fallen = [each["mass_kg"] for join in joins for each in join.get("detached", []) if each["splat"] == k]
+        splat = scene.particles[k - 1]
+        lost = (sum(fragments) + sum(fallen)) / scene.derived.material(splat.material).rho
+        ratios[k] = float(volume[target.data["impact"] == k].sum()) / (splat.volume - lost)
+    return ratios
 
 
 def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
@@ -299,15 +313,14 @@ def _check_cold(found: Findings, scene: Scene, result: Result) -> None:
     if found.faults:
         return
     found.hold("ambient", np.abs(f.data["T"] - scene.end.ambient).max(), AMBIENT, "cold: K from ambient")
-    for b, (metal, _, expected) in enumerate(bodies_of(scene, f)):
+    for b, (metal, _) in enumerate(bodies_of(scene, f)):
         own = body == b
         stress = f.data["von_mises"][own].astype(float)
         over = float((stress / greatest_flow_stress(metal, f.data["eps_p"][own].astype(float))).max())
         found.hold("yield", over, YIELD, f"cold: von Mises stress of body {b} over the law's")
-        if b:
-            found.hold(
-                "joined", volume[own].sum() / expected - 1.0, JOINED, f"cold: volume of splat {b} against its mass"
-            )
+    reports = [*result.summary["joins"], result.summary["closing"]]
+    for k, ratio in splat_volumes(scene, f, volume, reports).items():
+        found.hold("joined", ratio - 1.0, JOINED, f"cold: volume of splat {k} against its mass")
 
 
 def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
@@ -325,12 +338,12 @@ def _by_impact(instants: list[Instant]) -> list[list[Instant]]:
 
 
 class _ImpactCheck:
-    """One impact. rows: of its history; record: of the summary; untouched: the target before the first; bodies: see `bodies_of`; mass
-    kg, energy J: of the particle at the start."""
+    """One impact. rows: of its history; record: of the summary; untouched: the target before the first; joins: reports of what has
+    joined before; mass kg, energy J: of the particle at the start."""
 
     def __init__(
         self, found: Findings, scene: Scene, i: int, instants: list[Instant], rows: dict[str, Array], record: Mapping[str, Any],
-        untouched: Fields,
+        untouched: Fields, joins: list[dict[str, Any]],
     ):  # fmt: skip
         self.found, self.scene, self.where = found, scene, f"impact {i + 1}"
         self.instants, self.rows, self.record = instants, rows, record
@@ -341,7 +354,7 @@ class _ImpactCheck:
         self.energy = 0.5 * self.mass * p.velocity**2
         planned = plan(scene)
         self.effects, self.end_at = planned.effects, planned.impact.end_at
-        self.bodies = bodies_of(scene, self.last["target"])
+        self.bodies, self.joins = bodies_of(scene, self.last["target"]), joins
         self.untouched, self.number = untouched, i + 1
         self.body = self.last["target"].data["body"].astype(int)
         self.volumes = [tetrahedra_volumes(f["target"].points, f["target"].cells) for f in instants]
@@ -381,8 +394,9 @@ class _ImpactCheck:
             self.hold("impulse", impulse / (self.mass * self.p.velocity), IMPULSE, "impulse of the contact force")
         # where the run says that its surface does not follow the points, the points count
         name = "particle" if value(self.record, "thickness_m") is None else "surface"
-        depth = float(depths(self.last[name].points, target.points, target.cells).max()) / self.scene.derived.spacing
-        self.hold("depth", depth, 1.0, f"the {name} lies inside the target, spacings")
+        depth = depths(self.last[name].points, target.points, target.cells) / self.scene.derived.spacing
+        self.found.figures["depth"] = max(self.found.figures.get("depth", 0.0), float(depth.max()))
+        self.hold("sunk", np.mean(depth > 1.0), SUNK, f"share of the {name} more than a spacing inside the target")
         if self.end_at == "rest" and self.scene.end.time is None and not self.found.undecided:
             self.hold(
                 "sinking", max(-rows["velocity_z"][-1] / self.p.velocity, 0.0), REST, "said to be at rest, but sinks"
@@ -399,7 +413,9 @@ class _ImpactCheck:
         J = np.mean(volume_ratios(self.metal, mean_pressure(data["stress"]), data["T"], self.p.temperature))
         limit = SKIN if value(self.record, "thickness_m") is not None else np.inf
         self.hold("skin", closed / J - 1.0, limit, "volume inside the particle's surface, off that of its points")
-        for b, (metal, T_0, expected) in enumerate(self.bodies):
+        for k, ratio in splat_volumes(self.scene, self.first["target"], self.volumes[0], self.joins).items():
+            self.hold("joined", ratio - 1.0, JOINED, f"volume of splat {k} against its mass")
+        for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
             bounds = []  # of the change of volume that the pressure makes, m3, at the first and the last instant
             for f, volume in ((self.first, self.volumes[0]), (self.last, self.volumes[-1])):
@@ -412,14 +428,12 @@ class _ImpactCheck:
             self.hold(
                 "volume", excess / (start if b else self.p.volume), VOLUME, f"volume of body {b} against its pressure"
             )
-            if b:
-                self.hold("joined", start / expected - 1.0, JOINED, f"volume of splat {b} against its mass")
 
     def kinetic_and_elastic(self) -> None:
         """Energies of the fields at the end against those of the history."""
         points, cells = self.last["particle"].data, self.last["target"].data
         each = self.mass / len(self.last["particle"].points)
-        rho = np.array([metal.rho for metal, *_ in self.bodies])[self.body]
+        rho = np.array([metal.rho for metal, _ in self.bodies])[self.body]
         shares = np.repeat(self.volumes[0] * rho / 4.0, 4)
         nodal = np.bincount(self.last["target"].cells.ravel(), shares, len(self.last["target"].points))
         energies = {
@@ -431,7 +445,7 @@ class _ImpactCheck:
             "elastic_target": 0.0,
         }
         stored = 0.0  # by the impacts before
-        for b, (metal, *_) in enumerate(self.bodies):
+        for b, (metal, _) in enumerate(self.bodies):
             own = self.body == b
             before, after = (f["target"].data["stress"][own] for f in (self.first, self.last))
             volume = self.volumes[0][own]
@@ -442,7 +456,7 @@ class _ImpactCheck:
             for sign, f in ((1, self.last), (-1, self.first))
         )
         uncertain = AVERAGED * abs(self.rows["elastic_target"][-1])
-        for b, (metal, T_0, _) in enumerate(self.bodies):
+        for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
             states = [(f["target"].data["stress"][own], f["target"].data["T"][own]) for f in self.instants]
             uncertain += thermoelastic_bound(metal, states, self.volumes[0][own], T_0)
@@ -457,7 +471,7 @@ class _ImpactCheck:
         varies, T = self.effects.temperature_dependent_cp, self.last["particle"].data["T"].astype(float)
         warmed = self.mass * float(np.mean(heat(self.metal, np.full(len(T), self.p.temperature), T, varies)))
         stored = 0.0  # by the impacts before
-        for b, (metal, T_0, _) in enumerate(self.bodies):
+        for b, (metal, T_0) in enumerate(self.bodies):
             own = self.body == b
             before, after = (f["target"].data["T"][own].astype(float) for f in (self.first, self.last))
             warmed += metal.rho * float(self.volumes[0][own] @ heat(metal, before, after, varies))
@@ -465,7 +479,7 @@ class _ImpactCheck:
                 self.volumes[0][own] @ np.abs(heat(metal, np.full(len(before), T_0), before, varies))
             )
         work = [float(self.rows[name][-1]) for name in ("plastic_particle", "plastic_target", "friction")]
-        shares = [metal.taylor_quinney for metal, *_ in self.bodies]
+        shares = [metal.taylor_quinney for metal, _ in self.bodies]
         low, high = (self.metal.taylor_quinney * work[0] + share * work[1] for share in (min(shares), max(shares)))
         if not self.effects.plastic_heating:
             low = high = 0.0
@@ -478,11 +492,11 @@ class _ImpactCheck:
 
     def ranges(self) -> None:
         """Temperatures, stresses and plastic strains of every written step."""
-        coldest = min(self.p.temperature, *(T for _, T, _ in self.bodies)) - 1.0
+        coldest = min(self.p.temperature, *(T for _, T in self.bodies)) - 1.0
         before: dict[str, Array] = {}
         for instant in self.instants:
             parts = [("particle", self.metal, np.full(len(instant["particle"].points), True))]
-            parts += [("target", metal, self.body == b) for b, (metal, *_) in enumerate(self.bodies)]
+            parts += [("target", metal, self.body == b) for b, (metal, _) in enumerate(self.bodies)]
             hottest = max(float(instant[name].data["T"].max()) for name in ("particle", "target"))
             for name, metal, own in parts:
                 data = {key: instant[name].data[key][own].astype(float) for key in ("T", "eps_p", "von_mises")}

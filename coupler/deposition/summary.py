@@ -12,8 +12,11 @@ from ..measures import DISSIPATION_LIMIT, PLASTIC_SHARE_LIMIT
 from ..plan.planning import Plan
 from ..plan.remarks import BEYOND_FIT
 from ..ranks.ranks import Ranks
+from ..splat.cloud import MIN_POINTS
 from .equilibrium import RELAX_STEPS
 from .pause import AT_AMBIENT
+
+FRAGMENTS = 0.01  # of a particle's mass: more of it in fragments that no mesh holds is said
 
 # What an impact loses to the scheme: key of its record, its limit, the warning.
 LIMITS = (
@@ -44,6 +47,7 @@ def summary(
     (`joining.splats_at_end`); wall: s of wall time; closing: the report of the closing stage.
     """
     detached = _detached([*joins, closing or {}])
+    fragments = {join["impact"]: join["lost_mass_kg"] for join in joins if join.get("lost_mass_kg")}
     impacts, own = [record.values for record in records], [text for record in records for text in record.warnings]
     expected = [text for text in plan.warnings if BEYOND_FIT not in text]  # the impacts say what they reached
     undecided = impacts[-1]["undecided"]
@@ -53,7 +57,7 @@ def summary(
         if undecided is not None and at_end is not None:  # the target that it lies in is not at rest
             at_end, refused["at_end"] = None, undecided
         impacts[i] = {**impacts[i], "at_end": at_end, "refused": refused}
-        if (lost := detached.get(i + 1)) is not None:  # a whole splat leaves with what it has lost as it was meshed
+        if lost := detached.get(i + 1, 0.0) + fragments.get(i + 1, 0.0):
             impacts[i]["detached_mass_kg"] = impacts[i]["particle_mass_kg"] if shape is None else lost
     return {
         "format": FORMAT,
@@ -75,6 +79,12 @@ def summary(
                 *(
                     f"splat {n} has come off, {kg * 1e12:.3g} ng: its bonds have broken, its mass counts as lost"
                     for n, kg in detached.items()
+                ),
+                *(
+                    f"impact {n}: {share:.1%} of the particle has left as fragments of fewer than {MIN_POINTS} points, which no mesh"
+                    " holds: their mass counts as lost"
+                    for n, kg in fragments.items()
+                    if (share := kg / impacts[n - 1]["particle_mass_kg"]) > FRAGMENTS
                 ),
                 *(text for report in [*joins, closing or {}] for text in unsettled(report)),
                 *(text for limit in LIMITS for text in merged(_above(impacts, *limit))),

@@ -162,7 +162,7 @@ def verdict_values(
 def efficiency_range(records: Sequence[Values]) -> tuple[float, float]:
     """Mass that stayed over the mass of all particles, from the records of their impacts: with no undecided one, and with all.
 
-    detached_mass_kg of a record: what of its splat has come off later; an undecided one that has come off as a whole is lost.
+    detached_mass_kg of a record: what of its splat has come off; an undecided one that has come off as a whole is lost.
     """
     mass = sum(record["particle_mass_kg"] for record in records)
     decided = {STICKS: (0.0, 0.0), REBOUNDS: (1.0, 1.0), UNDECIDED: (1.0, 0.0)}
