@@ -1,8 +1,8 @@
 """Critical velocities by exposure, over size, temperature, film and strength: python workflows/bonding_energy.py [--docs]
 
 Runs of workflows/critical_ni.toml, critical_cu.toml and critical_ni_rate.toml, kept in runs/bonding_energy (--runs). Each is a row of
-docs/tables/bonding_energy.csv that is not computed again; critical_velocity.csv has the brackets of their verdicts. Then the figure
-and the table of the page on bonding; --docs makes only these.
+docs/tables/bonding_energy.csv that is not computed again; critical_velocity.csv has the brackets of their verdicts, bonding_scatter.csv
+the margins of several placements of points and elements. Then the figure and the table of the page on bonding; --docs makes only these.
 """
 
 import math
@@ -31,7 +31,7 @@ from coupler import Scene
 from coupler.files.result import Result
 from coupler.physics.materials import material
 from coupler.report.picture import blank, save
-from coupler.studies.critical import bracket, rows_at
+from coupler.studies.critical import bracket, point_name, rows_at
 from coupler.studies.table import Row
 
 COLUMNS = (
@@ -107,6 +107,15 @@ CASES = (
     Case("ni_rate", (764, 731), "fine", alpha=ALPHA), Case("ni_rate", (798, 764), "fine", diameter=5.0, alpha=ALPHA),
     Case("ni_rate", (731, 698), "fine", diameter=40.0, alpha=ALPHA),
 )  # fmt: skip
+# name of the workflow, preset, velocities in m/s: PLACEMENTS of each (`coupler.studies.critical.at_velocity`)
+PLACED_CASES = (
+    ("ni", "standard", (665, 598, 565, 532)), ("cu", "standard", (610, 580, 549, 488)), ("ni", "draft", (665, 831)),
+    ("cu", "draft", (610, 488)),
+)  # fmt: skip
+PLACEMENTS = 3
+PLACED = (
+    "metal", "diameter_um", "preset", "velocity_m_s", "placement", "verdict", "restitution", "margin_J_m2", "torn_J_m2",
+)  # fmt: skip
 # Hassani-Gangaraj, Veysset, Nelson & Schuh, arXiv 1612.08081, fig. 1c, digitised: +-10 m/s, +-0.003
 MEASURED = {
     "ni": ((251, 0.129), (310, 0.101), (415, 0.086), (473, 0.098), (512, 0.076), (563, 0.068), (584, 0.045), (614, 0.021),
@@ -171,6 +180,21 @@ def row_of(case: Case, velocity: float, runs: Path) -> dict[str, object]:
         *(round(energy / area, 1) if area and energy is not None else "" for energy in (s["bond_energy_J"], torn, rebound)),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
+
+
+def placed_rows(name: str, preset: str, velocity: float, runs: Path) -> list[dict[str, object]]:
+    """Runs of several placements: margin and energy that bonds have dissipated, over the section of the particle; no margin of a run
+    without a verdict."""
+    metal, size = METALS[name]
+    scene = scene_of(name, size, preset=preset)
+    folder, section = runs / scene.name, 0.25 * math.pi * scene.particle.diameter**2
+    rows = []
+    for k, row in enumerate(rows_at(scene, velocity, folder, PLACEMENTS)):
+        result = Result(folder / point_name(velocity, k))
+        energies = (None if e is None else e / section for e in (result.values["margin_J"], result.history("bond")[-1]))
+        values = metal, size, preset, velocity, k, row["verdict_by_bonds"], row["restitution"], *energies
+        rows.append(dict(zip(PLACED, values, strict=True)))
+    return rows
 
 
 def criticals(rows: list[Row]) -> list[dict[str, object]]:
@@ -254,6 +278,13 @@ def main() -> None:
         for velocity in case.velocities:
             if case.key(velocity) not in table:
                 print(table.add(row_of(case, velocity, Path(a.runs))), flush=True)
+    scatter = study_table("bonding_scatter", PLACED, PLACED[:5], "python workflows/bonding_energy.py")
+    placed = [(name, preset, v) for name, preset, velocities in PLACED_CASES for v in velocities if not a.docs]
+    for name, preset, velocity in placed:
+        first = METALS[name][0], f"{METALS[name][1]:.6g}", preset, str(velocity)
+        if not all((*first, str(k)) in scatter for k in range(PLACEMENTS)):
+            for row in placed_rows(name, preset, velocity, Path(a.runs)):
+                scatter.add(row)
     lines = criticals(table.rows)
     draw(table.rows)
     about = (
