@@ -6,27 +6,24 @@
 The particle is one more body of the target: tetrahedra of the same kind, the contact kernels of the splats. Material, effects,
 substrate mesh, friction, rule of the contact stiffness, end criterion and measures are those of the run by points. Rows of the same
 size share the mesh of the substrate: its edges and those of the particle's tetrahedra are `size`, the points have a spacing of
-size / 1.7. Contact of the elements acts from both sides: nodes of each body on facets of the other, each with half the stiffness.
+size / 1.7.
 """
 
 import itertools
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from pages import PAGES, number, options, study_table, versions, write_parts
 
 from coupler import Scene, run
-from coupler.contact.bodies import JUMP, BodyContact
-from coupler.contact.penalty import PointContact
 from coupler.errors import SolverError
 from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.geometry import mesher
 from coupler.geometry.extent import shape_measures
 from coupler.geometry.tetrahedra import volumes
-from coupler.geometry.triangles import areas_and_normals
 from coupler.impact.domains import build_target
 from coupler.impact.ending import EndCriterion
 from coupler.impact.exchange import WINDOW
@@ -56,11 +53,6 @@ CASES: dict[str, dict[str, object]] = {
     "Ni500": {"material": "Ni", "velocity": 500.0, "substrate": "SS304"},
     "Cu300": {"material": "OFHC_Cu", "velocity": 300.0, "substrate": "SS304"},
 }
-CONTACTS = {
-    "both": (0.5, 0.5),
-    "particle": (1.0, 0.0),
-    "substrate": (0.0, 1.0),
-}  # share of the nodes of particle and substrate
 BODY = 1  # number of the particle among the bodies; the substrate is 0
 
 
@@ -77,14 +69,13 @@ def particle_mesh(diameter: float, edge: float) -> tuple[np.ndarray, np.ndarray]
 
 
 class ElementImpact:
-    """An impact whose particle is the second body of the target.
+    """An impact whose particle is the second body of the target, as a splat is.
 
-    nodes: of the particle; elements: its mask (m,); surface: its nodes on the surface; plastic_work: J, of the particle, by the
-    trapezoidal rule over WINDOW steps. SI units.
+    nodes: of the particle; elements: its mask (m,); plastic_work: J, of the particle, by the trapezoidal rule over WINDOW steps.
     """
 
-    def __init__(self, plan: Plan, edge: float, contact: str = "both", stiffness: float = 1.0):
-        """edge: of the particle's tetrahedra, m. contact: one of CONTACTS; stiffness: factor on its rule."""
+    def __init__(self, plan: Plan, edge: float):
+        """edge: of the particle's tetrahedra, m."""
         self.plan, p = plan, plan.impact
         points, tets = particle_mesh(p.diameter, edge)
         points[:, 2] += p.gap - points[:, 2].min()
@@ -100,61 +91,21 @@ class ElementImpact:
         domain, _ = merge(parts, (0.0, 0.0, 0.0))
         self.bodies = substrate.remade(domain)
         self.target = t = self.bodies.target
+        self.bodies.contact = self.bodies._new_contact(t.x.copy())
         self.elements = self.bodies.body == BODY
         self.nodes = np.unique(t.mesh.conn[self.elements])
-        self.surface = self.bodies.surfaces.nodes_of(BODY)
         self.top = np.unique(t.mesh.facets[t.mesh.sets["top"]])
         self.volume = t.mesh.V0[self.elements]
-        of_particle, of_substrate = (stiffness * weight for weight in CONTACTS[contact])
-        if of_particle > 0.0:
-            moduli = [float(K) for K in t.laws["K"]]
-            self.bodies.contact = BodyContact(
-                self.bodies.surfaces, t.x.copy(), moduli, plan.friction, 0.5 * of_particle
-            )  # both sides press
-        self.reverse = self._reverse(of_substrate) if of_substrate > 0.0 else None
         t.reach = max(t.reach, float(np.linalg.norm(t.x[self.nodes], axis=1).max()) * 1.01)  # the particle moves
         t._activate(0.0)
         self.dt, self.steps, self.plastic_work = 0.0, 0, 0.0
         self.kinetic_0 = t.kinetic()
         self.energy_0 = self.energy()
 
-    def _reverse(self, factor: float) -> PointContact:
-        """Contact of the substrate's nodes with the particle's facets; areas are those of the substrate's finest part."""
-        t, surfaces = self.target, self.bodies.surfaces
-        ids = surfaces.facets_of(BODY)
-        top = t.mesh.facets[t.mesh.sets["top"]]
-        near = top[np.linalg.norm(t.x[top].mean(axis=1), axis=1) < 0.5 * self.plan.impact.diameter]
-        area = float(areas_and_normals(t.x, near)[0].sum())
-        spacing = float(np.sqrt(4.0 / np.sqrt(3.0) * area / len(near)))
-        K = float(t.laws["K"].min())
-        each = area / len(np.unique(near))
-        return PointContact(
-            len(self.top), surfaces.facets[ids], spacing, each, K, self.plan.friction, factor=factor, facet_ids=ids, jump=JUMP
-        )  # fmt: skip
-
-    def _search(self, travel: float) -> None:
-        """Contact search before surfaces move `travel` m; heat of friction goes to the elements."""
-        t, r = self.target, self.reverse
-        self.bodies.search(travel)
-        if r is not None:
-            of_facet = t.mesh.facet_element[t.mesh.sets["top"]]
-            behind = np.zeros(len(t.x), np.int64)
-            behind[t.mesh.facets[t.mesh.sets["top"]].ravel()] = np.repeat(of_facet, 3)
-            elements = np.concatenate([behind[self.top], t.mesh.facet_element[r.facet_ids]])
-            t.warm(elements, np.concatenate([r.heat_point, r.heat_facet]))
-            r.heat_point[:], r.heat_facet[:] = 0.0, 0.0
-            r.search(t.x[self.top], t.x, travel)
-
-    @property
-    def friction_heat(self) -> float:
-        """Heat of friction so far, J."""
-        return sum(c.friction_heat for c in (self.bodies.contact, self.reverse) if c is not None)
-
     def energy(self) -> float:
         """Sum of all energies of the ledger, J."""
-        t, r = self.target, self.reverse
-        held = 0.0 if r is None else r.penalty_energy + r.friction_heat
-        return float(t.kinetic() + t.elastic() + t.sums[0] + t.sums[1] + t.absorbed + self.bodies.energy + held)
+        t = self.target
+        return float(t.kinetic() + t.elastic() + t.sums[0] + t.sums[1] + t.absorbed + self.bodies.energy)
 
     @property
     def sinking(self) -> float:
@@ -164,22 +115,14 @@ class ElementImpact:
 
     def advance(self) -> float:
         """WINDOW steps with one time step and one contact search. Returns the contact force on the particle, upwards, N."""
-        t, bodies, r = self.target, self.bodies, self.reverse
+        t, bodies, own = self.target, self.bodies, self.elements
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v))))
-        self._search(3.0 * fastest * WINDOW * (self.dt or bodies.stable_dt(0.0)))
+        bodies.search(3.0 * fastest * WINDOW * (self.dt or bodies.stable_dt(0.0)))
         self.dt = bodies.stable_dt(np.inf, WINDOW * self.dt)
-        if r is not None:
-            springs = r.stable_dt(1.0 / float(t.mass[self.top].min()), t.mass[self.surface])
-            self.dt = float(1.0 / np.sqrt(1.0 / springs**2 + 1.0 / self.dt**2))
-        force, own = 0.0, self.elements
-        eps_p, sigma_y = t.eps_p[own], t.sigma_y[own]
+        force, eps_p, sigma_y = 0.0, t.eps_p[own], t.sigma_y[own]
         for _ in range(WINDOW):
             t.advance(self.dt)
             bodies.forces(self.dt)
-            if r is not None:
-                on_top = np.zeros((len(self.top), 3))
-                r.forces(self.dt, t.x[self.top], t.v[self.top], t.x, t.v, on_top, t.f_ext)
-                t.f_ext[self.top] += on_top
             force = float(t.f_ext[self.nodes, 2].sum())
             t.finish()
         self.steps += WINDOW
@@ -199,7 +142,7 @@ class ElementImpact:
         return m
 
 
-def strike(impact: ElementImpact, probe: Callable[[ElementImpact], None] | None = None) -> dict[str, dict[str, float]]:
+def strike(impact: ElementImpact) -> dict[str, dict[str, float]]:
     """Advance an impact to rest; measures at its `greatest` deformation and at its `end`. Raises SolverError."""
     p = impact.plan.impact
     speed = float(np.linalg.norm(p.velocity))
@@ -210,8 +153,6 @@ def strike(impact: ElementImpact, probe: Callable[[ElementImpact], None] | None 
         ending.observe(impact.target.time, impact.sinking, force)
         if ending.turned is not None and not greatest:
             greatest = impact.measures()
-        if probe is not None:
-            probe(impact)
     if not greatest:
         raise SolverError("the particle has not turned at its time limit")
     return {"greatest": greatest, "end": impact.measures()}
@@ -224,13 +165,7 @@ MEASURED = {  # column -> instant, measure
     "diameter_end_um": ("end", "splat_diameter_m"), "eps_p_mean_end": ("end", "eps_p_mean"), "eps_p_p99": ("end", "eps_p_p99"),
     "T_mean_K": ("end", "T_mean_K"),
 }  # fmt: skip
-BALANCE = (
-    "plastic_particle",
-    "plastic_target",
-    "numerical",
-    "friction_heat",
-    "drift",
-)  # over the initial kinetic energy
+BALANCE = ("plastic_particle", "plastic_target", "numerical", "drift")  # over the initial kinetic energy
 COLUMNS = (*KEY, "points", "elements", "steps", "dt_mean_ps", *MEASURED, "rebound_m_s", *BALANCE, "cpu_s", "failed")
 SIZES = (3.4, 2.4, 1.7)  # um, edges of the substrate's elements; the points have a spacing of 2.0, 1.41 and 1.0 um
 SHOWN = {
@@ -245,7 +180,7 @@ def by_elements(case: str, size: float) -> dict[str, object]:
     values = strike(impact)
     t, K = impact.target, impact.kinetic_0
     own, whole, viscous = impact.plastic_work, float(t.sums[0]), float(t.sums[1])
-    shares = (own, whole - own, viscous, impact.friction_heat, impact.energy() - impact.energy_0)
+    shares = (own, whole - own, viscous, impact.energy() - impact.energy_0)
     return {
         "points": len(impact.nodes), "elements": len(t.mesh.conn), "steps": impact.steps,
         "dt_mean_ps": t.time / impact.steps * 1e12, "rebound_m_s": -impact.sinking,
@@ -262,7 +197,7 @@ def by_points(case: str, size: float) -> dict[str, object]:
         "points": s["points"], "elements": s["elements"], "steps": s["steps"], "dt_mean_ps": s["dt_mean_s"] * 1e12,
         "rebound_m_s": max(s["velocity_z_m_s"], 0.0), "plastic_particle": e["plastic_particle"],
         "plastic_target": e["plastic_target"], "numerical": e["numerical_particle"] + e["numerical_target"],
-        "friction_heat": e["friction"], "drift": s["energy_drift"], **_shown({"greatest": greatest, "end": s}),
+        "drift": s["energy_drift"], **_shown({"greatest": greatest, "end": s}),
     }  # fmt: skip
 
 
