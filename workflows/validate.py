@@ -1,16 +1,16 @@
 """The cases and trends of the paper whose method this follows, computed, tabled and set beside its numbers.
 
     python workflows/validate.py                   # what is not in the tables yet, then the page
-    python workflows/validate.py --only cases      # of: cases, spread, wave, trends, shapes, scatter
+    python workflows/validate.py --only cases      # of: cases, spread, trends, shapes, scatter
     python workflows/validate.py --docs            # runs nothing: the page and its figure from the tables
 
 A row for each impact of each run goes into docs/tables/validation.csv (cases), validation_trends.csv and validation_scatter.csv; rows
-in the tables are not computed again, and a run that was stopped goes on from its last checkpoint in runs/validate. `validation_page.py`
-writes the page and its figure from the tables and from paper_values.toml. Nothing is fitted to the paper.
+in the tables are not computed again. `validation_page.py` writes the page and its figure from the tables and from paper_values.toml.
+Nothing is fitted to the paper.
 """
 
-import shutil
-from collections.abc import Callable, Iterable, Iterator
+import tempfile
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -18,7 +18,7 @@ from time import process_time
 import numpy as np
 import validation_page as page
 from numpy.typing import NDArray
-from pages import TABLES, options, study_table, write_table
+from pages import options, study_table
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
@@ -26,14 +26,11 @@ from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
 
 from coupler import Result, Scene, run
-from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.exchange import Impact
-from coupler.physics.constitutive import von_mises
 
-HERE, RUNS = Path(__file__).parent, Path(__file__).parents[1] / "runs" / "validate"
-REMAKE = "remake: make validate (rows in this table are not computed again)"
+HERE = Path(__file__).parent
 CASES = {"A": "single_ni", "B": "single_ti", "C": "double_ni_ti", "D": "triple_ni"}
 TABLE_OF = {"trends": "validation_trends", "shapes": "validation_trends", "scatter": "validation_scatter"}
 SHAPES = ("sphere", "hollow_sphere", "oblate", "angular", "rod", "flake")
@@ -62,18 +59,17 @@ OF_SHAPE = {
 COLUMNS = (
     "run", "impact", "preset", "engine", "material", "strength", "offset_um", "temperature_K", *OF_IMPACT,
     *(f"{name}_{when}" for when in ("own", "end") for name in OF_SHAPE), "widest_um_end", *AT_END, "strained_radius_um",
-    "run_wall_s", "run_cpu_s", "failed",
+    "contact_pressure_MPa", "run_wall_s", "run_cpu_s", "failed",
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run. name: its folder and its key in the tables; text: its scene; start: temperature of the particle, K."""
+    """One run. name: its key in the tables; text: its scene; start: temperature of the particle, K."""
 
     name: str
     text: str
     start: float = 300.0
-    keep: bool = False
 
 
 def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
@@ -89,7 +85,7 @@ def scene_of(workflow: str, preset: str = "standard", **particle: str) -> str:
 
 def cases() -> Iterator[Case]:
     """Cases A to D at the preset of the page."""
-    yield from (Case(letter, scene_of(name), keep=True) for letter, name in CASES.items())
+    yield from (Case(letter, scene_of(name)) for letter, name in CASES.items())
 
 
 def scatter() -> Iterator[Case]:
@@ -138,19 +134,6 @@ def shapes() -> Iterator[Case]:
     """Three impacts of each of the six shapes."""
     text = scene_of("morphology", "draft")
     yield from (Case(f"shape-{name}", text.replace('"rod"', f'"{name}"')) for name in SHAPES)
-
-
-def compute(case: Case, probe: Callable[[Impact], None] | None = None) -> Result:
-    """The finished run of a case, computed or gone on with where needed."""
-    folder = RUNS / case.name
-    scene = Scene.from_text(case.text, case.name)
-    try:
-        old = Result(folder)
-        if old.scene_text == scene.to_toml():
-            return resume(folder, threads=1, probe=probe)
-    except ColdsprayError:
-        pass  # nothing there that can be gone on with
-    return run(scene, folder, force=True, threads=1, probe=probe)
 
 
 def widest(points: NDArray) -> float:
@@ -231,46 +214,17 @@ def contact_pressure(force: float, touching: np.ndarray) -> tuple[float, float]:
     return force / area, area
 
 
-class WaveProbe:
-    """Stress at the first point of contact and pressure between the two, after every few steps of an impact.
-
-    The first point of contact: the NEAR points of the particle that began lowest, and as many elements of the target nearest below.
-    """
-
-    NEAR = 8
+class PressureProbe:
+    """The mean contact pressure (Pa) at the greatest force of an impact so far (N)."""
 
     def __init__(self) -> None:
-        self.rows: list[dict[str, float]] = []
-        self._points = self._elements = np.zeros(0, np.int64)
+        self.force = self.pressure = 0.0
 
     def __call__(self, impact: Impact) -> None:
-        p, t = impact.particle, impact.target
-        if not self.rows:
-            lowest = p.x[p.x[:, 2].argmin()]
-            self._points = np.argsort(np.linalg.norm(p.x - lowest, axis=1))[: self.NEAR]
-            middle = t.x[t.mesh.conn].mean(axis=1)
-            self._elements = np.argsort(np.linalg.norm(middle - [lowest[0], lowest[1], 0.0], axis=1))[: self.NEAR]
-        touching = impact.surface.contacts(p.x)[impact.contact.depth > 0]
         force = float(impact.force[2])
-        pressure, area = contact_pressure(force, touching)
-        of_particle, of_target = von_mises(p.stress()), von_mises(t.stress())
-        self.rows.append({
-            "time_ns": impact.time * 1e9, "force_mN": force * 1e3, "contact_um2": area * 1e12, "pressure_MPa": pressure / 1e6,
-            "particle_MPa": of_particle[self._points].mean() / 1e6, "target_MPa": of_target[self._elements].mean() / 1e6,
-        })  # fmt: skip
-
-
-def wave() -> None:
-    """Case A for 150 ns, watched closely: docs/tables/validation_wave.csv."""
-    path = TABLES / "validation_wave.csv"
-    if path.exists():
-        return
-    probe = WaveProbe()
-    text = scene_of("single_ni").replace('at = "rest"', 'time = "150 ns"')
-    shutil.rmtree(RUNS / "A-150ns", ignore_errors=True)  # a part of it could not be watched again
-    compute(Case("A-150ns", text), probe)
-    write_table(path, probe.rows, REMAKE)
-    shutil.rmtree(RUNS / "A-150ns")
+        if force > self.force:
+            touching = impact.surface.contacts(impact.particle.x)[impact.contact.depth > 0]
+            self.force, self.pressure = force, contact_pressure(force, touching)[0]
 
 
 def fill(name: str, cases: Iterable[Case]) -> None:
@@ -280,10 +234,12 @@ def fill(name: str, cases: Iterable[Case]) -> None:
         if (case.name, "1") in table:
             continue
         try:
-            started = process_time()
-            result = compute(case)
-            cpu = process_time() - started  # of both threads; not of other programs
-            rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
+            started, probe = process_time(), PressureProbe()
+            with tempfile.TemporaryDirectory() as place:
+                result = run(Scene.from_text(case.text, case.name), Path(place) / "run", threads=1, probe=probe)
+                cpu = process_time() - started
+                rows = [row | {"run_cpu_s": cpu} for row in rows_of(case, result)]
+            rows[-1]["contact_pressure_MPa"] = probe.pressure / 1e6
         except ColdsprayError as problem:
             failed = " ".join(str(problem).split())[:200]
             rows = [{"run": case.name, "impact": 1, "temperature_K": case.start, "failed": failed}]
@@ -291,19 +247,14 @@ def fill(name: str, cases: Iterable[Case]) -> None:
         for row in rows:
             new = table.add(row)
             print({column: new[column] for column in shown}, flush=True)
-        if not case.keep:
-            shutil.rmtree(RUNS / case.name, ignore_errors=True)
 
 
 def main() -> None:
     """Fill the tables, write the page."""
-    a = options(__doc__, "docs", only=["cases", "wave", "spread", "trends", "shapes", "scatter"])
     parts = {"cases": cases, "spread": spread, "trends": trends, "shapes": shapes, "scatter": scatter}
+    a = options(__doc__, "docs", only=list(parts))
     for part in () if a.docs else a.only:
-        if part == "wave":
-            wave()
-        else:
-            fill(TABLE_OF.get(part, "validation"), parts[part]())
+        fill(TABLE_OF.get(part, "validation"), parts[part]())
     page.write_page()
 
 
