@@ -34,16 +34,16 @@ MATERIAL = {
     "rho": "density; or `density`", "G": "shear modulus; or `E` (GPa) and `nu`, which give `c0`, too",
     "c0": "Hugoniot U = c0 + s u; bulk modulus rho c0²", "s": "the same",
     "Gamma0": "Grüneisen's parameter", "T_m": "melting point", "taylor_quinney": "share of plastic work that becomes heat",
-    "thermal_expansion": "linear; one value, or two pairs [T, value], linear between; 0: not known",
+    "thermal_expansion": "linear; as cp; 0: not known",
     "sigma_TS": "tensile strength at 293 K, for critical velocities",
     "oxide_thickness": "of the native film", "oxide_strength": "tensile strength of the film",
     "oxide_threshold": "share of clean metal at which the film cracks",
     "burgers": "Burgers vector",
     "taylor_alpha": "Taylor's coefficient at 1e12 dislocations per m2, for `gradient_hardening`",
-    "cp": "specific heat: one value, or two pairs [T, cp], linear between",
-    "k": "conductivity: one value, or two pairs [T, k], linear between",
-    "source": "where the numbers come from", "note": "what to know of them",
-    "strength": "a strength set of the library, or a law, to start from",
+    "cp": "specific heat; one value, or two pairs [T, value], linear between",
+    "k": "conductivity; as cp",
+    "source": "of the numbers", "note": "a remark",
+    "strength": "a strength set of the library, or a law",
 }  # fmt: skip
 LAW = {
     "law": f"{', '.join(f'`{name}`' for name in LAWS)}; `johnson_cook` by default",
@@ -77,8 +77,8 @@ NOZZLE = {
     "inlet": "diameter", "throat": "diameter", "exit": "diameter", "converging": "length of the first cone",
     "diverging": "length of the second cone", "barrel": "length of a straight part behind",
     "chamber": "length of a straight part before",
-    "injection": "where the powder is fed, from the throat, upstream negative; at the very start by default",
-    "source": "where the numbers come from", "assumed": "what of this is not known",
+    "injection": "place of the powder feed, from the throat, upstream negative; at the start by default",
+    "source": "of the numbers", "assumed": "which are assumed",
 }  # fmt: skip
 
 
@@ -144,7 +144,7 @@ def missing_words() -> list[str]:
 
 
 def _table(above: str, fields: list[tuple[str, FieldInfo]]) -> list[str]:
-    lines = ["| key | takes | default | |", "|---|---|---|---|"]
+    lines = ["| key | values | default | |", "|---|---|---|---|"]
     for key, info in fields:
         default = "" if key == "name" else _default(info)
         lines.append(f"| `{key}` | {_takes(info)} | {default} | {words(above + key)}{DEFAULTS.get(above + key, '')} |")
@@ -163,13 +163,16 @@ def _plain(kind: Any, defaults: dict[str, Any], words: dict[str, str], unit_of: 
 
 
 def _laws() -> list[str]:
-    """The keys of a strength law, in the table of its material."""
-    lines = ["Keys of its strength law, in the same table:", "", "| key | unit | default | |", "|---|---|---|---|"]
-    lines += [f"| `{key}` | | | {words} |" for key, words in LAW.items()]
+    """The keys of a strength law, in the table of its material: key, unit and default in brackets, meaning."""
+    lines = ["Keys of its strength law, in the same table (needed unless a default is given):", ""]
+    lines += [f"- `{key}`: {words}" for key, words in LAW.items()]
     for name, law in LAWS.items():
+        keys = []
         for key, p in law.parameters.items():
-            default = "needed" if p.default is None else f"{p.default:g}"
-            lines.append(f"| `{key}` | {p.unit} | {default} | {name}: {p.about} |")
+            default = "" if p.default is None else f"default {p.default:g}"
+            about = ", ".join(text for text in (p.unit, default) if text)
+            keys.append(f"`{key}`{f' ({about})' if about else ''} {p.about}")
+        lines.append(f"- `{name}`: {'; '.join(keys)}.")
     return [*lines, ""]
 
 

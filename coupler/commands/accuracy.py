@@ -45,7 +45,7 @@ def add_to_run(option: Option) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compute the ladder of a scene, or go on with it, and draw. Returns the exit code."""
+    """Compute the ladder of a scene, or continue it, and draw. Returns the exit code."""
     from ..files.outputs import claim_folder
     from ..studies import ladder, ladder_runs
     from ..studies.accuracy_figures import lines, write
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def same_scene(scene: "Scene", out: Path) -> None:
-    """Keep the scene beside its study. Raises StoreError if the folder holds that of another scene."""
+    """Write the scene beside its study. Raises StoreError if the folder holds that of another scene."""
     from ..files.inputs import parse_toml, read_toml
 
     path, text = out / "scene.toml", scene.to_toml()
@@ -130,7 +130,7 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
 
 
 def spread_of_strength(scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
-    """Compute a scene with the other strength sets of its metals, and print what they change. out: folder of its run."""
+    """Compute a scene with the other strength sets of its metals, and print the range of each measure. out: folder of its run."""
     from ..files.result import Result
     from ..studies import spread
 

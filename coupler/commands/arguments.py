@@ -101,7 +101,7 @@ def _setting(text: str) -> tuple[str, str | None]:
 
 
 def at_least_one(text: str, most: int | None = None) -> int:
-    """A number of things that are at least one, and at most so many."""
+    """The type of an option that takes a whole number from one to a limit."""
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above zero")
     if most is not None and int(text) > most:
@@ -110,18 +110,18 @@ def at_least_one(text: str, most: int | None = None) -> int:
 
 
 def add_quiet(option: Option) -> None:
-    """The option that leaves nothing but errors."""
+    """The option --quiet: errors only."""
     option("-q", "--quiet", action="store_true", help="print errors only")
 
 
 def add_verbose(option: Option, text: str) -> None:
-    """The option for more than the first screen. text: of its help."""
+    """The option --verbose. text: of its help."""
     option("-v", "--verbose", action="store_true", help=text)
 
 
 @contextmanager
 def working(text: str, quiet: bool = False) -> "Iterator[Progress]":
-    """Within it, the user sees that something goes on, and for how long. text: what; quiet: nothing is seen."""
+    """Context that shows what is computed, and for how long. text: what; quiet: shows nothing."""
     from ..progress import Progress
 
     with Progress(quiet) as progress:

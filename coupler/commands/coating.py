@@ -1,4 +1,4 @@
-"""The command `coldspray coating`: what a sequence of impacts has built, in a table, a picture and meshes."""
+"""The command `coldspray coating`: measures of a coating, in a table, a picture and meshes."""
 
 import argparse
 import contextlib

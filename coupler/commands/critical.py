@@ -45,7 +45,7 @@ def add(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Search the critical velocity of a scene, or go on with it, and draw. Returns the exit code."""
+    """Search the critical velocity of a scene, or continue it, and draw. Returns the exit code."""
     from ..errors import StoreError
     from ..files.outputs import claim_folder
     from ..studies import critical

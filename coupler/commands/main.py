@@ -49,7 +49,7 @@ _MORE_MEMORY = "use a coarser resolution, a smaller file, or a machine with more
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:
-    """Letters that a terminal lacks, in those that it has."""
+    """Text in the characters that a terminal has."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_PLAIN.get(letter, "?") for letter in error.object[error.start : error.end]), error.end
@@ -99,7 +99,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _prepare() -> None:
-    """Make good what surroundings can lack: standard streams, characters of a terminal, matplotlib's backend of a notebook."""
+    """Replace what the environment lacks: standard streams, characters of a terminal, matplotlib's backend of a notebook."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -280,7 +280,7 @@ def _resume(arguments: argparse.Namespace) -> int:
 
 
 def _further(out: Path) -> str:
-    """How a run that is at its own end without a verdict goes on."""
+    """Message: how to continue a run that is at its own end without a verdict."""
     return f"go on until it is decided: coldspray resume {out} --until TIME"
 
 

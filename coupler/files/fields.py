@@ -1,4 +1,4 @@
-"""Read the fields of a VTKHDF file: one domain at one time. Takes every file for data from a stranger.
+"""Read the fields of a VTKHDF file: one domain at one time. Trusts no file.
 
 A file cannot make the reader open another file or fill the memory.
 """
@@ -62,7 +62,7 @@ def opened(path: Path) -> Iterator[Root]:
 
 @dataclass(frozen=True)
 class Root:
-    """The VTKHDF group of a file. What a data set claims is held against what is stored of it, and against the free memory.
+    """The VTKHDF group of a file. What a data set claims is compared with what is stored of it, and with the free memory.
 
     Data sets are read by h5py's functions of HDF5 itself: a step has some twenty numbers and tables, and those of h5py's own classes
     take twice as long for them.

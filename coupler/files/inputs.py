@@ -1,6 +1,6 @@
-"""Reading what a user or a stranger gives: regular files only, limits before parsing, numbers that a float can hold.
+"""Reading of input files: regular files only, limits before parsing, numbers that a float can hold.
 
-Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and held against the free memory.
+Nothing here blocks (on a pipe or a device), and nothing is read before its size is known and compared with the free memory.
 """
 
 import difflib
@@ -185,7 +185,7 @@ def _finite(text: str) -> float:
 
 @contextmanager
 def reading(folder: str | Path) -> Iterator[None]:
-    """Within it, files of a folder that are sound each by itself but do not fit together raise InputError; warnings are not shown."""
+    """Context in which files that are sound each by itself but do not fit together raise InputError; warnings are not shown."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -208,13 +208,13 @@ def require_memory(needed: float, purpose: str) -> None:
     if needed > 2**20 and needed > (free := free_memory()):
         raise LimitError(
             f"not enough memory {purpose}: about {_bytes(needed)} are needed, {_bytes(free)} are free;"
-            " use a machine with more memory, raise the limit (ulimit -v, cgroup), or take a smaller file"
+            " use a machine with more memory, raise the limit (ulimit -v, cgroup), or use a smaller file"
         )
 
 
 @contextmanager
 def bounded_memory() -> Iterator[None]:
-    """Within it, an allocation beyond the free memory fails (MemoryError) instead of having processes killed.
+    """Context in which an allocation beyond the free memory fails (MemoryError) instead of having processes killed.
 
     Sets the soft RLIMIT_DATA, which counts private writable memory, and puts it back. Raises LimitError where the limits that
     the process was started with are too tight for the libraries.

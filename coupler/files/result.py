@@ -71,12 +71,12 @@ class Result:
 
     @property
     def has_verdict(self) -> bool:
-        """Whether the run has shown what the particle of the last impact does; without it, it can go on."""
+        """Whether the run has shown what the particle of the last impact does; without it, it can be continued."""
         return self.values.get("rebounded", False) is not None
 
     @property
     def at_own_end(self) -> bool:
-        """Whether the run has met its end criterion without a verdict on its last particle: it goes on to a later time only."""
+        """Whether the run has met its end criterion without a verdict on its last particle: only a later time continues it."""
         return self.finished and self.undecided is None and not self.has_verdict
 
     @property

@@ -1,4 +1,4 @@
-"""The folder of one run: written while it runs, readable at every moment, never in two hands at once.
+"""The folder of one run: written while it runs, readable at every moment, written by one process only.
 
 particle.vtkhdf surface.vtkhdf target.vtkhdf   fields in time
 cold.vtkhdf                                    all bodies after the closing stage, where there is one
@@ -113,7 +113,7 @@ class Store:
             return cls(directory, _lock(directory))
 
     def state(self) -> StoreState:
-        """The history, and how many steps of each domain are written: what `go_on` goes on from."""
+        """The history, and how many steps of each domain are written: the argument of `go_on`."""
         history = np.array(self._rows).reshape(-1, max(len(self._columns), 1))
         return StoreState(
             {domain: writer.steps for domain, writer in self._writers.items()}, list(self._columns), history

@@ -17,7 +17,7 @@ LONELY = 2.5  # spacings: a point without another one so near is no part of a bo
 
 
 def cleaned(x: NDArray, spacing: float) -> tuple[NDArray[np.int64], list[str]]:
-    """Which of points x (n,3) m to keep: each place once, without lonely points; and what was left out, in words."""
+    """Which of points x (n,3) m to keep: each place once, without isolated points; and what is left out, as text."""
     o3d = open3d()
     finite = np.isfinite(x).all(axis=1)
     if not finite.all() or np.abs(x).max() > 1e6 * spacing:  # reported by the check of the cloud

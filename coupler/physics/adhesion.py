@@ -1,4 +1,4 @@
-"""Will it stick? Critical velocities, and the adhesion of a scene: where a splat is bonded and how strongly. SI units."""
+"""Adhesion: critical velocities, and the adhesion of a scene: where a splat is bonded and how strongly. SI units."""
 
 import math
 from collections.abc import Sequence
@@ -56,8 +56,8 @@ def _tensile_strength(material: Material) -> float:
 
 @dataclass(frozen=True)
 class PairFormula:
-    """Schmidt's formula for a particle on a metal: the formula knows own kind on own kind only, so that it is asked for both metals, at
-    the particle's temperature and diameter, and decides where both agree.
+    """Schmidt's formula for a particle on a metal. It is fitted to particles on their own kind, so that it is evaluated for both
+    metals, at the particle's temperature and diameter, and decides where both agree.
 
     metal, base: names of the particle's metal and of that which it hits, "" where none is named; critical, base_critical m/s: their
     critical velocities, None where a metal has no tensile strength.

@@ -6,7 +6,7 @@ step before left behind, and `harden` then moves plastic strain, rate and temper
 sigma_y. That is what MACHDYN allows (its stress update takes a given yield stress), and at explicit time steps
 (plastic strain per step about 1e-4) the lag is far below the discretisation error. The strength laws are those of `physics.strength`.
 
-An effect that is off is a zero among the law's numbers, and so is the switch of a strength law that no metal follows. In the records
+An effect that is off is a zero among the law's numbers, and so is the switch of a strength law that no metal uses. In the records
 that `specialised` gives, such zeros are integers: the type tells the compiler that they are zero, and what `on` guards is not in the
 kernel it makes.
 """
@@ -202,9 +202,9 @@ def with_gradient(law: Law, sigma: float, eta: float, T: float) -> float:
 
 @njit(cache=True, nogil=True)
 def softened(law: Law, sigma_y: float, eps_p: float, old: float, T: float) -> float:
-    """A yield stress (Pa) at the plastic strain eps_p after the temperature has gone from `old` to T (K) without plastic flow.
+    """Yield stress (Pa) at plastic strain eps_p when the temperature changes from `old` to T (K) without plastic flow.
 
-    By the ratio that the law gives: Johnson-Cook's 1 - theta^m, else that of the flow stresses at the slowest rate.
+    sigma_y times the softening ratio of the law: of 1 - theta^m for Johnson-Cook, else of the flow stresses at the slowest rate.
     """
     if law.softening == 0.0:
         return sigma_y

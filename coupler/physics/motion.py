@@ -10,7 +10,7 @@ LEAST = 2000  # rows in a range of a shared loop, at least
 
 @njit(cache=True, nogil=True)
 def kick(lo: int, hi: int, dt: float, f: Floats, inv_mass: Floats, v: Floats) -> None:
-    """v += dt f / m; held nodes have inv_mass 0."""
+    """v += dt f / m; fixed nodes have inv_mass 0."""
     for a in range(lo, hi):
         w = dt * inv_mass[a]
         v[a, 0] += w * f[a, 0]

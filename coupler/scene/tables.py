@@ -68,7 +68,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class BySize:
-    """A quantity that hangs on the particle's diameter: one text, or pairs of texts [diameter, value], linear between them.
+    """A quantity that depends on the particle's diameter: one text, or pairs of texts [diameter, value], linear between them.
 
     Inside: pairs (diameter m, value), ascending; one text is the one pair (0.0, value). of: what the values are.
     """
@@ -242,7 +242,7 @@ class Coating(_WithDwell):
 
 
 class GasConditions(Section):
-    """The gas that brings the particle: it gives the velocity and temperature that the scene leaves out. SI units.
+    """Gas and nozzle of the spray: they give the velocity and temperature that the scene leaves out. SI units.
 
     pressure, temperature: total, before the nozzle. nozzle: of the library or of [nozzles.NAME]. standoff: from there to
     the target. ambient: pressure outside. powder_temperature: when fed. drag: a law of `coupler.spray.flight`.

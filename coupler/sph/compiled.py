@@ -150,7 +150,7 @@ class CompiledParticle(Particle):
         self.sums[0] = plastic
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
-        """As of any particle; the plastic strain of the chunk of steps adds to its gradient, where that hardens the metal."""
+        """`Particle.run`; the plastic strain of the chunk of steps adds to its gradient, where that hardens the metal."""
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return

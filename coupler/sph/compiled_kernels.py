@@ -297,9 +297,9 @@ def pair_forces(
     f = -(Q_i + Q_j) g + viscosity + hourglass, the last two along x_j - x_i. The hourglass error is
     gamma = (F_i + F_j) (X_j - X_i) / 2 - (x_j - x_i).
 
-    loss (m,2) J grows by the work that viscosity and hourglass control take from the motion: dt (f_n + f_n+1) / 2 . v_n+1/2, as the
+    loss (m,2) J grows by the work that viscosity and hourglass control dissipate: dt (f_n + f_n+1) / 2 . v_n+1/2, as the
     leapfrog exchanges energy. v_half (N,3): v_n+1/2; strength (m,2) N/m: both forces over x_j - x_i, of n on entry (zero in the first
-    step of a window), of n+1 on return. is_last: of a window, whose last forces act on with v for the half step that follows.
+    step of a chunk), of n+1 on return. is_last: the last step of a chunk, whose forces also act in the half step after it.
 
     The enriched scheme: gradients (m,6) of both points of the pair, and in place of the hourglass control the forces residual
     (sides,3) N; rows (m,2): of the first point's side and of the second's.
@@ -364,7 +364,7 @@ def pair_forces(
 def grow_gradients(
     n: int, grown: Floats, start: Ints, neighbour: Ints, gradient: Floats, F: Floats, R: Floats, eps_gradient: Floats
 ) -> None:  # fmt: skip
-    """Add the gradient of the plastic strain of a window of steps to that of n points, eps_gradient (n,3) 1/m.
+    """Add the gradient of the plastic strain of a chunk of steps to that of n points, eps_gradient (n,3) 1/m.
 
     grown (N,): that strain; gradient (m,3) 1/m: of `stress_points`; F, R (n,9). In the present place, R^T F^-T = U^-1, and in the
     unrotated frame, in which it stays: as Huang et al. (2004) integrate it.

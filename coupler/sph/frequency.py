@@ -1,4 +1,4 @@
-"""How long a step the points of the enriched scheme can take: their highest frequency by power iteration.
+"""Stable time step of the points of the enriched scheme: their highest frequency by power iteration.
 
 The smallest principal stretch alone tells it badly: a point at the rim with few neighbours may be crushed and yet be slow, and
 one that is pressed from all sides is faster than its stretch says. As in `fe.stability` a few iterations with the linearised
@@ -21,7 +21,7 @@ from . import compiled_kernels as k
 
 LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken
 Fetch = Callable[..., None]
-FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the window before
+FIRST, NEXT = 40, 4  # iterations from nothing, and from the vector of the chunk of steps before
 LEAST_POINTS = 2000  # in a range of a shared loop
 STIRRED = 0.3  # share of random motion in the vector that an iteration starts from
 GRID = 128.0  # steps are powers of 2^(1 / GRID): sums over ranks differ in their last bits, steps do not
@@ -188,9 +188,9 @@ class PointFrequency:
     def longest_step(self, F: np.ndarray, J: np.ndarray, mode: np.ndarray) -> float:
         """The step in s at which the points of all ranks become unstable, NaN where there is none.
 
-        F (N,9), J (n,): deformation gradients and volume ratios. mode (n,3) s: the vector of the window before, as long as its result,
-        zero at the beginning; the new one is written. While the step falls, that of the end of the next window is returned, as the last
-        two tell.
+        F (N,9), J (n,): deformation gradients and volume ratios. mode (n,3) s: the vector of the chunk before, as long as its result,
+        zero at the beginning; the new one is written. While the step falls, that of the end of the next chunk is returned,
+        extrapolated from the last two.
         """
         n, s = len(J), self._sides
         share(lambda lo, hi: stiffness_points(lo, hi, s.first, s.gradient, F, self._stiffness), n, LEAST_POINTS)

@@ -60,7 +60,7 @@ def inertia_of_cells(
 class CellInertia:
     """The scaled cells of one rank's points, with those of the other ranks.
 
-    `weigh` chooses them for a window of steps, `slow` changes the forces of each step.
+    `weigh` chooses them for a chunk of steps, `slow` changes the forces of each step.
     """
 
     def __init__(

@@ -300,7 +300,7 @@ class Particle(ABC):
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
 
     def _end_chunk(self) -> None:
-        """What an engine books after the last step of a `run`: nothing where it does not know its losses."""
+        """Book losses after the last step of a `run`; nothing in an engine that does not know its losses."""
         return
 
     def _add_inertia(self) -> None:
@@ -390,7 +390,7 @@ class Particle(ABC):
         return {name: getattr(self, name) if name in own else self._lammps(name) for name in rows_of(self.POINTS)}
 
     def state(self) -> LocalState:
-        """Everything that makes these points go on as if nothing had happened."""
+        """State of these points, as a checkpoint holds it."""
         points = self.POINTS(**{name: values.copy() for name, values in self._points().items()})
         return collect(LocalState, self, points=points)
 
@@ -409,5 +409,5 @@ class Particle(ABC):
         self.time, self.steps, self.dt = state.time, state.steps, state.dt
 
     def close(self) -> None:
-        """Let LAMMPS go."""
+        """Close LAMMPS."""
         self.lmp.close()

@@ -77,8 +77,8 @@ def start(
 
 @contextlib.contextmanager
 def whole_process() -> Iterator[None]:
-    """Within it, one run has what a process has once: standard output (`silence`), and numbers written with a point, which LAMMPS
-    wants and a program with windows may have changed. Raises PlacementError where another run has them."""
+    """Context in which one run owns what a process has once: standard output (`silence`), and the decimal point, which LAMMPS needs
+    and a graphical program may have changed. Raises PlacementError where another run has them."""
     if not _computing.acquire(blocking=False):
         raise PlacementError("this process computes another run: start each run in a process of its own")
     before = locale.setlocale(locale.LC_NUMERIC)

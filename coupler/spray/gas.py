@@ -276,7 +276,7 @@ class Flow:
 
     @property
     def notes(self) -> list[str]:
-        """What a person should know of this flow before trusting it."""
+        """Limits of validity of this flow, as sentences."""
         notes, end = [], self.exit_pressure / self.ambient
         if end < SEPARATES:
             notes.append(

@@ -1,4 +1,4 @@
-"""Maps of a sweep: what came out over diameter, velocity and temperature, interpolated, with the uncertainty of that.
+"""Maps of a sweep: measures over diameter, velocity and temperature, interpolated, with their uncertainty.
 
 Reads folders of runs and imports no solver. The interpolation is a Gaussian process over the logarithms of velocity and
 diameter: Rasmussen & Williams (2006), Gaussian Processes for Machine Learning, chapters 2, 4.2 and 5.4.

@@ -125,7 +125,7 @@ def write_scene(folder: Path, point: str, text: str) -> Path:
 
 
 def compute(scene: Path, status: Path) -> dict[str, object]:
-    """Run a scene into the folder of its name, or go on there, on one core; write how it ended to `status` and return it.
+    """Run a scene into the folder of its name, or continue there, on one core; write how it ended to `status` and return it.
 
     {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
     InterruptedRunError and leaves no status, so that the next attempt goes on with it.

@@ -154,7 +154,7 @@ def _toml_value(value: object) -> str:
 
 
 def set_key(table: Table, key: str, value: object) -> None:
-    """Set a key of nested dicts, such as "particle.velocity" or "particle[2].velocity". Raises ValueError where it leads nowhere."""
+    """Set a key of nested dicts, such as "particle.velocity" or "particle[2].velocity". Raises ValueError for an unknown key."""
     steps = _STEP.findall(key)
     if not steps or not re.fullmatch(f"(?:{_STEP.pattern})+", key) or key.endswith("."):
         raise ValueError(f"{key}: is not a key of a scene, such as particle.velocity or particle[2].velocity")
@@ -272,7 +272,7 @@ def _ensemble(table: object, problems: list[str]) -> list[Settings]:
 
 
 def _with(base: Table, point: Settings, ratios: Mapping[str, float]) -> Table:
-    """The scene of a point. Raises ValueError for a key that leads nowhere."""
+    """The scene of a point. Raises ValueError for an unknown key."""
     scene = copy.deepcopy(base)
     for key, value in point.items():
         set_key(scene, key, value)
