@@ -23,8 +23,9 @@ from coupler.deposition import task as deposition_task
 from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
+from coupler.deposition.replay import BatchReplay
 from coupler.deposition.run import resume, run
-from coupler.deposition.task import Task, run_task
+from coupler.deposition.task import Task, attempt
 from coupler.errors import WorkerError
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare as prepare_mesh
@@ -311,7 +312,7 @@ def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Pat
         moved.append(float(np.abs(t.x[t.edge.nodes] - t.edge.rest).max()))
 
     options = RunOptions(Progress(True), tmp_path / "log", probe=watch)
-    result = run_task(Task(planned, 0, part.state(), place, tmp_path / "task", {}), options)
+    result = attempt(Task(planned, 0, part.state(), place, 0.0, None, tmp_path / "task", {}), options)
     assert max(moved) > 1e-9
     after = result.bodies.target.nodes
     place_of = {number: i for i, number in enumerate(after.node_number.tolist()) if number >= 0}
@@ -350,12 +351,12 @@ def test_a_run_that_ends_after_a_batch_goes_on_from_the_results_of_its_tasks(
         return set(Result(tmp_path / "out").history()["impact"].tolist())
 
     with monkeypatch.context() as patched:
-        patched.setattr("coupler.deposition.run.rest", ended)
+        patched.setattr("coupler.deposition.fold.rest", ended)
         with pytest.raises(KeyboardInterrupt):
             run(Scene.from_text(SIDE, "shared"), tmp_path / "out", quiet=True)
     assert impacts() == {1.0, 2.0}  # what was computed can be read
     with monkeypatch.context() as patched:
-        patched.setattr(deposition_batches.BatchReplay, "_go_on", ended)
+        patched.setattr(BatchReplay, "_go_on", ended)
         with pytest.raises(KeyboardInterrupt):
             resume(tmp_path / "out", quiet=True)
     assert impacts() == {1.0}
@@ -386,21 +387,18 @@ def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
         def submit(self, *arguments: object, **options: object) -> Future[Any]:  # type: ignore[override]
             return Future()
 
-    spare, seen = tmp_path / deposition_batches.TASKS / deposition_task.SPARE, {}
+    spare, seen = tmp_path / deposition_task.SPARE, {}
 
     def wait(left: list[Future[Any]], *_: object) -> None:
         seen[len(left)] = spare.exists()
         left[-1].set_result(None)
 
     monkeypatch.setattr(deposition_batches, "wait", wait)
-    monkeypatch.setattr(deposition_batches, "batch", lambda *_: range(5))
-    monkeypatch.setattr(deposition_batches.Batches, "tasks", lambda *_: iter([(None, None)] * 5))
-    spare.parent.mkdir()
     spare.touch()  # of a batch before
     options = RunOptions(Progress(True), Path("log"), threads=threads, jobs=jobs)
-    plan = SimpleNamespace(impacts=[], shares=[(0.0, 0.0)])
-    batches = deposition_batches.Batches(plan, tmp_path, {}, options, Waiting())
-    assert len(list(batches.compute(0, None, lambda: None))) == 5
+    task = SimpleNamespace(i=0, plan=SimpleNamespace(shares=[(0.0, 0.0)]))
+    found = iter([(task, None)] * 5)
+    assert len(deposition_batches.side_by_side(Waiting(), found, tmp_path, options, lambda: None)) == 5
     assert seen == {left: left <= few for left in range(1, 6)}
 
 

@@ -15,7 +15,7 @@ from runs import SharedRuns, assert_same_files
 from coupler import Scene
 from coupler.commands.main import main
 from coupler.deposition import equilibrium as relaxation
-from coupler.deposition import joining
+from coupler.deposition import fold, joining, task
 from coupler.deposition import pause as closing_stage
 from coupler.deposition import run as deposition
 from coupler.deposition.equilibrium import settle
@@ -174,13 +174,13 @@ def test_a_run_ended_in_its_closing_stage_goes_on_from_there(tmp_path: Path, mon
     def cool(*_: Any) -> Any:
         raise KeyboardInterrupt
 
-    true_join = deposition.join
-    monkeypatch.setattr(deposition, "join", join)
-    true_cool = deposition.cool_to_ambient
-    monkeypatch.setattr(deposition, "cool_to_ambient", cool)
+    true_join = task.join
+    monkeypatch.setattr(task, "join", join)
+    true_cool = fold.cool_to_ambient
+    monkeypatch.setattr(fold, "cool_to_ambient", cool)
     with pytest.raises(KeyboardInterrupt):
         deposition.run(Scene.from_text(COLD, "cold"), tmp_path, force=True, quiet=True, skip_failed=True)
-    monkeypatch.setattr(deposition, "cool_to_ambient", true_cool)
+    monkeypatch.setattr(fold, "cool_to_ambient", true_cool)
     result = deposition.resume(tmp_path, quiet=True, skip_failed=True)
     assert len(result.impacts) == 1
     assert "particle 2 of the scene's sequence was skipped" in result.summary["run"]["warnings"][0]
@@ -234,7 +234,7 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
     text = scenes.scene(
         ("Ni", 20, 500), ("Ti", 20, 450), ("Ni", 20, 550), **scenes.TINY | {"spacing": 2.7, "element_size": 5.0}, end=6
     )
-    true_join, true_impact = deposition.join, deposition.run_impact
+    true_join, true_impact = task.join, task.run_impact
     reason = "not at rest at its time limit" if how == "undecided" else "the cloud has a hole"
 
     def join(plan: Any, i: int, *more: Any) -> Any:
@@ -249,7 +249,7 @@ def test_an_impact_that_fails_can_be_skipped(tmp_path: Path, monkeypatch: pytest
         return outcome
 
     name, function = ("run_impact", run_impact) if how == "undecided" else ("join", join)
-    monkeypatch.setattr(deposition, name, function)
+    monkeypatch.setattr(task, name, function)
     scene, out = Scene.from_text(text, "skip"), tmp_path / "out"
     if how.endswith("resumed"):
         with pytest.raises(SolverError):

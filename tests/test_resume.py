@@ -20,7 +20,8 @@ from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
-from coupler.deposition.run import Deposition, resume
+from coupler.deposition.fold import Deposition
+from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, StoreError
 from coupler.files import checkpoint
 from coupler.impact.domains import build_target
@@ -142,7 +143,7 @@ def test_records_that_make_no_summary_are_refused(
     deposition = object.__new__(Deposition)
     deposition.plan, deposition.folder = read_plan(result.directory), tmp_path
     deposition.options, deposition.joins = RunOptions(Progress(quiet=True), tmp_path / "log"), []
-    deposition._before, deposition._started, deposition.closing = 0.0, 0.0, None
+    deposition._began, deposition.closing = 0.0, None
     bodies = build_target(deposition.plan)
     record = ImpactRecord(result.summary["impacts"][0], [], [], 1.0)
     deposition.records = [record]

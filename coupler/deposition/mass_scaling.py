@@ -18,7 +18,7 @@ from ..sph.inertia import ENOUGH
 SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs of contact bear
 
 
-def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> Values:
+def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
     """Make bodies at rest, numbered outwards from the place (m) where impact i comes, ready for it; what was done, for the report."""
     report: Values = {}
     if i and plan.mass_scaling:
@@ -28,7 +28,7 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point | None = None) -> V
         if bodies.contact is not None:
             step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
             report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.mass_for(step), most)
-    radius = plan.impacts[i].window
-    if math.isfinite(radius):
-        report |= {"window_m": radius, "elements_in_window": bodies.target.window(radius, place and np.array(place))}
+    within = bodies.target.window(plan.impacts[i].window, np.array(place))
+    if within < len(bodies.target.mesh.conn):
+        report |= {"window_m": plan.impacts[i].window, "elements_in_window": within}
     return report

@@ -1,7 +1,8 @@
-"""One impact on its cut of the target, in a folder of its own: a function for any process, which goes on where it has ended."""
+"""One impact on its cut of the target: a function for any process, which goes on where it has ended."""
 
 import signal
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,13 +28,18 @@ SPARE = "spare"  # cores are idle: each has a second thread from now on
 
 @dataclass(frozen=True)
 class Task:
-    """Impact i of a plan on a cut: its bodies, numbered outwards from `place` (m). folder: for its files; about: what these belong to,
-    as in `files.checkpoint`."""
+    """Impact i of a plan on a cut: its bodies, numbered outwards from `place` (m).
+
+    before: simulated time (s) of the impacts before it in its files; written: how much of these is written then, None where they begin
+    with it. folder: for files of its own; about: what these belong to, as in `files.checkpoint`.
+    """
 
     plan: Plan
     i: int
     bodies: BodiesState
     place: Point
+    before: float
+    written: StoreState | None
     folder: Path
     about: Mapping[str, str]
 
@@ -56,53 +62,70 @@ class TaskState:
     """What a checkpoint of a task holds: the impact on its way, where it may go on; the result, once there is one."""
 
     running: RunningState | None
-    prepared: Values
     store: StoreState
     result: TaskResult | None
 
 
-def run_task(task: Task, options: RunOptions) -> TaskResult:
-    """Compute a task, or return the result that its folder holds; an impact that has ended undecided goes on.
+@dataclass(frozen=True)
+class TaskFiles:
+    """Where a task writes. kept: its last checkpoint, to whose moment `store` has been brought; save: writes one."""
+
+    store: Store
+    kept: TaskState | None
+    save: Callable[[TaskState], object]
+
+
+@contextmanager
+def own_files(task: Task, log: Callable[[str], None]) -> Iterator[TaskFiles]:
+    """Files of a task in a folder of its own."""
+    kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
+    with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
+        if kept is not None:
+            store.go_on(kept.store, log)
+        yield TaskFiles(store, kept, lambda state: checkpoint.write(task.folder, state, task.about))
+
+
+def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
+    """Compute a task, or return the result that its files hold; an impact that has ended undecided goes on.
 
     Raises what `run_impact` and `join` raise."""
-    plan, i, log = task.plan, task.i, options.progress.log
-    kept = checkpoint.latest(task.folder, TaskState, task.about, log) if task.folder.is_dir() else None
+    plan, i, store, kept = task.plan, task.i, files.store, files.kept
     if kept is not None and kept.result is not None:
         is_undecided = kept.result.record.values["undecided"] is not None
         if kept.running is None or not (is_undecided or options.until is not None):
             return kept.result
-    running = kept.running if kept is not None else None
-    with Store.create(task.folder, "", force=True) if kept is None else Store.reopen(task.folder) as store:
-        if kept is not None:
-            store.go_on(kept.store, log)
-        bodies = restored_target(plan, task.bodies)
-        prepared = prepare(plan, i, bodies, task.place)
-        start = ImpactStart(bodies.state(), None)
-        last = running
+    last = kept.running if kept is not None else None
+    bodies = restored_target(plan, task.bodies)
+    prepared = prepare(plan, i, bodies, task.place)
+    start = ImpactStart(bodies.state(), task.written)
 
-        def save(state: RunningState | None, result: TaskResult | None = None) -> None:
-            nonlocal last
-            last = state
-            checkpoint.write(task.folder, TaskState(state, prepared, store.state(), result), task.about)
+    def save(state: RunningState) -> None:
+        nonlocal last
+        last = state
+        files.save(TaskState(state, store.state(), None))
 
-        outcome = run_impact(plan, i, start, store, 0.0, options, save, running)
-        try:
-            record, after = outcome.record, outcome.domains.bodies
-            joined: Values = {}
-            undecided = record.values["undecided"] is not None
-            if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
-                after, joined = join(plan, i, outcome, options.progress, task.place)
-        finally:
-            outcome.domains.particle.close()
-        result = TaskResult(after.state(), record, prepared, joined, store.state())
-        save(last if undecided or record.values["rebounded"] is None else None, result)
+    outcome = run_impact(plan, i, start, store, task.before, options, save, last)
+    try:
+        record, after = outcome.record, outcome.domains.bodies
+        joined: Values = {}
+        undecided = record.values["undecided"] is not None
+        if not undecided and not (i + 1 == len(plan.impacts) and plan.ambient is None):
+            after, joined = join(plan, i, outcome, options.progress, task.place)
+    finally:
+        outcome.domains.particle.close()
+    result = TaskResult(after.state(), record, prepared, joined, store.state())
+    can_go_on = undecided or record.values["rebounded"] is None
+    files.save(TaskState(last if can_go_on else None, store.state(), result))
     return result
 
 
-def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
-    """`run_task`; the error of an impact that fails."""
+def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> TaskResult | ColdsprayError:
+    """`run_task`, in files of its own without others; the error of an impact that fails."""
     try:
-        return run_task(task, options)
+        if files is not None:
+            return run_task(task, options, files)
+        with own_files(task, options.progress.log) as own:
+            return run_task(task, options, own)
     except (SolverError, NoContactError) as error:
         return error
 
@@ -110,7 +133,7 @@ def attempt(task: Task, options: RunOptions) -> TaskResult | ColdsprayError:
 def run_alone(
     task: Task, numerics: Mapping[str, float], every: float, until: float | None
 ) -> TaskResult | ColdsprayError:
-    """`run_task` in a process of an executor; the error of an impact that fails."""
+    """`attempt` in a process of an executor."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
     def look(_: object) -> None:

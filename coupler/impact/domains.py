@@ -66,7 +66,6 @@ def build_target(plan: Plan) -> Bodies:
         mesh.sets[HALF_SPACE] = np.concatenate([mesh.sets[name] for name in cut])
         mesh = replace(mesh, axis=np.array(t.centre))
     target = Target(mesh, law, t.temperature, fixed=fixed, absorbing=absorbing, conduction=plan.effects.conduction)
-    target.window(plan.impacts[0].window)
     return Bodies(target, np.zeros(len(mesh.conn), np.int32), fixed, absorbing, plan.friction)
 
 

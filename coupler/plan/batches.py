@@ -1,6 +1,7 @@
 """Batches: impacts that are computed side by side, each on its own cut of the target, because their windows lie apart.
 
-They follow from the plan alone, whatever the number of processes: so does the coating.
+They follow from the plan alone, whatever the number of processes: so does the coating. An impact without a window is a batch of one,
+whose cut is the whole target.
 """
 
 import math
@@ -33,6 +34,38 @@ class Landing:
     offset: tuple[float, float]
     window: float
     diameter: float
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Impacts first to stop - 1. cut: radius (m) of the largest of their cuts, inf where it is the whole target; pause: time (s) until
+    the next batch in which heat flows, 0 without."""
+
+    first: int
+    stop: int
+    cut: float
+    pause: float
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the cut is the whole target."""
+        return math.isinf(self.cut)
+
+
+class Timed(Impact, Protocol):
+    """dwell: time until the next impact, s."""
+
+    @property
+    def dwell(self) -> float: ...
+
+
+def batches_of(impacts: Sequence[Timed], is_cooled: bool) -> tuple[Batch, ...]:
+    """The batches of a plan. is_cooled: whether heat flows between impacts."""
+    found = []
+    for own in batches(impacts):
+        dwell = sum((impacts[i].dwell for i in own if i + 1 < len(impacts)), 0.0)
+        found.append(Batch(own.start, own.stop, max(impacts[i].window for i in own), dwell if is_cooled else 0.0))
+    return tuple(found)
 
 
 def batch(impacts: Sequence[Impact], first: int) -> range:

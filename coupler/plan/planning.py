@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ from ..physics.materials import Material
 from ..scene.tables import Face, Particle
 from . import cost as estimates
 from . import effects, forecast
+from .batches import Batch, batches_of
 from .effects import Decision, Effects, Situation
 from .gas import describe as describe_gas
 from .reading import Scene
@@ -118,9 +119,10 @@ class SolidPlan:
 class Plan:
     """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
 
-    impacts: one after another. contact_stiffness: factor on the penalty stiffness. dt_estimate: the smallest of all impacts; steps,
-    wall time and memory are those of all; target_load: cost of the target and the contact over that of the particles. gas: lines
-    about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of the file.
+    impacts: one after another; batches: which of them are computed side by side. contact_stiffness: factor on the penalty stiffness.
+    dt_estimate: the smallest of all impacts; steps, wall time and memory are those of all; target_load: cost of the target and the
+    contact over that of the particles. gas: lines about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids:
+    shapes from files, by the name of the file.
     ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
     (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
     decisions: about each effect. companions: points of the coarser runs that measure the error, none where it is not measured.
@@ -129,6 +131,7 @@ class Plan:
 
     name: str
     impacts: tuple[ImpactPlan, ...]
+    batches: tuple[Batch, ...]
     target: TargetPlan
     adhesion: Adhesion
     splat_method: str
@@ -172,6 +175,16 @@ class Plan:
         whole = ends[-1] + estimates.SECONDS_PER_RUN
         return tuple((begin / whole, time / whole) for begin, time in zip([0.0, *ends], own, strict=False))
 
+    def batch_from(self, first: int) -> Batch | None:
+        """What is left of the batch of an impact from that one on; None after the last."""
+        return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
+
+    def without(self, i: int, why: str) -> "Plan":
+        """The plan less impact i, which is skipped."""
+        impacts = (*self.impacts[:i], *self.impacts[i + 1 :])
+        left = batches_of(impacts, self.effects.cooling)
+        return replace(self, impacts=impacts, batches=left, skipped=(*self.skipped, why))
+
     @property
     def impact(self) -> ImpactPlan:
         """The first impact."""
@@ -204,6 +217,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     return Plan(
         name=scene.name,
         impacts=impacts,
+        batches=batches_of(impacts, decided.cooling),
         target=target,
         adhesion=adhesion,
         splat_method=scene.splat.method,

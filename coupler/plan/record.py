@@ -17,7 +17,7 @@ from ..files.inputs import read_json_object
 from .planning import Plan
 
 FILE = "plan.json"
-FORMAT = 8
+FORMAT = 9
 
 
 def plan_text(plan: Plan) -> str:

@@ -6,7 +6,6 @@ from textwrap import fill
 
 from .. import units
 from . import cost as estimates
-from .batches import batches
 from .forecast import file_bytes
 from .planning import ImpactPlan, Plan
 from .remarks import BEYOND_FIT
@@ -160,9 +159,8 @@ def _window(plan: Plan) -> list[str]:
     radius = first if first == last else f"{first.removesuffix(' um')} to {last}"
     if not lengths:
         return []
-    sides = batches(plan.impacts)
-    most = max(map(len, sides))
-    side = f"; {len(sides)} batches of up to {most} impacts side by side" if most > 1 else ""
+    most = max(each.stop - each.first for each in plan.batches)
+    side = f"; {len(plan.batches)} batches of up to {most} impacts side by side" if most > 1 else ""
     lines = [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
     return lines
 

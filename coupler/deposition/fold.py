@@ -1,0 +1,261 @@
+"""The fold over the batches of a plan: each takes a target and leaves one with its splats, and a record of each impact."""
+
+import hashlib
+import time as clock
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+
+from .. import __version__, report
+from ..errors import CheckpointError, ColdsprayError, SolverError
+from ..files import checkpoint
+from ..files.outputs import write_text
+from ..files.provenance import provenance
+from ..files.result import COLD, Result
+from ..files.store import PICTURE, PLAN, Store, StoreState
+from ..files.summary import Summary, Values, problem_of
+from ..impact.bodies import Bodies
+from ..impact.domains import build_target, restored_target
+from ..impact.recorder import VTK_ORDER, cell_fields
+from ..impact.run import RunOptions
+from ..impact.summary import ImpactRecord
+from ..plan.batches import Batch
+from ..plan.planning import Plan
+from ..plan.record import plan_text
+from .batches import TASKS, Done, clear, side_by_side, tasks
+from .cut import put_back
+from .detaching import without_detached
+from .joining import rest, splats_at_end
+from .pause import cool_to_ambient
+from .replay import BatchReplay
+from .state import DepositionState
+from .summary import simulated, summary, unsettled
+from .task import Task, TaskFiles, TaskState, attempt
+
+
+class Deposition:
+    """Batches of impacts one after another, on the rank that has the target.
+
+    plan: less the impacts that are skipped; records: of the finished impacts; joins: reports of the joining of their splats; closing:
+    report of the closing stage. pool: for impacts side by side, None where all are computed in this process.
+    """
+
+    def __init__(self, plan: Plan, folder: Path, options: RunOptions, store: Store, pool: Executor | None = None):
+        self.plan, self.folder, self.options, self.store, self.pool = plan, folder, options, store, pool
+        self._began = clock.perf_counter()  # s, less what the run has taken before it was resumed
+        self.records: list[ImpactRecord] = []
+        self.joins: list[Values] = []
+        self.closing: Values | None = None
+        self._resumed: DepositionState | None = None  # within an impact
+        self._unwritten: BatchReplay | None = None  # files of the last batch
+        self._about = self._identity()
+
+    @property
+    def undecided(self) -> bool:
+        """Whether the last impact so far has ended without its end criterion."""
+        return bool(self.records) and self.records[-1].values["undecided"] is not None
+
+    @property
+    def can_go_on(self) -> bool:
+        """Whether the last impact so far can go on: it is undecided, or shows no verdict."""
+        return self.undecided or self.records[-1].values["rebounded"] is None
+
+    @property
+    def _may_skip(self) -> bool:
+        """Whether an impact that fails, or ends undecided, is left out."""
+        return self.options.skip_failed and self.options.ranks.size == 1 and len(self.plan.impacts) > 1
+
+    # ---- the fold ------------------------------------------------------------------------------------------------
+
+    def substrate(self) -> Bodies:
+        """The target before the first impact."""
+        clear(self.folder)
+        return build_target(self.plan)
+
+    def next_batch(self) -> Batch | None:
+        """The impacts that come next; None after the last, and after one that is undecided: what comes next has no target at rest."""
+        return None if self.undecided else self.plan.batch_from(len(self.records))
+
+    def compute(self, batch: Batch, target: Bodies) -> list[Done]:
+        """The impacts of a batch, each on its own cut of the target, up to one that is undecided. None at all where one has failed and
+        is out of the plan; its error, where that is not asked for."""
+        done = self._done(batch, target)
+        for k, each in enumerate(done):
+            if (error := self._failure(each)) is not None:
+                self._skip(each.task, error)
+                self._save(target, self.store.state())
+                clear(self.folder)
+                return []
+            if each.of.record.values["undecided"] is not None:
+                return done[: k + 1]
+        return done
+
+    def _done(self, batch: Batch, target: Bodies) -> list[Done]:
+        """`compute` without a look at what has come of it."""
+        found, folder = tasks(self.plan, batch, target, self.folder, self._about), self.folder / TASKS
+        if batch.is_whole:  # it writes into the files of the run
+            self._catch_up(batch, target)
+            ((task, cut),) = found
+            before, resumed, self._resumed = simulated(self.records), self._resumed, None
+            written, within = (resumed.store, resumed.within) if resumed is not None else (self.store.state(), None)
+            files = TaskFiles(self.store, within, lambda state: self._save(target, written, state))
+            return [Done(task, cut, attempt(replace(task, before=before, written=written), self.options, files))]
+        folder.mkdir(exist_ok=True)
+        if self.pool is not None and batch.stop - batch.first > 1:
+            return side_by_side(self.pool, found, folder, self.options, lambda: self._catch_up(batch, target))
+        self._catch_up(batch, target)
+        return [Done(task, cut, attempt(task, self.options)) for task, cut in found]
+
+    def rest(self, batch: Batch, target: Bodies, done: Sequence[Done]) -> Bodies:
+        """The target after a batch and the time until the next, at rest, with all splats that stay. done: of `compute`."""
+        if not done:
+            return target
+        first = len(self.records)
+        whole = put_back(target, [(each.cut, restored_target(self.plan, each.of.bodies)) for each in done])
+        self._take_note(target, whole, done, is_written=batch.is_whole)
+        if self.undecided:
+            return whole
+        number = len(self.records)
+        if not done[-1].of.joined:  # the last, whose particle stays one of points
+            left, gone = without_detached(self.plan, whole, number, "impact")
+            self.joins += [{"impact": number, "detached": gone}] if gone else []
+            return left
+        self.options.progress.stage("cooling, and preparing the next impact")
+        kinetic_0 = sum(record.values["kinetic_energy_0_J"] for record in self.records[first:])
+        places = [each.task.place for each in done]
+        whole = rest(self.plan, batch, whole, places, kinetic_0, self.joins[-1])
+        for text in unsettled(self.joins[-1]):
+            self.options.progress.log(text)
+        if not batch.is_whole and number < len(self.plan.impacts):
+            self.options.progress.batch_ended(self.plan.shares[number][0])
+        return whole
+
+    def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:
+        """Keep the records of a batch. before, after: the bodies; is_written: whether its files are those of the run already."""
+        replay, elements = BatchReplay(before, after), len(before.target.mesh.conn)
+        for each in done:
+            replay.add(each.task, each.cut, each.of, simulated(self.records))
+            elements += len(each.of.bodies.target.elements.T) - len(each.task.bodies.target.elements.T)
+            self.records.append(each.of.record)
+            if each.of.joined:
+                self.joins.append({**each.of.joined, "elements": elements, "mass_scaling": each.of.prepared})
+        self._unwritten = None if is_written else replay
+
+    def cool(self, target: Bodies) -> Bodies:
+        """The closing stage, where the plan has one: the bodies cool to ambient, come to equilibrium and are written. Returns those
+        that are left."""
+        if self.plan.ambient is None or self.undecided:
+            return target
+        if not self.can_go_on:
+            self._save(target, self.store.state())
+        self.options.progress.stage("cooling to ambient")
+        target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
+        t = target.target
+        thermal = {"thermal_stress": t.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
+        self.store.write(COLD, simulated(self.records), t.x, t.mesh.conn, {}, thermal)
+        return target
+
+    def finish(self, target: Bodies) -> None:
+        """Write the summary; checkpoints stay where the last impact can go on."""
+        (self.folder / PICTURE).unlink(missing_ok=True)  # of an earlier end
+        origin = provenance(Result(self.folder).scene_text, self.plan.engine)
+        self.store.finish({**self._summary(target), "provenance": origin})
+        if not self.can_go_on:
+            checkpoint.clear(self.folder)
+            clear(self.folder)
+        self.options.progress.record(report.screen(Result(self.folder), verbose=True))
+
+    # ---- impacts that fail ---------------------------------------------------------------------------------------
+
+    def _failure(self, done: Done) -> ColdsprayError | None:
+        """Why an impact is left out, or the run ends with it; None of all others."""
+        if isinstance(done.result, ColdsprayError):
+            return done.result
+        undecided = done.of.record.values["undecided"]
+        return SolverError(str(undecided)) if undecided is not None and self._may_skip else None
+
+    def _skip(self, task: Task, error: ColdsprayError) -> None:
+        """Take an impact that has failed out of the plan, which is written anew, and out of the files of the run.
+
+        Raises the error where nobody has asked for that, or nothing else would be left.
+        """
+        if not self._may_skip:
+            raise error
+        text = f"particle {task.i + 1} of the scene's sequence was skipped: {error}"
+        self.options.progress.log(text)
+        if task.written is not None:
+            self.store.go_back(task.written, self.options.progress.log)
+        self.plan = self.plan.without(task.i, text)
+        write_text(self.folder / PLAN, plan_text(self.plan))
+        self._about = self._identity()
+
+    # ---- checkpoints ---------------------------------------------------------------------------------------------
+
+    def restored(self) -> Bodies:
+        """The target before the first batch that the last whole checkpoint has not seen finished; from the start without one."""
+        log = self.options.progress.log
+        state = checkpoint.latest(self.folder, DepositionState, self._about, log)
+        if state is None:
+            log(f"{self.folder} has no checkpoint: the run starts from its beginning")
+            self.store.go_on(None, log)
+            return build_target(self.plan)
+        self.store.go_on(state.store if state.within is None else state.within.store, log)
+        self.records, self.joins = state.records, state.joins
+        self._began -= state.wall
+        if len(self.joins) != len(self.records) or len(self.records) > len(self.plan.impacts):
+            raise CheckpointError(f"the checkpoint in {self.folder} is damaged: start anew with coldspray run --force")
+        target = restored_target(self.plan, state.bodies)
+        self._check_records(target)
+        self._resumed = state if state.within is not None else None
+        return target
+
+    def _check_records(self, bodies: Bodies) -> None:
+        """Raise CheckpointError where the records of a checkpoint are not those of finished impacts: they make no summary."""
+        try:
+            if self.records and (problem := problem_of(self._summary(bodies))) is not None:
+                raise ValueError(problem)
+        except (KeyError, ValueError, TypeError, AttributeError, IndexError, ZeroDivisionError) as error:
+            raise CheckpointError(
+                f"the checkpoint in {self.folder} is damaged (its records: {type(error).__name__} {error}): start anew with"
+                " coldspray run --force"
+            ) from error
+
+    def _catch_up(self, batch: Batch, target: Bodies) -> None:
+        """Write the files of the last batch and a checkpoint of the target after it, while workers compute the next one: until then
+        a run that is ended goes on from the results that the tasks of that batch have left in their folders."""
+        self.write_files()
+        if self._resumed is None and (self.records or not batch.is_whole):
+            self._save(target, self.store.state())
+        clear(self.folder, len(self.records))
+
+    def write_files(self) -> None:
+        """Write what the last batch has left to be written."""
+        unwritten, self._unwritten = self._unwritten, None
+        if unwritten is not None:
+            unwritten.write(self.store)
+
+    def _save(self, target: Bodies, written: StoreState, within: TaskState | None = None) -> None:
+        state = DepositionState(target.state(), written, self.records, self.joins, self._wall, within)
+        checkpoint.write(self.folder, state, self._about)
+
+    def _identity(self) -> dict[str, str]:
+        """What a checkpoint belongs to."""
+        scene = (Result(self.folder).scene_text + plan_text(self.plan)).encode()
+        return {
+            "version": __version__, "scene": hashlib.sha256(scene).hexdigest(),
+            "numerics": repr(sorted(self.options.numerics.items())),
+        }  # fmt: skip
+
+    # ---- summary -------------------------------------------------------------------------------------------------
+
+    @property
+    def _wall(self) -> float:
+        """Wall time so far, s, that before a resumption included."""
+        return clock.perf_counter() - self._began
+
+    def _summary(self, bodies: Bodies) -> Summary:
+        """The summary of the impacts so far, whose splats are `bodies`."""
+        levels = [record.values["surface_level_m"] for record in self.records]
+        standing = splats_at_end(self.plan, levels, len(self.joins), bodies)
+        return summary(self.plan, self.records, self.joins, standing, self._wall, self.options.ranks, self.closing)

@@ -1,0 +1,86 @@
+"""Files of impacts side by side, written into those of the run in the order of arrival."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..files.result import Result
+from ..files.store import Store, StoreState
+from ..impact.bodies import Bodies
+from ..impact.recorder import cell_fields
+from .cut import Cut
+from .task import Task, TaskResult
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a task has written, as a part of the whole. folder, store: of its files; nodes, elements: numbers of its cut in the whole;
+    changed: nodes that it can change; more: nodes and elements of its splat; before: simulated time of the impacts before it, s."""
+
+    folder: Path
+    store: StoreState
+    nodes: np.ndarray
+    elements: np.ndarray
+    changed: np.ndarray
+    more: tuple[int, int]
+    before: float
+
+
+class BatchReplay:
+    """What is written of the whole where the impacts of a batch are written one after another, each on the bodies as those before it
+    have left them. It may be written later: it does not follow what becomes of the bodies."""
+
+    def __init__(self, before: Bodies, after: Bodies):
+        """before, after: the bodies before and after the batch."""
+        self._points, self._cells, self._fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
+        self._x_after, self._cells_after = after.target.x.copy(), after.target.mesh.conn
+        self._fields_after = cell_fields(after)
+        self._impacts: list[_Written] = []
+
+    def add(self, task: Task, cut: Cut, result: TaskResult, before: float) -> None:
+        """The next impact. before: simulated time (s) of the impacts before it."""
+        met, left = task.bodies.target, result.bodies.target
+        more = len(left.nodes.x) - len(met.nodes.x), len(left.elements.T) - len(met.elements.T)
+        numbers = met.nodes.node_number, met.elements.element_number
+        self._impacts.append(_Written(task.folder, result.store, *numbers, cut.nodes, more, before))
+
+    def write(self, store: Store) -> None:
+        """Append what the tasks have written to the files of the run, their targets as parts of the whole."""
+        for each in self._impacts:
+            self._append(store, each)
+            self._go_on(each)
+
+    def _append(self, store: Store, part: _Written) -> None:
+        own = Result(part.folder)
+        for row in part.store.history:
+            values = dict(zip(part.store.columns, row.tolist(), strict=True))
+            store.record({**values, "time": part.before + values["time"]})
+        for domain, steps in part.store.steps.items():
+            for step in range(steps):
+                fields = own.fields(step, domain)
+                points, cells, (at_points, inside) = fields.points, fields.cells, fields.split()
+                if domain == "target":
+                    points, cells = self._points.copy(), self._cells
+                    points[part.nodes] = fields.points
+                    velocity = np.zeros_like(points)
+                    velocity[part.nodes] = at_points["velocity"]
+                    whole = {name: values.copy() for name, values in self._fields.items()}
+                    for name in inside.keys() - {"body"}:
+                        whole[name][part.elements] = inside[name]
+                    at_points, inside = {"velocity": velocity}, whole
+                store.write(domain, part.before + fields.time, points, cells, at_points, inside)
+
+    def _go_on(self, part: _Written) -> None:
+        """Go on to the next impact: a task has changed its cut, and its splat is the next one of the bodies after the batch."""
+        n, m = len(self._points), len(self._cells)
+        changed = np.zeros(n, bool)
+        changed[part.changed] = True
+        near = changed[self._cells].any(axis=1)  # pressures are of nodes
+        self._points[part.changed] = self._x_after[part.changed]
+        self._points = np.concatenate([self._points, self._x_after[n : n + part.more[0]]])
+        self._cells = self._cells_after[: m + part.more[1]]
+        for name, values in self._fields.items():
+            now = self._fields_after[name][: m + part.more[1]]
+            self._fields[name] = np.concatenate([values, now[m:]])
+            self._fields[name][:m][near] = now[:m][near]
