@@ -76,7 +76,7 @@ class Blocks:
         t, c, b = self.target, self.contact, self.bond
         held = t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]
         if c is not None:
-            held += c.penalty_energy + c.friction_heat + c.lost
+            held += c.penalty_energy + c.pairs.friction_heat + c.lost
         return float(held + (b.stored + b.dissipated if b is not None else 0.0))
 
     def moment(self) -> np.ndarray:
@@ -115,7 +115,7 @@ class Blocks:
 
 def touching(contact: BodyContact) -> int:
     """How many nodes touched at the last forces."""
-    return int(sum(side.contact.sums[3] for side in contact._sides))
+    return int(np.count_nonzero(contact.pairs.depth))
 
 
 def cubes(side: float) -> Blocks:

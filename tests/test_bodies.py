@@ -45,14 +45,13 @@ def test_a_pressed_block_sinks_until_the_penalty_carries_its_weight() -> None:
 
     def watch() -> None:
         carried[0] += t.dt_last * float(t.f_ext[b.nodes(0), 2].sum())
-        pen.append(max(side.contact.depth.max() for side in contact._sides))
+        pen.append(float(contact.pairs.depth.max()))
 
     b.run(1.5e-3, push=load, watch=watch)
     assert -carried[0] == pytest.approx(mass * (g * t.time + b.velocity(1)[2]), rel=0.01)
     assert contact.penalty_energy > 0
-    side = contact._sides[0].contact
     nodes = len(interface(b.surfaces, t.mesh.points, 1, 1e-3).nodes)
-    assert 0.5 < np.mean(pen) / (mass * g / (nodes * side.stiffness)) < 3.0
+    assert 0.5 < np.mean(pen) / (mass * g / (nodes * contact.pairs.stiffness[0])) < 3.0
 
 
 def test_a_sliding_block_slows_down_by_coulombs_law() -> None:
@@ -67,7 +66,7 @@ def test_a_sliding_block_slows_down_by_coulombs_law() -> None:
     assert abs(v[1]) < 0.01 * start
     # what the block has lost is heat, but for the waves that the jerk of sliding has sent through both
     loss = 0.5 * float(t.mass[up].sum()) * (start**2 - v[0] ** 2)
-    assert 0.9 * loss < contact.friction_heat < loss
+    assert 0.9 * loss < contact.pairs.friction_heat < loss
 
 
 def test_friction_that_is_not_overcome_holds() -> None:
@@ -111,7 +110,7 @@ def test_an_oblique_collision_with_friction_closes_its_ledger() -> None:
     t.v[b.nodes(1)] = [3.0, 1.0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
     b.run(1.6e-3, limit=2.5e-7)
-    assert contact.friction_heat > 5e-4 * start
+    assert contact.pairs.friction_heat > 5e-4 * start
     assert b.energy() == pytest.approx(start, rel=1e-4)
     scale = float(t.mass.sum()) * 10.0
     assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
@@ -125,7 +124,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     b.target = t
     t.v[b.nodes(1)] = [20.0, 0, -5.0]
     b.run(1.5e-4)
-    made = contact.friction_heat
+    made = contact.pairs.friction_heat
     elements, heat = contact.heat()
     assert heat.sum() == pytest.approx(made, rel=1e-12)
     assert heat[b.body[elements] == 1].sum() == pytest.approx(0.5 * made, rel=1e-12)
@@ -135,7 +134,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     t.warm(elements, heat)
     assert np.all(t.T[np.unique(elements)] > before[np.unique(elements)])
     assert contact.heat()[1].size == 0
-    assert contact.friction_heat == made
+    assert contact.pairs.friction_heat == made
 
 
 def test_three_bodies_each_against_those_before_it() -> None:
@@ -187,7 +186,7 @@ def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
     contact.search(x, 0.0, bond)
     f = np.zeros_like(x)
     contact.forces(1e-9, x, np.zeros_like(x), f)
-    bonded, between = contact._sides[1].contact.sums[3], contact._sides[0].contact.sums[3]
+    between, bonded = (np.count_nonzero(contact.pairs.depth[contact.pairs.points.owner == body]) for body in (0, 1))
     assert bonded == 0
     assert between > 0  # nodes of the other side lie between those that the bond holds
     x[b.nodes(1), 2] += 5.0
@@ -207,9 +206,9 @@ def test_a_body_on_a_wide_plate_keeps_the_facets_near_it_and_has_the_forces_of_a
     for near in (True, False):
         with monkeypatch.context() as patched:
             if not near:
-                patched.setattr(broad, "boxes_within", lambda ids, *_: ids)
+                patched.setattr(broad, "boxes_within", lambda low, high, ids, *_: ids)
             contact = b.touch(friction=0.3)
-        kept = len(contact._sides[1].facets)
+        kept = len(contact.pairs.facing[1])
         assert (kept < 0.2 * len(b.surfaces.facets_of(0))) == near
         contact.search(t.x, 1e-3)
         v = np.where(b.body_of_node[:, None] == 1, np.array([20.0, 5.0, -10.0]), 0.0)
@@ -251,7 +250,7 @@ def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
     held, count = contact.penalty_energy, touching(contact)
     f[:] = 0.0
     contact.search(x, 0.0, active=0)
-    contact.forces(1e-9, x, still, f)
+    contact.forces(1e-9, x, still, f, 0)
     assert not f.any()
     assert (contact.penalty_energy, touching(contact)) == (held, count)
     contact.search(x, 0.0, active=len(x))
@@ -276,8 +275,7 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
         c.search(x, 0.01)
         c.forces(0.0, x, v, np.zeros_like(x))
     assert contacts[0].penalty_energy > 0.0
-    for side in contacts[1]._sides:
-        side.reach = -np.inf  # as of bodies that have come to rest
+    contacts[1].pairs.expire(np.ones(len(contacts[1].pairs.history), bool))  # as of bodies that have come to rest
     looked: list[int] = []
     for active in (60, 60, 90, 91, 150, len(x)):
         for c, number in zip(contacts, (None, active), strict=True):
@@ -290,9 +288,11 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
         scale = np.abs(forces[0]).max()
         np.testing.assert_allclose(forces[1][:active], forces[0][:active], atol=1e-12 * scale)
         assert contacts[1].penalty_energy == pytest.approx(contacts[0].penalty_energy, rel=1e-12)
-        np.testing.assert_allclose(contacts[1].past().nodes, contacts[0].past().nodes, rtol=1e-9, atol=1e-9 * scale)
-        looked.append(sum(len(side.contact.rows) for side in contacts[1]._sides))
-    every = sum(len(side.contact.rows) for side in contacts[0]._sides)
+        for name in ("spring", "depth", "ignored"):
+            of_some, of_all = (c.past().nodes[name] for c in (contacts[1], contacts[0]))
+            np.testing.assert_allclose(of_some, of_all, rtol=1e-9, atol=1e-9 * scale)
+        looked.append(len(contacts[1].pairs.rows))
+    every = len(contacts[0].pairs.rows)
     assert 0 < looked[0] < 0.6 * every
     assert sorted(looked) == looked
     assert looked[-1] == every
@@ -305,11 +305,10 @@ def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:
     up, still, done = b.nodes(1), np.zeros_like(x), []
     for step in range(24):
         x[up] += [0.018, 0.004, -0.0005]
-        before = kept._sides[1].near
+        before = kept.pairs._searches[1].points
         kept.search(x, 0.01)
-        done.append(kept._sides[1].near is not before)
-        for side in fresh._sides:
-            side.reach = -np.inf
+        done.append(kept.pairs._searches[1].points is not before)
+        fresh.pairs.expire(np.ones(len(fresh.pairs.history), bool))
         fresh.search(x, 0.01)
         f, g = np.zeros_like(x), np.zeros_like(x)
         kept.forces(1e-9, x, still, f)
@@ -331,7 +330,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     kept = contact.state()
     fresh = BodyContact(one.surfaces, one.target.mesh.points, [one.K] * 2, 0.3)
     fresh.restore(kept)
-    assert fresh.friction_heat == contact.friction_heat > 0
+    assert fresh.pairs.friction_heat == contact.pairs.friction_heat > 0
     assert fresh.penalty_energy == contact.penalty_energy
     t = one.target
     forces = []
@@ -342,7 +341,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
             c.forces(1e-6, t.x, t.v, f)
         forces.append(f)
     assert np.array_equal(*forces)
-    assert fresh.friction_heat == contact.friction_heat
+    assert fresh.pairs.friction_heat == contact.pairs.friction_heat
 
 
 def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
@@ -369,7 +368,7 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
     later.forces(1e-9, x, v, g)
     assert np.abs(f).max() > 0
     assert g[node] == pytest.approx(f, rel=1e-12, abs=1e-12 * np.abs(f).max())
-    assert later.friction_heat == pytest.approx(contact.friction_heat, rel=1e-12)
+    assert later.pairs.friction_heat == pytest.approx(contact.pairs.friction_heat, rel=1e-12)
 
 
 def test_each_body_needs_a_bulk_modulus() -> None:
@@ -429,7 +428,7 @@ def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
     for step in range(10):
         contact.ease(1.0 - 1.0 / (10 - step))
         lifts.append(lift())
-    stiffness = sum(side.contact.stiffness * side.contact.sums[3] for side in contact._sides)
+    stiffness = float(contact.pairs.points.stiffness[contact.pairs.depth > 0.0].sum())
     np.testing.assert_allclose(lifts, 0.1 * depth * stiffness * np.arange(1, 11), rtol=1e-6)
     assert abs(begins) < 1e-12 * lifts[-1]
     contact.meet(overlaps(b.surfaces, t.x, [1]))
@@ -451,7 +450,7 @@ def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
         f = np.zeros_like(t.x)
         contact.forces(0.0, t.x, t.v, f)
     bottom = above[t.mesh.points[above, 2] < 0.4 + 1e-9]
-    np.testing.assert_allclose(contact.past().nodes[bottom, 3], depth, rtol=1e-6)
+    np.testing.assert_allclose(contact.past().nodes["depth"][bottom, 0], depth, rtol=1e-6)
     inner = bottom[np.abs(t.x[bottom, 0] - 0.5) < 2.0 * gap]
     assert len(inner) >= 8
     assert (f[inner, 2] > 0.0).all()
@@ -476,11 +475,11 @@ def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
             contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
             t.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
         t.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
-        depths.append(contact.past().nodes[:, 3])
+        depths.append(contact.past().nodes["depth"][:, 0])
     again = b.touch()  # as after another body has joined: what bonded nodes remember of the others stays
     again.go_on(contact.past())
     again.search(t.x, 0.01, b.bond)
-    np.testing.assert_array_equal(again.past().nodes[:, 3], depths[1])
+    np.testing.assert_array_equal(again.past().nodes["depth"][:, 0], depths[1])
     side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]
     inside = side[(np.abs(start[side, 1] - 0.4) < 0.1)]
     assert 2 <= np.count_nonzero(held[inside]) < len(inside)
@@ -500,12 +499,12 @@ def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
 
     def watch() -> None:
-        second[0] = max(second[0], *(float(side.contact.second_depth.max()) for side in contact._sides))
+        second[0] = max(second[0], float(contact.pairs.history["depth"][:, 1].max()))
 
     b.run(1e-3, limit=2.5e-7, watch=watch)
     assert second[0] > 1e-4 * b.surfaces.spacing(t.x, 1)
     assert b.velocity(2)[0] > 0.0
-    assert b.energy() + contact.dropped_energy == pytest.approx(start, rel=1e-3)
+    assert b.energy() + contact.pairs.dropped_energy == pytest.approx(start, rel=1e-3)
     scale = float(t.mass.sum()) * 10.0
     assert np.abs(t.momentum() - momentum).max() < 1e-12 * scale
     assert np.abs(b.moment() - moment).max() < 1e-12 * scale

@@ -461,13 +461,13 @@ def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once
     # a contact takes over what bonds hold at its first search: here they come after it
     contact.search(pair.target.x, 0.0)
     springs = contact.past().nodes
-    springs[:, :3] = [0.3, 0.4, 0.0]  # N
+    springs["spring"] = [0.3, 0.4, 0.0]  # N
     contact.go_on(ContactPast(springs))
     stored = contact.penalty_energy
     assert stored > 0.0
     contact.search(shifted(pair, np.array([0.0, 0.0, 0.01 * SIDE])), 0.0, bond)
-    assert contact.friction_heat > 0.1 * stored
-    spent = contact.friction_heat + contact.dropped_energy + contact.lost
+    assert contact.pairs.friction_heat > 0.1 * stored
+    spent = contact.pairs.friction_heat + contact.pairs.dropped_energy + contact.lost
     assert contact.penalty_energy + spent == pytest.approx(stored, rel=1e-9)
 
 

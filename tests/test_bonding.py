@@ -11,7 +11,9 @@ from scenes import TINY, scene
 from test_sequence import block, substrate
 
 from coupler import Result, Scene, run
-from coupler.contact.penalty import PointContact
+from coupler.contact.contact import Contact
+from coupler.contact.law import stiffness
+from coupler.contact.model import Nodes
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
 from coupler.fe.assemble import BodyState
@@ -66,13 +68,13 @@ def test_springs_of_the_contact_hold_little_of_the_rebound(tmp_path: Path) -> No
 def test_a_point_above_the_surface_is_not_deep_below_a_steep_facet() -> None:
     """Its box comes near, its plane has the point behind it, nearer facets are no candidates: no contact, however deep it looks."""
     x = np.array([[0.0, 0.0, 0.0], [-4e-6, 0.0, 7e-6], [-4e-6, 2e-6, 1e-6]])
-    contact = PointContact(1, np.array([[0, 1, 2]]), 2.4e-6, 1e-12, 1e11, 0.0)
+    k, face = stiffness(1e11, 1e-12, 2.4e-6), np.array([[0, 1, 2]])
+    contact = Contact(np.zeros(1, int), face, np.ones(1, int), [k], [2.4e-6], 0.0, jump=np.inf)
     p = np.array([[0.0, 1.0e-6, 7.5e-6]])
     contact.search(p, x, 0.0, always=np.array([0]))
-    f, g = np.zeros((1, 3)), np.zeros((3, 3))
     assert contact.rows.tolist() == [0]
-    contact.forces(1e-12, p, np.zeros((1, 3)), x, np.zeros((3, 3)), f, g)
-    assert not f.any()
+    contact.forces(1e-12, Nodes(x, np.zeros((3, 3)), np.zeros((3, 3)), 3))
+    assert not contact.points.f.any()
     assert contact.penalty_energy == 0.0
 
 

@@ -17,7 +17,8 @@ from test_sequence import block, substrate
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from coupler import Result, Scene
-from coupler.contact.bodies import ContactPast, new_history
+from coupler.contact.bodies import ContactPast
+from coupler.contact.model import new_history
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
 from coupler.deposition.cut import cut_out, put_back
@@ -56,7 +57,7 @@ def whole() -> Bodies:
     bodies = substrate().joined(cubes, Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), None, 1)
     assert bodies.contact is not None
     springs = bodies.contact.past().nodes
-    springs[:, :3] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
+    springs["spring"] = np.random.default_rng(1).normal(size=(len(springs), 3)) * 1e-9
     bodies.contact.go_on(ContactPast(springs, friction_heat=2e-9))
     return bodies
 
@@ -64,7 +65,7 @@ def whole() -> Bodies:
 def test_nodes_of_the_mass_for_a_step_bear_it(whole: Bodies) -> None:
     contact = whole.contact
     assert contact is not None
-    mass = np.full(len(whole.target.x), contact.mass_for(1e-9))
+    mass = np.full(len(whole.target.x), contact.pairs.mass_for(1e-9))
     assert contact.stable_dt(mass) == pytest.approx(1e-9)
     moving = int(contact.surfaces.facets.max()) // 2
     lighter = np.where(np.arange(len(mass)) < moving, 1.0, 0.01) * mass  # of nodes that never move
@@ -122,7 +123,7 @@ def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     held = contact.penalty_energy
     contact.search(x, 1e-7, part.bond, moving)
     contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
-    assert contact.dropped == 0
+    assert contact.pairs.dropped == 0
     assert 0.0 < 0.9 * held < contact.penalty_energy <= held  # some pass to bonds
 
 
@@ -180,10 +181,10 @@ def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, 
     bodies.bond = None
     bodies.search(1e-7)
     assert bodies.contact is not None
-    rubbed, before = bodies.contact.friction_heat, float(t.sums[2])
+    rubbed, before = bodies.contact.pairs.friction_heat, float(t.sums[2])
     for _ in range(3):
         bodies.forces(1e-10)
-    heat = bodies.contact.friction_heat - rubbed
+    heat = bodies.contact.pairs.friction_heat - rubbed
     assert heat > 1e-14
     if way == "numbered anew":
         after = bodies.renumbered((0.0, 0.0, 0.0))

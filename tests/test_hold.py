@@ -7,8 +7,10 @@ import pytest
 from blocks import cubes
 from scipy.sparse import identity
 
+from coupler.contact.contact import Contact
 from coupler.contact.hold import CONTACT_RANGE, Hold
-from coupler.contact.penalty import PointContact
+from coupler.contact.law import stiffness
+from coupler.contact.model import Nodes
 from coupler.geometry.triangles import rings
 from coupler.impact.heat import HeatPaths
 from coupler.physics.constitutive import heat_capacities
@@ -96,18 +98,20 @@ class Sheet:
         self.hold = Hold(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law).on(
             *rings(np.concatenate([lower, upper]), np.arange(n * n))
         )
-        self.contact = PointContact(n * n, FACETS, SIDE / n, float(area[0]), STIFFNESS * SIDE / n, friction)
+        k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
+        self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)
 
     def move(self, to: np.ndarray) -> np.ndarray:
         """Lead the points to `to` (n,3): their force in the plane and off it (3,), N. The work of the way is added up."""
-        still, f, g = np.zeros_like(to), np.zeros_like(to), np.zeros_like(SQUARE)
+        g, f = np.zeros_like(SQUARE), self.contact.points.f
         self.contact.search(to, SQUARE, 1e-7, always=np.arange(len(to)))
-        self.contact.forces(1e-12, to, still, SQUARE, still[:4], f, g)
+        f[:] = 0.0
+        self.contact.forces(1e-12, Nodes(SQUARE, np.zeros_like(SQUARE), g, 4))
         self.hold.forces(to, SQUARE, f, g, self.contact)
         np.testing.assert_allclose(f.sum(axis=0) + g.sum(axis=0), 0.0, atol=1e-12 * (1e-30 + np.abs(f).max()))
         self.work -= 0.5 * float(np.sum((f + self._force) * (to - self._last)))
-        self._last, self._force = to, f
+        self._last, self._force = to, f.copy()
         return f.sum(axis=0)
 
 

@@ -13,7 +13,6 @@ from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
-from coupler.contact import penalty
 from coupler.contact.overlap import overlaps, ways_out
 from coupler.deposition import joining
 from coupler.deposition.equilibrium import settle
@@ -334,9 +333,9 @@ def test_two_threads_give_the_numbers_of_one(
 ) -> None:
     """All loops are shared, those of a target this small too: the same to the last bit."""
     one = shared_run(SHORT_DOUBLE)
-    for module in (explicit, stability, heat, frequency, compiled, penalty):
+    for module in (explicit, stability, heat, frequency, compiled):
         for name in filter(lambda name: name.startswith("LEAST"), vars(module)):
-            monkeypatch.setattr(module, name, 1 if module is penalty else 20)
+            monkeypatch.setattr(module, name, 20)
     two = run(Scene.from_text(SHORT_DOUBLE, "shared"), tmp_path / "two", threads=2)
     assert_same_numbers(one.summary, two.summary, rel=0.0)
     assert_same_files(one, two)

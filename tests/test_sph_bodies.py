@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from conftest import elastic
 
-from coupler.contact.penalty import PointContact
+from coupler.contact.contact import Contact
+from coupler.contact.law import stiffness
+from coupler.contact.model import Nodes
 from coupler.physics import constitutive
 from coupler.physics.materials import material
 from coupler.sph import packing, shapes, start
@@ -167,9 +169,10 @@ class Pair:
         self.surfaces = tuple(
             CarriedSurface(upper * way, skin * way, body.triangles, body.spacing) for way in (np.ones(3), TURN)
         )
-        area = body.area / len(skin)
+        k, faces = stiffness(bulk, body.area / len(skin), body.spacing, 0.5), body.triangles
         self.contacts = [
-            PointContact(len(skin), body.triangles, body.spacing, area, bulk, 0.0, factor=0.5) for _ in range(2)
+            Contact(np.zeros(len(skin), int), faces, np.ones(len(faces), int), [k], [body.spacing], 0.0, jump=np.inf)
+            for _ in range(2)
         ]
         self.halves = (slice(0, n), slice(n, 2 * n))
         self.kinetic_0 = p.kinetic()
@@ -181,7 +184,10 @@ class Pair:
         v = [s.positions(p.v[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
         f = [np.zeros_like(x[0]), np.zeros_like(x[1])]
         for point, facet in ((0, 1), (1, 0)):
-            self.contacts[point].forces(p.dt, x[point], v[point], x[facet], v[facet], f[point], f[facet])
+            q = self.contacts[point].points
+            q.x[:], q.v[:], q.f[:] = x[point], v[point], 0.0
+            self.contacts[point].forces(p.dt, Nodes(x[facet], v[facet], f[facet], len(x[facet])))
+            f[point] += q.f
         p.f_ext[a] += self.surfaces[0].weights.T @ f[0]
         p.f_ext[b] += self.surfaces[1].weights.T @ f[1]
 
@@ -194,7 +200,7 @@ class Pair:
             for point, facet in ((0, 1), (1, 0)):
                 lightest = 1.0 / self.surfaces[facet].softness(p.mass[self.halves[facet]])
                 soft = self.surfaces[point].softness(p.mass[self.halves[point]])
-                dt = min(dt, 0.7 * self.contacts[point].stable_dt(soft, np.array([lightest])))
+                dt = min(dt, 0.7 * self.contacts[point].stable_dt(soft, lightest))
                 self.contacts[point].search(x[point], x[facet], 15.0 * fastest * dt)
             p.run(10, dt, self.touch)
 

@@ -1,6 +1,6 @@
-"""The facets that points are closest to: places on triangles, and which of several bodies a point meets (numba)."""
+"""The faces that points are closest to: places on triangles, and which of several bodies a point meets (numba)."""
 
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from numba import njit
@@ -8,19 +8,7 @@ from numba import njit
 from ..geometry.vector_kernels import area_vector, from_foot
 from ..state.arrays import Bools, Faces, Floats, Ints
 from .broad import box_of
-
-ANY = -1  # body
-#: A triangle that points may meet: the box around it (m), its nodes and its body, together in one line of the processor's cache.
-FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
-
-
-@njit(cache=True, nogil=True)
-def faces_of(facets: Ints, ids: Ints, owner: Ints, faces: Faces) -> None:
-    """The triangles `ids` of facets (k,3), each of a body, owner (k,), into faces (len(ids),); their boxes are not written."""
-    for r in range(len(ids)):
-        for d in range(3):
-            faces[r].nodes[d] = facets[ids[r], d]
-        faces[r].body = owner[ids[r]]
+from .model import ANY, Candidates, Meeting, Points
 
 
 @njit(cache=True, nogil=True)
@@ -77,26 +65,23 @@ def _box_distance2(p: Floats, low: Floats, high: Floats) -> float:
 
 @njit(cache=True, nogil=True)
 def _closest_of(
-    p: Floats, body: int, but: int, first: int, lo: int, hi: int, reach: float, boxes: Ints, faces: Faces, x: Floats, shift: float,
+    p: Floats, body: int, but: int, first: int, among: Ints, faces: Faces, x: Floats, reach: float, shift: float
 ) -> tuple[int, float, float, float, float, float]:  # fmt: skip
-    """The triangle of a body (ANY: of all but one, `but`) among the candidates [lo, hi) that p is closest to: its place in `boxes`, -1
-    for none; the square of the distance, m2; which side p is on, negative inside; the weights of the closest point. first: where to
-    look first, -1 for nowhere; reach: square of the distance up to which boxes are looked at, m2. Arrays as in `closest_facets`."""
+    """The triangle of a body (ANY: of all but one, `but`) that p is closest to, -1 for none; the square of the distance, m2; which side
+    p is on, negative inside; the weights of the closest point.
+
+    among: candidates; first: the one to look at first, -1 for none; x (N,3) m: nodes, which have moved by `shift` m at the most since
+    the boxes of faces; reach: square of the distance up to which boxes are looked at, m2.
+    """
     best = 1e300
     facing = side = -1.0
     face = -1
     wa = wb = wc = 0.0
-    for look in range(lo - 1, hi):
-        r = look
-        if look < lo:
-            if first < 0:
-                continue
-            r = first
-        elif look == first:
+    for look in range(-1, len(among)):
+        r = first if look < 0 else among[look]
+        if r < 0 or (look >= 0 and r == first):
             continue
-        if boxes[r] < 0:
-            continue
-        candidate = faces[boxes[r]]
+        candidate = faces[r]
         if (body != ANY and candidate.body != body) or (but != ANY and candidate.body == but):
             continue
         # no triangle is closer than the box around it: most are left out so, once one close by is known
@@ -121,154 +106,175 @@ def _closest_of(
 
 
 @njit(cache=True, nogil=True)
-def _next_body(after: int, p: Floats, lo: int, hi: int, reach: float, boxes: Ints, faces: Faces) -> int:
-    """The least number above `after` of a body that has one of the candidates [lo, hi) with its box within reach, m2; ANY for none."""
+def _next_body(after: int, p: Floats, among: Ints, faces: Faces, reach: float) -> int:
+    """The least number above `after` of a body with a face of `among` whose box is within reach, m2; ANY for none."""
     found = ANY
-    for r in range(lo, hi):
-        if boxes[r] >= 0:
-            candidate = faces[boxes[r]]
-            lower = candidate.body > after and (found == ANY or candidate.body < found)
-            if lower and _box_distance2(p, candidate.low, candidate.high) <= reach:
-                found = candidate.body
+    for r in among:
+        candidate = faces[r]
+        lower = candidate.body > after and (found == ANY or candidate.body < found)
+        if lower and _box_distance2(p, candidate.low, candidate.high) <= reach:
+            found = candidate.body
     return found
 
 
 @njit(cache=True, nogil=True)
-def several_bodies(rows: Ints, start: Ints, boxes: Ints, faces: Faces) -> Bools:
-    """Whether each of the points `rows` has candidates of more than one body. Arguments as in `closest_facets`."""
-    several = np.zeros(len(rows), np.bool_)
-    for q in range(len(rows)):
-        one = ANY
-        for r in range(start[rows[q]], start[rows[q] + 1]):
-            if boxes[r] >= 0:
-                body = faces[boxes[r]].body
-                several[q] |= one != ANY and body != one
-                one = body
+def several_bodies(i: int, c: Candidates, faces: Faces) -> bool:
+    """Whether point i has candidates of more than one body."""
+    among, several = c.face[c.start[i] : c.start[i + 1]], False
+    for r in among:
+        several = several or faces[r].body != faces[among[0]].body
     return several
 
 
 @njit(cache=True, nogil=True)
-def narrow(
-    rows: Ints, more: float, xp: Floats, start: Ints, boxes: Ints, faces: Faces, limit: Floats, gap: Floats, nearest: Ints, second:
-    Ints, inner: Ints, within: Floats, at: Floats,
-) -> None:  # fmt: skip
-    """Put those candidates of each of the points `rows` first whose boxes come within a distance of it that is `more` m beyond what it
-    meets now: up to place inner (n,), within (n,) m of at (n,3), where it is. nearest and second (n,) move to their new places.
-
-    As long as point and facets have moved by less, nothing else has to be looked at. Arrays as in `closest_facets`.
-    """
+def between_bodies(rows: Ints, c: Candidates, faces: Faces) -> Bools:
+    """Mask of the points `rows` that have candidates of more than one body."""
+    several = np.zeros(len(rows), np.bool_)
     for q in range(len(rows)):
-        i = rows[q]
-        lo, hi = start[i], start[i + 1]
-        within[i] = max(abs(gap[i]), limit[q]) + more
-        at[i, 0], at[i, 1], at[i, 2] = xp[i, 0], xp[i, 1], xp[i, 2]
-        others = np.empty(hi - lo, np.int64)
-        count, apart, place, place_2 = lo, 0, -1, -1
-        reach = within[i] ** 2 * (1.0 + 4e-9)
-        for r in range(lo, hi):
-            near = boxes[r] >= 0 and _box_distance2(xp[i], faces[boxes[r]].low, faces[boxes[r]].high) <= reach
-            if r == nearest[i] or r == second[i] or near:
-                if r == nearest[i]:
-                    place = count
-                if r == second[i]:
-                    place_2 = count
-                boxes[count] = boxes[r]
-                count += 1
-            else:
-                others[apart] = boxes[r]
-                apart += 1
-        boxes[count:hi] = others[:apart]
-        inner[i], nearest[i], second[i] = count, place, place_2
+        several[q] = several_bodies(rows[q], c, faces)
+    return several
 
 
 @njit(cache=True, nogil=True)
-def closest_facets(
-    xp: Floats, rows: Ints, start: Ints, boxes: Ints, faces: Faces, partner: Ints, x: Floats, shift: float, limit: Floats, inner: Ints,
-    within: Floats, at: Floats, nearest: Ints, foot: Floats, gap: Floats, second: Ints, second_foot: Floats, second_gap: Floats,
+def _narrow(i: int, p: Floats, c: Candidates, faces: Faces, m: Meeting, distance: float) -> int:
+    """Put those candidates of point i, at p, first whose boxes come within a distance (m), and those that it meets; how many they are.
+
+    As long as point and faces have moved by less, nothing else has to be looked at.
+    """
+    among = c.face[c.start[i] : c.start[i + 1]]
+    others = np.empty(len(among), np.int64)
+    count = apart = 0
+    for q in range(len(among)):
+        r = among[q]
+        near = r == m.face[i, 0] or r == m.face[i, 1]
+        if near or _box_distance2(p, faces[r].low, faces[r].high) <= distance * distance * (1.0 + 4e-9):
+            among[count] = r
+            count += 1
+        else:
+            others[apart] = r
+            apart += 1
+    among[count:] = others[:apart]
+    return count
+
+
+@njit(cache=True, nogil=True)
+def closest_faces(
+    i: int, points: Points, c: Candidates, faces: Faces, x: Floats, shift: float, limit: float, more: float, m: Meeting
 ) -> None:  # fmt: skip
-    """Which of its candidate triangles each point of `rows` meets, where, and how far away it is: the closest one; of a point that
-    lies in several bodies, or outside one and inside another, the closest ones of the two in which it lies deepest.
+    """Find which of its candidates point i meets, where, and how far away it is: the closest one; where it lies in several bodies, or
+    outside one and inside another, the closest ones of the two in which it lies deepest.
 
     A point in the gap between two bodies that both lie against a third is closest to one of them: the third would not stop it.
 
-    xp, x as in `contact_forces`; start (n+1,), boxes: candidates of each point, places in faces (k,), whose triangles have moved from
-    the boxes around them by `shift` m at the most; partner (n,): the body that each point does not meet because a bond holds it there,
-    ANY for none. limit (rows,) m: other bodies than that of the closest one are not met deeper than that. inner, within, at: of
-    `narrow`. nearest (n,): place in `boxes`, -1 for none; what it holds is where to look first, then it is written. foot (n,3):
-    barycentric weights of the closest point; gap (n,): signed distance, negative inside, m. second, second_foot, second_gap: the same
-    of the body in which it lies second deepest, -1 and 0 where it lies in one at most.
+    x (N,3) m: nodes, which have moved by `shift` m at the most since the boxes of faces. limit m: other bodies than that of the closest
+    face are not met deeper than that. more m: so much farther than what is met faces become inner candidates, where the point has
+    moved away from those that it had.
     """
-    for q in range(len(rows)):
-        i = rows[q]
-        lo, hi = start[i], start[i + 1]
-        u, v, w = xp[i, 0] - at[i, 0], xp[i, 1] - at[i, 1], xp[i, 2] - at[i, 2]
-        moved = sqrt(u * u + v * v + w * w) + shift
-        end = inner[i] if limit[q] + moved <= within[i] else hi
-        face, best, side, a, b, c = _closest_of(
-            xp[i], ANY, partner[i], nearest[i], lo, end, 1e300, boxes, faces, x, shift
-        )
-        if end < hi and sqrt(best) + moved > within[i]:
-            end = hi
-            face, best, side, a, b, c = _closest_of(
-                xp[i], ANY, partner[i], face, lo, end, 1e300, boxes, faces, x, shift
-            )
-        away = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
-        face_2, away_2, a_2, b_2, c_2 = -1, 0.0, 0.0, 0.0, 0.0
-        if face >= 0 and best <= limit[q] ** 2:
-            closest = faces[boxes[face]].body
-            reach = (limit[q] + shift) ** 2 * (1.0 + 4e-9)
-            body = _next_body(ANY, xp[i], lo, end, reach, boxes, faces)
-            while body != ANY:
-                if body != closest and body != partner[i]:
-                    other, best, side, u, v, w = _closest_of(
-                        xp[i], body, ANY, -1, lo, end, reach, boxes, faces, x, shift
-                    )
-                    if other >= 0 and side < 0.0 and best <= limit[q] ** 2:
-                        if -sqrt(best) < away:
-                            if away < 0.0:
-                                face_2, away_2, a_2, b_2, c_2 = face, away, a, b, c
-                            face, away, a, b, c = other, -sqrt(best), u, v, w
-                        elif -sqrt(best) < away_2:
-                            face_2, away_2, a_2, b_2, c_2 = other, -sqrt(best), u, v, w
-                body = _next_body(body, xp[i], lo, end, reach, boxes, faces)
-        nearest[i], gap[i] = face, away
-        foot[i, 0], foot[i, 1], foot[i, 2] = a, b, c
-        second[i], second_gap[i] = face_2, away_2
-        second_foot[i, 0], second_foot[i, 1], second_foot[i, 2] = a_2, b_2, c_2
+    p, partner = points.x[i], points.partner[i]
+    u, v, w = p[0] - c.at[i, 0], p[1] - c.at[i, 1], p[2] - c.at[i, 2]
+    left = c.within[i] - shift - sqrt(u * u + v * v + w * w)  # m: all faces nearer than that are inner candidates
+    among = c.face[c.start[i] : c.inner[i] if limit <= left else c.start[i + 1]]
+    face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, m.face[i, 0], among, faces, x, inf, shift)
+    anew = limit > left or sqrt(best) > left
+    if anew and limit <= left:
+        among = c.face[c.start[i] : c.start[i + 1]]
+        face, best, side, wa, wb, wc = _closest_of(p, ANY, partner, face, among, faces, x, inf, shift)
+    gap = -sqrt(best) if face >= 0 and side < 0.0 else sqrt(best)
+    m.face[i, 1], m.gap[i, 1] = -1, 0.0
+    m.foot[i, 1, :] = 0.0
+    if face >= 0 and best <= limit * limit:
+        closest = faces[face].body
+        reach = (limit + shift) ** 2 * (1.0 + 4e-9)
+        body = _next_body(ANY, p, among, faces, reach)
+        while body != ANY:
+            if body != closest and body != partner:
+                other, best, side, u, v, w = _closest_of(p, body, ANY, -1, among, faces, x, reach, shift)
+                deeper = other >= 0 and side < 0.0 and best <= limit * limit
+                if deeper and -sqrt(best) < gap:
+                    if gap < 0.0:
+                        m.face[i, 1], m.gap[i, 1] = face, gap
+                        m.foot[i, 1, 0], m.foot[i, 1, 1], m.foot[i, 1, 2] = wa, wb, wc
+                    face, gap, wa, wb, wc = other, -sqrt(best), u, v, w
+                elif deeper and -sqrt(best) < m.gap[i, 1]:
+                    m.face[i, 1], m.gap[i, 1] = other, -sqrt(best)
+                    m.foot[i, 1, 0], m.foot[i, 1, 1], m.foot[i, 1, 2] = u, v, w
+            body = _next_body(body, p, among, faces, reach)
+    m.face[i, 0], m.gap[i, 0] = face, gap
+    m.foot[i, 0, 0], m.foot[i, 0, 1], m.foot[i, 0, 2] = wa, wb, wc
+    if anew:
+        distance = max(abs(gap), limit) + more
+        c.inner[i] = c.start[i] + _narrow(i, p, c, faces, m, distance + shift)
+        c.within[i] = distance + shift
+        c.at[i, 0], c.at[i, 1], c.at[i, 2] = p[0], p[1], p[2]
 
 
 @njit(cache=True, nogil=True)
 def reachable(
-    rows: Ints, travel: float, xp: Floats, start: Ints, boxes: Ints, faces: Faces, limit: Floats, gap: Floats, nearest: Ints, second:
-    Ints,
+    rows: Ints, travel: Floats, limit: Floats, points: Points, c: Candidates, faces: Faces, m: Meeting
 ) -> tuple[Ints, Ints]:  # fmt: skip
-    """The candidates (start, boxes) of the points `rows` that they can meet while point and facets come `travel` m closer or farther:
-    no more than twice that farther away than the closest now or, where there are several bodies, than `limit` (rows,) m. nearest and
-    second (n,) move to their new places.
+    """Those candidates (start, face) of the points `rows` that they can meet while point and faces come travel (n,) m closer or
+    farther: no more than twice that farther away than the closest now or, where there are several bodies, than limit (n,) m.
 
-    A point without a closest facet keeps all of its candidates, others than `rows` keep none. Arrays as in `closest_facets`.
+    A point without a closest face keeps all of its candidates, others than `rows` keep none.
     """
-    several = several_bodies(rows, start, boxes, faces)
-    first = np.zeros(len(start), np.int64)
-    kept = np.empty(len(boxes), np.int64)
-    count = 0
-    last = 0
-    for q in range(len(rows)):
-        i = rows[q]
+    first, kept = np.zeros(len(c.start), np.int64), np.empty(len(c.face), np.int64)
+    count = last = 0
+    for i in rows:
         first[last + 1 : i + 1] = count
         last = i
-        place = place_2 = -1
-        lo, hi = start[i], start[i + 1]
-        far = max(abs(gap[i]), limit[q]) if several[q] else abs(gap[i])
-        reach = np.inf if nearest[i] < 0 else (far + 2.0 * travel) ** 2 * (1.0 + 4e-9)
-        for r in range(lo, hi):
-            if r == nearest[i]:
-                place = count
-            if r == second[i]:
-                place_2 = count
-            if r == nearest[i] or _box_distance2(xp[i], faces[boxes[r]].low, faces[boxes[r]].high) <= reach:
-                kept[count] = boxes[r]
+        far = max(abs(m.gap[i, 0]), limit[i]) if several_bodies(i, c, faces) else abs(m.gap[i, 0])
+        reach = inf if m.face[i, 0] < 0 else (far + 2.0 * travel[i]) ** 2 * (1.0 + 4e-9)
+        for r in c.face[c.start[i] : c.start[i + 1]]:
+            if r == m.face[i, 0] or _box_distance2(points.x[i], faces[r].low, faces[r].high) <= reach:
+                kept[count] = r
                 count += 1
-        nearest[i], second[i] = place, place_2
     first[last + 1 :] = count
     return first, kept[:count]
+
+
+@njit(cache=True, nogil=True)
+def merged(
+    fresh: Bools, start: Ints, face: Ints, new_start: Ints, new_face: Ints
+) -> tuple[Ints, Ints]:  # fmt: skip
+    """Candidates (start, face) of all points (n,): new ones of those of the mask `fresh`, the others' as they are."""
+    first = np.zeros(len(start), np.int64)
+    for i in range(len(fresh)):
+        n = new_start[i + 1] - new_start[i] if fresh[i] else start[i + 1] - start[i]
+        first[i + 1] = first[i] + n
+    both = np.empty(first[-1], np.int64)
+    for i in range(len(fresh)):
+        if fresh[i]:
+            both[first[i] : first[i + 1]] = new_face[new_start[i] : new_start[i + 1]]
+        else:
+            both[first[i] : first[i + 1]] = face[start[i] : start[i + 1]]
+    return first, both
+
+
+@njit(cache=True, nogil=True)
+def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: int) -> tuple[Ints, Ints]:
+    """Nodes of the candidates of each body's points, and where those of each body begin; n: how many nodes there are in all."""
+    last, bounds = np.full(n, ANY), np.zeros(bodies + 1, np.int64)
+    nodes, count = np.empty(3 * len(c.face), np.int64), 0
+    for i in range(len(owner)):
+        for r in c.face[c.start[i] : c.start[i + 1]]:
+            for d in range(3):
+                a = faces[r].nodes[d]
+                if last[a] != owner[i]:
+                    last[a] = owner[i]
+                    nodes[count] = a
+                    count += 1
+        bounds[owner[i] + 1 :] = count
+    return nodes[:count], bounds
+
+
+@njit(cache=True, nogil=True)
+def least_node(rows: Ints, node: Ints, c: Candidates, faces: Faces) -> Ints:
+    """The least node of each of the points `rows`, node (n,), and of its candidates."""
+    least = np.empty(len(rows), np.int64)
+    for q in range(len(rows)):
+        i = rows[q]
+        least[q] = node[i]
+        for r in c.face[c.start[i] : c.start[i + 1]]:
+            for d in range(3):
+                least[q] = min(least[q], faces[r].nodes[d])
+    return least

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from ..state.records import Shape, check_indices
 from .bond import Bond, BondState
 from .bond_kernels import in_contact
-from .penalty import PointContact
+from .contact import Contact
 from .surfaces import Interface, Surfaces
 
 CONTACT_RANGE = 0.1  # spacings: a point nearer to the surface, beside one that presses, is in contact
@@ -108,14 +108,16 @@ class Hold:
         x: np.ndarray,
         f_point: np.ndarray,
         f_node: np.ndarray,
-        contact: PointContact | None = None,
+        contact: Contact | None = None,
     ) -> None:
         """Add the forces of this instant to f_point (like xp) and f_node (like x), N; damage moves on. contact: between the points
         and the target, of this instant (default: there is none)."""
         n, depth = len(self.rows), None
         if contact is not None:
             depth = np.zeros(n)
-            in_contact(self.rows, *self._ring, contact.depth, contact.gap, CONTACT_RANGE * contact.spacing, depth)
+            in_contact(
+                self.rows, *self._ring, contact.depth, contact.gap, CONTACT_RANGE * float(contact.spacing[0]), depth
+            )
         f = np.zeros((n + len(self.nodes), 3))
         self.bond.forces(self._gather(xp, x), f, depth)
         f_point[self.rows] += f[:n]

@@ -21,10 +21,12 @@ def lying_inside(
     nodes = np.flatnonzero(owner >= 0)
     # cells of the size of most bodies: a few can be tiny
     cell = float(np.median((high - low).max(axis=1)))
-    start, box, _ = broad.pairs_within(x[nodes], low, high, cell, 8 * len(nodes))
+    start, box = broad.pairs_within(
+        x[nodes], np.zeros(len(nodes)), owner[nodes], low, high, np.arange(surfaces.bodies), cell
+    )
     node = np.repeat(nodes, np.diff(start))
     within = ((x[node] > low[box]) & (x[node] < high[box])).all(axis=1)
-    within &= (owner[node] != box) & (asked[owner[node]] | asked[box])
+    within &= asked[owner[node]] | asked[box]
     node, box = node[within], box[within]
     node, start = node[np.argsort(box, kind="stable")], np.cumsum([0, *np.bincount(box, minlength=surfaces.bodies)])
     for body in range(surfaces.bodies):

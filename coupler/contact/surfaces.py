@@ -182,11 +182,10 @@ def _facing(
     x (N,3) m, facets (k,3), cell m: spacing of the search grid. Returns (facet (n,), -1 where there is none; weights
     (n,3) of its closest point; gap (n,) m, negative inside).
     """
-    least, most = broad.bounds(points, points)
-    ids = broad.facets_within(x, facets, ids, least - reach, most + reach)
-    low, high = np.empty((2, len(ids), 3))
-    broad.facet_boxes(x, facets, ids, low, high)
-    start, boxes, _ = broad.pairs_within(points, low - reach, high + reach, cell, 64 * len(points))
+    ids = broad.facets_within(x, facets, ids, *broad.bounds(points - reach, points + reach))
+    every = np.full(len(points), reach)
+    nobody = np.zeros(len(points), np.int64), *broad.boxes_of(x, facets[ids]), np.ones(len(ids), np.int64)
+    start, boxes = broad.pairs_within(points, every, *nobody, cell)
     face, weights, gap = np.full(len(points), -1), np.zeros((len(points), 3)), np.zeros(len(points))
     bond_kernels.facing(points, outward, start, boxes, ids, facets, x, face, weights, gap)
     return face, weights, gap

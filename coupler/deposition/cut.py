@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.bodies import ContactPast, new_history
+from ..contact.bodies import ContactPast
 from ..contact.bond import Bond, BondRows, BondState
+from ..contact.model import new_history
 from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
 from ..fe.explicit import Target
 from ..fe.state import ElementState, NodeState

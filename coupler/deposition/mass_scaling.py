@@ -27,7 +27,7 @@ def prepare(plan: Plan, i: int, bodies: Bodies, place: Point) -> Values:
         bodies.target.inertia.most = most
         if bodies.contact is not None:
             step = SPRINGS * ENOUGH * p.spacing / p.material.wave_speed
-            report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.mass_for(step), most)
+            report["added_mass_kg"] = bodies.target.weigh_surface(bodies.contact.pairs.mass_for(step), most)
     within = bodies.target.window(plan.impacts[i].window, np.array(place))
     if within < len(bodies.target.mesh.conn):
         report |= {"window_m": plan.impacts[i].window, "elements_in_window": within}

@@ -9,9 +9,10 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..contact import broad
-from ..contact.bodies import BodyContact, BodyContactState, ContactPast, new_history
+from ..contact.bodies import BodyContact, BodyContactState, ContactPast
 from ..contact.bond import Bond, BondState, penalty
 from ..contact.hold import HeldPlaces
+from ..contact.model import new_history
 from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
 from ..errors import CheckpointError
@@ -148,7 +149,7 @@ class Bodies:
     def energy(self) -> float:
         """What contact and bonds between bodies hold and have dissipated, J."""
         c, b = self.contact, self.bond
-        held = c.penalty_energy + c.friction_heat + c.lost + c.dropped_energy if c is not None else 0.0
+        held = c.energy + c.lost if c is not None else 0.0
         return held + (b.stored + b.dissipated if b is not None else 0.0)
 
     def state(self) -> BodiesState:

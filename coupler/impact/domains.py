@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contact.penalty import JUMP, PointContact
+from ..contact.contact import Contact
+from ..contact.law import stiffness
 from ..fe.boundary import HALF_SPACE
 from ..fe.explicit import Target
 from ..fe.mesh import prepare
@@ -42,7 +43,7 @@ class Domains:
 
     particle: DistributedParticle
     bodies: Bodies
-    contact: PointContact
+    contact: Contact
     surface: CarriedSurface
     body: shapes.Body
     place: np.ndarray
@@ -107,22 +108,15 @@ def build_domains(
     local = build_particle(plan, i, place, ranks, numerics, log_file, body) if ranks.has_points else None
     particle = DistributedParticle(ranks, local, len(body.points), body.spacing)
     surface = CarriedSurface(body.points + place, body.vertices + place, body.triangles, body.spacing)
-    contact = PointContact(
-        surface.touching.shape[0],
-        mesh.facets[facets],
-        body.spacing,
-        body.area / len(body.vertices),
-        min(impact_plan.material.K, float(bodies.target.laws["K"].min())),
-        plan.friction,
-        share=_heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature),
-        factor=plan.contact_stiffness,
-        facet_ids=facets,
-        jump=JUMP,
-    )
-    on, points = plan.effects, None
+    softer = min(impact_plan.material.K, float(bodies.target.laws["K"].min()))
+    k = stiffness(softer, body.area / len(body.vertices), body.spacing, plan.contact_stiffness)
+    points, of_target = np.zeros(surface.touching.shape[0], np.int64), np.ones(len(mesh.facets), np.int64)
+    share = _heat_share(impact_plan.material, impact_plan.temperature, t.material, t.temperature)
+    contact = Contact(points, mesh.facets, of_target, [k], [body.spacing], plan.friction, share, facing=[facets])
+    on, inside = plan.effects, None
     if on.particle_conduction:
-        points = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    paths = HeatPaths(particle, bodies.target, surface, contact, on.friction_heat, points, on.interface_conduction)
+        inside = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
+    paths = HeatPaths(particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction)
     return Domains(particle, bodies, contact, surface, body, place, level, paths)
 
 

@@ -12,8 +12,9 @@ from typing import Annotated
 import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
+from ..contact.contact import ContactState
 from ..contact.hold import SECURE, Hold, HoldState
-from ..contact.penalty import ContactState
+from ..contact.model import Nodes
 from ..errors import SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
@@ -65,9 +66,7 @@ class Impact:
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
         self.surface, self.contact = domains.surface, domains.contact
         self._softness = self.surface.softness(self.particle.mass)
-        # positions, velocities and forces of all that may touch
-        self._x, self._v, self._forces = (np.zeros((self.surface.touching.shape[0], 3)) for _ in range(3))
-        self.surface_nodes = np.unique(self.contact.facets)
+        self.surface_nodes = np.unique(self.target.mesh.facets[self.contact.facing[0]])
         self.ledger = Ledger(domains)
         self.time = 0.0
         self.force = np.zeros(3)
@@ -123,7 +122,7 @@ class Impact:
         nearer = APPROACH * self.particle.spacing / (WINDOW * max(self.particle.totals.fastest, 1e-9))
         bounds = {
             "particle": min(self.particle.totals.dt, nearer),
-            "contact": self.contact.stable_dt(self._softness, self.target.mass[self.surface_nodes]),
+            "contact": self.contact.stable_dt(self._softness, float(self.target.mass[self.surface_nodes].min())),
         }
         if self.hold is not None:
             bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
@@ -144,9 +143,9 @@ class Impact:
     def search_contacts(self, time: float) -> None:
         """Find the pairs of particle and target that can touch within `time` s."""
         travel = 1.5 * self._fastest() * time
-        bonded = self.hold.rows if self.hold is not None else None
+        bonded = self.hold.rows if self.hold is not None else ()
         self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel, always=bonded)
-        self._forces[:] = 0.0
+        self.contact.points.f[:] = 0.0
 
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
@@ -154,7 +153,7 @@ class Impact:
         with growing(self.target):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
-        self.force = self._forces.sum(axis=0)
+        self.force = self.contact.points.f.sum(axis=0)
         self.deepest = max(self.deepest, float(self.contact.depth.max()))
 
     def advance_target(self) -> None:
@@ -165,13 +164,13 @@ class Impact:
     def exchange_forces(self) -> None:
         """Contact at n+1, once for both domains, and the forces to each."""
         p, t, s, dt = self.particle, self.target, self.surface, self.particle.dt
-        rows = self.contact.rows
-        self._forces[rows] = 0.0
-        s.moving_contacts(p.x, p.v, rows, self._x, self._v)
-        self.contact.forces(dt, self._x, self._v, t.x, t.v, self._forces, t.f_ext)
+        rows, points = self.contact.rows, self.contact.points
+        points.f[rows] = 0.0
+        s.moving_contacts(p.x, p.v, rows, points.x, points.v)
+        self.contact.forces(dt, Nodes(t.x, t.v, t.f_ext, len(t.x)))
         if self.hold is not None:
-            self.hold.forces(self._x, t.x, self._forces, t.f_ext, self.contact)
-        s.spread(self._forces, rows, p.f_ext)
+            self.hold.forces(points.x, t.x, points.f, t.f_ext, self.contact)
+        s.spread(points.f, rows, p.f_ext)
         t.finish()
 
     def conduct_heat(self, time: float) -> None:
@@ -270,5 +269,5 @@ class Impact:
             self.exposure = Exposure(self.domains)
             self.exposure.restore(state.exposure)
         if state.hold is not None:
-            check_indices(state.hold, nodes=len(self.target.x), surface=len(self._x))
+            check_indices(state.hold, nodes=len(self.target.x), surface=len(self.contact.points.x))
             self.hold = Hold.from_state(state.hold).on(*self._rings)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..contact.contact import Contact
 from ..contact.hold import Hold
-from ..contact.penalty import PointContact
 from ..fe.explicit import Target
 from ..geometry.triangles import areas, vertex_areas
 from ..physics.constitutive import conductivities, heat_capacities
@@ -22,7 +22,7 @@ class HeatPaths:
     particle: DistributedParticle
     target: Target
     surface: CarriedSurface
-    contact: PointContact
+    contact: Contact
     friction: bool = True
     points: PointConduction | None = None
     interface: bool = False
@@ -51,10 +51,10 @@ class HeatPaths:
         if contact.heat_point.any():
             self.particle.warm(self.surface.spread_heat(contact.heat_point))
             contact.heat_point[:] = 0.0
-        facets = np.flatnonzero(contact.heat_facet)
+        facets = np.flatnonzero(contact.heat_face)
         if len(facets):
-            target.warm(target.mesh.facet_element[contact.facet_ids[facets]], contact.heat_facet[facets])
-            contact.heat_facet[facets] = 0.0
+            target.warm(target.mesh.facet_element[facets], contact.heat_face[facets])
+            contact.heat_face[facets] = 0.0
 
     def release_fracture(self, hold: Hold) -> None:
         """Turn the heat of torn bonds since the last call into temperature, the contact's `share` of it on the particle's side."""

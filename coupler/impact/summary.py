@@ -72,7 +72,7 @@ def summarise(
         "surface_level_m": impact.domains.level,
         "penetration_max_m": impact.deepest,
         "contact_dropped": impact.contact.dropped,
-        "contact_dropped_bodies": impact.bodies.contact.dropped if impact.bodies.contact is not None else 0,
+        "contact_dropped_bodies": impact.bodies.contact.pairs.dropped if impact.bodies.contact is not None else 0,
         "energy_drift": ledger.rows["drift"],
         "momentum_error": ledger.rows["momentum_error"],
         "numerical_dissipation": ledger.numerical_dissipation,

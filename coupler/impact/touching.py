@@ -27,8 +27,7 @@ class Touching:
     @cached_property
     def force(self) -> np.ndarray:
         """Force (v,) N that presses on all vertices, with their shares of that on the points under them."""
-        contact = self._domains.contact
-        return contact.stiffness * self._domains.surface.at_vertices(contact.depth)
+        return self._domains.contact.stiffness[0] * self._domains.surface.at_vertices(self._domains.contact.depth)
 
     @cached_property
     def element(self) -> np.ndarray:

@@ -1,0 +1,337 @@
+"""Contact of points on surfaces with the faces of others: search now and then, forces each step."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+
+from ..errors import CheckpointError, SolverError
+from ..state.arrays import Floats, Ints, SpringTable
+from ..state.loops import PARTS
+from ..state.records import Shape, assign, collect
+from ..state.threads import together
+from . import broad, closest
+from . import kernels as k
+from .model import ANY, FACE, HISTORY, Candidates, Meeting, Nodes, Points, motion, new_history
+
+# Of a step: a point bears a spring to a second body too, where its mass is at least 0.78 of that of the lightest node.
+WITH_SECOND = 0.8
+JUMP = 0.2  # spacings: twice what a particle of a quarter of the speed of sound moves in a step
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """history (n,) of the points; heat_point (n,) and heat_face (k,) J of friction, not yet given away; friction_heat: all so far, J;
+    dropped: points that have lost their contact as too deep so far, dropped_energy: what the springs of these held, and of those whose
+    depth has jumped, J."""
+
+    friction_heat: float
+    dropped: int
+    dropped_energy: float
+    history: Annotated[np.ndarray, Shape(-1, dtype=HISTORY)]
+    heat_point: Annotated[np.ndarray, Shape(-1)]
+    heat_face: Annotated[np.ndarray, Shape(-1)]
+
+
+@dataclass
+class _Search:
+    """What the last search of one body's points rests on.
+
+    reach m: so far point and faces may move against each other, active: so many nodes may move, until it no longer holds; known (k,):
+    which of the faces that the body may ever meet were near; points, nodes: places of its points and of the nodes of these faces, m.
+    """
+
+    known: np.ndarray
+    reach: float = -np.inf
+    active: float = np.inf
+    nodes: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    places: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+class Contact:
+    """Points of one or several bodies against the faces of others, with penalty and Coulomb friction (`law`)."""
+
+    def __init__(
+        self, owner: Ints, facets: Ints, body: Ints, stiffness: Sequence[float], spacing: Sequence[float], friction: float,
+        share: float = 0.5, jump: float = JUMP, node: Ints | None = None, facing: Sequence[Ints] | None = None, skin: float = 0.0,
+    ):  # fmt: skip
+        """owner (n,): the body of each point, ascending from 0; facets (k,3) nodes, outward; body (k,): of each, of which each has all
+        of its facets here; stiffness N/m and spacing m of the points of each body; share: of the friction heat, for the side of the
+        points; jump: spacings that a point may move inwards in one step: a point found deeper did not enter through this surface and
+        has no contact until it is outside again; node (n,): of the domain, that each point is (default: of none); facing: the facets
+        that each body's points may ever meet (default: all); skin: spacings that a search looks farther than it must, so that it holds
+        while surfaces move by that."""
+        n, bodies = len(owner), len(spacing)
+        self.friction, self.share, self.jump, self._skin = friction, share, jump, skin
+        self.stiffness, self.spacing = np.array(stiffness, float), np.array(spacing, float)
+        self.faces = np.zeros(len(facets), FACE)
+        self.faces["nodes"], self.faces["body"] = facets, body
+        node = np.full(n, -1) if node is None else node
+        x, v, f = np.zeros((3, n, 3))
+        k_of, h_of, far = self.stiffness[owner], self.spacing[owner], np.full(n, np.inf)
+        self.points = Points(x, v, f, owner, node, np.full(n, ANY), k_of, h_of, far)
+        self.bounds = np.searchsorted(owner, np.arange(bodies + 1))
+        self.facing = [np.arange(len(facets))] * bodies if facing is None else facing
+        self.history = new_history(n)
+        self.heat_point, self.heat_face = np.zeros(n), np.zeros(len(facets))
+        self.friction_heat = self.dropped_energy = 0.0
+        self.dropped = 0
+        #: The points that may touch before the next search, ascending: only these are looked at and get forces.
+        self.rows: Ints = np.zeros(0, np.int64)
+        self._candidates = Candidates(
+            np.zeros(n + 1, np.int64), np.zeros(0, np.int64), np.zeros(n, np.int64), np.full(n, -np.inf), np.zeros((n, 3))
+        )  # fmt: skip
+        self._meeting = Meeting(
+            np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
+        )
+        self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
+        self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
+
+    @property
+    def depth(self) -> Floats:
+        """Penetration (n,) m that gives force."""
+        return self.history["depth"][:, 0]
+
+    @property
+    def gap(self) -> Floats:
+        """Signed distance (n,) m of the points `rows` from the faces."""
+        return self._meeting.gap[:, 0]
+
+    @property
+    def penalty_energy(self) -> float:
+        """Energy stored in the penalty and friction springs, J."""
+        return k.energy(self.points, self.history)
+
+    @property
+    def normal_force(self) -> Floats:
+        """Force (n,) N that presses on each point."""
+        return self.points.stiffness * self.depth
+
+    def state(self) -> ContactState:
+        """The history that later steps need, and the energies."""
+        return collect(ContactState, self)
+
+    def restore(self, state: ContactState) -> None:
+        """Put a `state` into a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
+        if len(state.history) != len(self.history) or len(state.heat_face) != len(self.faces):
+            raise CheckpointError("a state does not fit: the contact has other surfaces")
+        assign(self, state)
+        self.expire(np.ones(len(self.history), bool))
+
+    def expire(self, which: np.ndarray) -> None:
+        """Let the next search look again at the bodies that have points of a mask (n,)."""
+        for body in np.unique(self.points.owner[which]):
+            self._searches[body].reach = -np.inf
+
+    def forget(self, which: np.ndarray) -> None:
+        """Let the points of a mask (n,) begin anew: bonds have taken them, or let go of them."""
+        self.history[which] = new_history(1)
+        self.expire(which)
+
+    def stable_dt(self, softness: float, lightest: float, body: int = 0) -> float:
+        """Stable time step (s) of the springs between points of a body, of inverse mass `softness` (1/kg), and nodes (lightest: kg)."""
+        return float(WITH_SECOND * 2.0 / np.sqrt(self.stiffness[body] * (softness + 1.0 / lightest)))
+
+    def mass_for(self, step: float) -> float:
+        """The mass (kg) of points and nodes with which the springs bear a step (s)."""
+        return 2.0 * float(self.stiffness.max(initial=0.0)) * (0.5 * step / WITH_SECOND) ** 2
+
+    # ---- search --------------------------------------------------------------------------------------------------
+
+    def search(
+        self, xp: Floats, x: Floats, travel: float, always: Sequence[int] | Ints = (), active: int | None = None,
+        v: Floats | None = None,
+    ) -> bool:  # fmt: skip
+        """Find the pairs that can touch before surfaces have moved `travel` m against each other.
+
+        xp (n,3) points, x (N,3) nodes, m; always: points that `rows` has in any case; active: number of nodes that move, the first ones
+        (default: all).
+        A point keeps its forces and is not among `rows` where neither it nor a face near it moves. v (N,3) m/s: then slow surfaces
+        move by their share of `travel` only. Returns whether anything was searched: what a body's points have found holds until
+        surfaces have moved too far. Raises SolverError when the positions are no longer numbers.
+        """
+        self.points.x[:], active = xp, len(x) if active is None else active
+        if not (np.isfinite(xp).all() and np.isfinite(x).all()):
+            raise SolverError(
+                "positions are no longer numbers: try a smaller time step, more points or smaller elements"
+            )
+        closest.box_faces(x, self.faces)
+        k.travel_on(0, len(self.spacing), self._motion, x, len(x))
+        gone = self._motion.travel[self.points.owner]  # from here on faces move from zero
+        self._meeting.room[:] -= gone
+        self._candidates.within[:] -= gone
+        self._motion.travel[:] = 0.0
+        speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
+        due = [body for body in range(len(self.spacing)) if not self._holds(body, x, travel, speed, active)]
+        if due:
+            self._find(np.isin(self.points.owner, due), self._begin(due, x, travel, speed), always, active, x)
+            owner, bodies = self.points.owner, len(self.spacing)
+            nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
+            self._motion = motion(*nodes, x)
+        return bool(due)
+
+    def _own_travel(self, body: int, travel: float, speed: Floats) -> float:
+        """How far a body and the faces near it move against each other, where the fastest node moves by half of `travel` m."""
+        fastest = float(speed.max(initial=0.0))
+        if fastest == 0.0:
+            return travel
+        own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
+        together = speed[own].max(initial=0.0) + speed[self._searches[body].nodes].max(initial=0.0)
+        return travel * min(1.0, float(together) / fastest)
+
+    def _holds(self, body: int, x: Floats, travel: float, speed: Floats, active: int) -> bool:
+        """Whether the last search of a body still holds, and no other face can come near while all move by `travel` m."""
+        s, own = self._searches[body], self._own_travel(body, travel, speed)
+        if active > s.active or s.reach <= own:
+            return False
+        here = np.arange(self.bounds[body], self.bounds[body + 1])
+        moved = broad.farthest(self.points.x, here, s.points) + broad.farthest(x, s.nodes, s.places)
+        if moved + own > s.reach:
+            return False
+        others = self.facing[body][~s.known]
+        return len(self._around(body, others, 0.5 * float(self.spacing[body]) + travel)) == 0
+
+    def _around(self, body: int, ids: Ints, margin: float) -> Ints:
+        """Those of the faces `ids` whose boxes come within a margin (m) of the box around a body's points."""
+        own = self.points.x[self.bounds[body] : self.bounds[body + 1]]
+        least, most = broad.bounds(own, own)
+        return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
+
+    def _begin(self, due: Sequence[int], x: Floats, travel: float, speed: Floats) -> Floats:
+        """Begin the searches of the bodies `due`. Returns how far each point (n,) and its faces may move until the next, m."""
+        far = np.zeros(len(self.history))
+        for body in due:
+            s, spacing = self._searches[body], float(self.spacing[body])
+            near = self._around(body, self.facing[body], spacing + 2.0 * travel)
+            s.known = np.isin(self.facing[body], near, assume_unique=True)
+            s.nodes = broad.corners(self.faces["nodes"], near, len(x))
+            own = slice(self.bounds[body], self.bounds[body + 1])
+            far[own] = self._own_travel(body, travel, speed) + self._skin * spacing
+            s.reach, s.active = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
+            s.points, s.places = self.points.x[own].copy(), x[s.nodes]
+        return far
+
+    def _find(self, due: np.ndarray, travel: Floats, always: Sequence[int] | Ints, active: int, x: Floats) -> None:
+        """Search for the points of a mask (n,) what they can meet before they and faces have moved travel (n,) m against each other."""
+        p, m, history, faces = self.points, self._meeting, self.history, self.faces
+        q: Ints = np.flatnonzero(due)
+        p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # half a spacing deep is as deep as a point may be lost
+        start, face = self._pairs(q)
+        # points that remember a contact are visited too, so that what they remember is settled
+        held = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
+        held[np.asarray(always, np.int64)] = True
+        rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | held))
+        away = due.copy()
+        m.face[q] = -1
+        self._candidates.within[q] = -np.inf  # all candidates are looked at
+        self._take(due, start, face)
+        # what faces a point at rest may not be here: the contact of a cut ends at its rim
+        rows, still = self._moving(rows, active)
+        away[still] = False
+        known = np.zeros(len(due), bool)
+        known[self.rows] = True
+        m.room[due & ~known] = -np.inf  # of others than `rows` it is not known how near they were
+        self._look(rows, Nodes(x, x, x, active))
+        # a tenth of a spacing for what the surfaces gain in speed
+        close = (m.face[rows, 0] >= 0) & (m.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
+        kept = rows[close | held[rows]]
+        away[kept] = False
+        for _ in range(2):  # at rest: of the candidates that are left
+            limit = k.deepest(history, p, self.jump)
+            self._take(due, *closest.reachable(kept, travel, limit, p, self._candidates, faces, m))
+            kept, still = self._moving(kept, active)
+            if len(still) == 0:
+                break
+        self._candidates.within[q] = -np.inf
+        history["depth"][away] = 0.0
+        away[rows] = False  # what has no candidate is outside
+        history["ignored"][away], history["body"][away] = 0.0, ANY
+        self.rows = np.union1d(self.rows[~due[self.rows]], kept)
+
+    def _pairs(self, q: Ints) -> tuple[Ints, Ints]:
+        """Candidates (start, face) of the points q: faces whose boxes come within their margins."""
+        p, faces, bodies = self.points, self.faces, np.unique(self.points.owner[q])
+        ids = np.unique(np.concatenate([self.facing[body][self._searches[body].known] for body in bodies]))
+        few, boxes = broad.pairs_within(
+            p.x[q], p.margin[q], p.owner[q], faces["low"][ids], faces["high"][ids], faces["body"][ids], float(p.spacing[q].min())
+        )  # fmt: skip
+        start = np.zeros(len(p.owner) + 1, np.int64)
+        start[q + 1] = np.diff(few)
+        return np.cumsum(start), ids[boxes]
+
+    def _take(self, fresh: np.ndarray, start: Ints, face: Ints) -> None:
+        """Put new candidates of the points of a mask (n,) in the place of those that they had."""
+        c = self._candidates
+        start, face = closest.merged(fresh, c.start, c.face, start, face)
+        c.inner[~fresh] += (start - c.start)[:-1][~fresh]
+        self._candidates = c._replace(start=start, face=face)
+
+    def _moving(self, rows: Ints, active: int) -> tuple[Ints, Ints]:
+        """Those of the points `rows` that move, or a candidate of which moves; and the others, for which the search holds until more
+        nodes than the least of theirs move."""
+        least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
+        still = least >= active
+        for body, first in zip(self.points.owner[rows[still]], least[still], strict=True):
+            self._searches[body].active = min(self._searches[body].active, float(first))
+        return rows[~still], rows[still]
+
+    def _look(self, rows: Ints, nodes: Nodes) -> None:
+        """Find what each of the points `rows` meets, and take the contact from those that lie too deep."""
+        lost = np.zeros((PARTS, 2))
+        together(
+            k.look, rows, self.jump, self.points, nodes, self._candidates, self.faces, self._motion, self._meeting, self.history, lost
+        )  # fmt: skip
+        self.dropped += int(lost[:, 0].sum())
+        self.dropped_energy += float(lost[:, 1].sum())
+
+    # ---- forces --------------------------------------------------------------------------------------------------
+
+    def forces(self, dt: float, nodes: Nodes) -> None:
+        """Add the contact forces of this instant to points.f and nodes.f, N, from the positions and velocities in both; friction moves
+        on by dt s. Of the points, only `rows` are read and written."""
+        self._look(self.rows, nodes)
+        self.friction_heat += k.contact_forces(
+            self.rows, dt, self.friction, self.share, self.points, nodes, self.faces, self._meeting, self.history, self.heat_point,
+            self.heat_face,
+        )  # fmt: skip
+
+    def forces_between(self, dt: float, nodes: Nodes) -> None:
+        """`forces`, where the points are nodes."""
+        k.gather(self.rows, self.points, nodes)
+        self.forces(dt, nodes)
+        k.scatter(self.rows, self.points, nodes)
+
+    def touching(self, first: int, within: float = 0.0) -> tuple[Ints, Ints]:
+        """Which of the first so many points touch in this step (k,), and the facet that each is on (k,).
+
+        within: m; points nearer than this count as touching, because a touching point can lose its contact for single steps.
+        """
+        rows = self.rows[self.rows < first]
+        rows = rows[self.gap[rows] < within] if within > 0.0 else rows[self.depth[rows] > 0.0]
+        rows = rows[self._meeting.face[rows, 0] >= 0]
+        return rows, self._meeting.face[rows, 0]
+
+    def springs(self) -> list[SpringTable]:
+        """Those of all points that may touch before the next search, at the places closest to them, and at those in a second body in
+        which they lie now; between the nodes that the points are and those of the faces."""
+        tables, m = [], self._meeting
+        for body in (0, 1):
+            rows = self.rows[m.face[self.rows, body] >= 0]
+            corners = self.faces["nodes"][m.face[rows, body]]
+            tables.append(
+                SpringTable.of(self.points.node[rows], corners, m.foot[rows, body], self.points.stiffness[rows])
+            )
+        return tables
+
+    def load(self, size: int) -> Floats:
+        """What the springs of all that may touch can add to each of `size` nodes in the bound on omega^2, N/m; see `Bond.load`."""
+        load, rows, k_2 = np.zeros(size), self.rows, 2.0 * self.points.stiffness
+        for body in np.unique(self.points.owner[rows]):
+            own = slice(self.bounds[body], self.bounds[body + 1])
+            load[self.points.node[own]] += k_2[own]
+            load[self._searches[body].nodes] += 4.0 * self.stiffness[body]
+        twice = rows[closest.between_bodies(rows, self._candidates, self.faces)]
+        load[self.points.node[twice]] += k_2[twice]
+        return load

@@ -1,0 +1,87 @@
+"""The arrays of a contact, as its kernels take them: points of surfaces against triangles of others."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..state.arrays import Floats, Histories, Ints
+
+ANY = -1  # body
+# m, depths that are ignored: of a point that has no contact, and of one that no search has found near a face
+ALL, UNKNOWN = 1e300, -1.0
+#: A triangle that points may meet: the box around it (m), its nodes and its body, together in one line of the processor's cache.
+FACE = np.dtype([("low", "f8", 3), ("high", "f8", 3), ("nodes", "i4", 3), ("body", "i4")])
+#: What a point remembers: spring N of friction; of the body in which it lies deepest, and of the second one: depth m of penetration
+#: that gives force, ignored m beside it that gives none (`kernels.follow`), and the number of the body.
+HISTORY = np.dtype([("spring", "f8", 3), ("depth", "f8", 2), ("ignored", "f8", 2), ("body", "i8", 2)])
+
+
+def new_history(points: int) -> Histories:
+    """The history of points that have never touched."""
+    history = np.zeros(points, HISTORY)
+    history["ignored"][:, 0], history["body"] = UNKNOWN, ANY
+    return history
+
+
+class Points(NamedTuple):
+    """Positions x m, velocities v m/s, forces f N (n,3); owner (n,): the body of each; node (n,): the node of the domain that each is,
+    -1 of others; partner (n,): the body that each does not meet because a bond holds it there, ANY for none; stiffness (n,) N/m;
+    spacing (n,) m of its surface; margin (n,) m: depth beyond which the last search knows no face."""
+
+    x: Floats
+    v: Floats
+    f: Floats
+    owner: Ints
+    node: Ints
+    partner: Ints
+    stiffness: Floats
+    spacing: Floats
+    margin: Floats
+
+
+class Nodes(NamedTuple):
+    """Of the faces: positions x m, velocities v m/s, forces f N (N,3). Only the first `active` nodes move."""
+
+    x: Floats
+    v: Floats
+    f: Floats
+    active: int
+
+
+class Candidates(NamedTuple):
+    """Faces that each point can meet before the next search: face[start[i]:start[i + 1]]. Those up to the place inner (n,) are all
+    whose boxes come within a distance of at (n,3) m, where the point was; within (n,) m: this distance and the travel of the faces
+    until then."""
+
+    start: Ints
+    face: Ints
+    inner: Ints
+    within: Floats
+    at: Floats
+
+
+class Meeting(NamedTuple):
+    """The closest place of the body that each point meets, and of a second one in which it lies: face (n,2), -1 for none, foot (n,2,3):
+    barycentric weights, gap (n,2) m: signed distance, negative inside. seen (n,3) m: where the point was when that was found; room
+    (n,) m: its gap then, and the travel of the faces until then."""
+
+    face: Ints
+    foot: Floats
+    gap: Floats
+    seen: Floats
+    room: Floats
+
+
+class Motion(NamedTuple):
+    """Of the candidates of each body's points: nodes[bounds[b]:bounds[b + 1]] of these, last (k,3) m: where they were at the last look;
+    travel (bodies,) m: bound on how far one of them has moved since the search."""
+
+    nodes: Ints
+    bounds: Ints
+    last: Floats
+    travel: Floats
+
+
+def motion(nodes: Ints, bounds: Ints, x: Floats) -> Motion:
+    """Of nodes that are now at x (N,3) m."""
+    return Motion(nodes, bounds, x[nodes], np.zeros(len(bounds) - 1))
