@@ -18,22 +18,7 @@ from coupler.studies.table import Row, StudyTable, other_version, read_rows, wri
 MARK = re.compile(r" \(version [^)]*\)")
 ROOT = Path(__file__).resolve().parents[1]
 DOCS, TABLES = ROOT / "docs", ROOT / "docs" / "tables"
-PAGES = {
-    "accuracy": DOCS / "evidence" / "accuracy.md",
-    "bonding": DOCS / "evidence" / "bonding.md",
-    "coating": DOCS / "evidence" / "coating.md",
-    "coating_stress": DOCS / "evidence" / "coating_stress.md",
-    "effects": DOCS / "evidence" / "effects.md",
-    "experiments": DOCS / "evidence" / "experiments.md",
-    "jets": DOCS / "evidence" / "jets.md",
-    "maps": DOCS / "evidence" / "maps.md",
-    "scene": DOCS / "guide" / "scene.md",
-    "solvers": DOCS / "evidence" / "solvers.md",
-    "speed": DOCS / "evidence" / "speed.md",
-    "splats": DOCS / "evidence" / "splats.md",
-    "stability": DOCS / "evidence" / "stability.md",
-    "validation": DOCS / "evidence" / "validation.md",
-}
+PAGES = {path.stem: path for path in (DOCS / "evidence").glob("*.md")}
 
 
 def figure_path(page: str, name: str) -> Path:
