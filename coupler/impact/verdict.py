@@ -14,7 +14,7 @@ from ..plan.planning import ImpactPlan
 
 REBOUND = 1.0  # m/s off the surface: a particle that nothing holds leaves with more
 # of the energy that bonds have dissipated: a margin below it is within the scatter of placements of points and elements, whose
-# standard deviation is 0.1 to 0.2 of it where particles rebound and half of it where they stick (docs/evidence/bonding.md)
+# standard deviation is at most 0.2 of it (docs/evidence/bonding.md)
 SCATTER = 0.5
 
 
