@@ -39,8 +39,8 @@ class Study:
     heading: str
     scene: str
     grid: int
-    points: tuple[int, ...] = (500, 1000, 2000, 5000)
-    reference: int = 16000
+    points: tuple[int, ...]
+    reference: int
     without_limit: tuple[str, ...] = ()
 
     def load(self) -> Scene:
@@ -51,9 +51,9 @@ FINE = (500, 1000, 2000, 5000, 12000, 16000)
 STUDIES = {
     "ni500": Study("Ni, 500 m/s", "single_ni", 5000, FINE, 24000),
     "ti500": Study("Ti, 500 m/s", "single_ti", 5000, FINE, 24000),
-    "ni1000": Study("Ni, 1000 m/s", "fast_ni", 1000, without_limit=("flattening_ratio",)),
-    "al725": Study("Al, 725 m/s", "al_on_steel", 700, without_limit=("splat_diameter_m",)),
-    "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", 2000, (700, 1000, 2000, 5000)),
+    "ni1000": Study("Ni, 1000 m/s", "fast_ni", 1000, (500, 1000, 2000, 5000), 12000, ("flattening_ratio",)),
+    "al725": Study("Al, 725 m/s", "al_on_steel", 700, (500, 1000, 2000), 5000, ("splat_diameter_m",)),
+    "triple": Study("three Ni, 500 to 610 m/s", "triple_ni", 2000, (700, 1000, 2000), 4000),
 }
 
 
