@@ -35,14 +35,21 @@ def test_the_step_that_a_mass_buys() -> None:
     assert step_for(mass, safe, 0.0, 100.0) == pytest.approx(1.0)
 
 
+@pytest.fixture
+def inviscid(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Targets without bulk viscosity."""
+    for name in ("LINEAR_VISCOSITY", "QUADRATIC_VISCOSITY"):
+        monkeypatch.setattr(f"coupler.fe.explicit.{name}", 0.0)
+
+
 def flattened() -> Target:
     """A block with an element pressed flat inside."""
     flat = pinched(mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2)), 0.9)
     t = Target(flat, law_record(elastic()), 300.0, fixed=(), track_wave=False)
-    t.viscous = False
     return t
 
 
+@pytest.mark.usefixtures("inviscid")
 def test_scaled_elements_take_a_longer_step_with_the_masses_that_they_have() -> None:
     t = flattened()
     whole, step = t.mass.copy(), t.stable_dt()[0]
@@ -83,6 +90,7 @@ def test_an_element_alone_bears_the_step_that_it_is_scaled_to() -> None:
     assert frequency() / slow == pytest.approx(5.0)
 
 
+@pytest.mark.usefixtures("inviscid")
 def test_a_translation_of_scaled_elements_needs_no_more_force() -> None:
     t = flattened()
     t.inertia.most = 0.01 * t.mass.sum()
@@ -95,6 +103,7 @@ def test_a_translation_of_scaled_elements_needs_no_more_force() -> None:
 
 
 @pytest.mark.parametrize("fixed", [(), ("bottom",)])
+@pytest.mark.usefixtures("inviscid")
 def test_the_longer_step_is_stable_and_the_ledger_closes(fixed: tuple[str, ...]) -> None:
     """Energy and momentum with elements that are chosen anew as they move; what their inertia holds is numerical dissipation."""
     t = flattened()
@@ -116,6 +125,7 @@ def test_the_longer_step_is_stable_and_the_ledger_closes(fixed: tuple[str, ...])
     assert np.abs(t.momentum() - t.external_impulse() - momentum).max() < 1e-10 * t.mass.sum() * 0.01
 
 
+@pytest.mark.usefixtures("inviscid")
 def test_scaling_goes_on_from_its_state() -> None:
     """The step after a restart: what the inertia took in the step before enters the ledger of the next."""
     t, again = flattened(), flattened()
@@ -126,7 +136,6 @@ def test_scaling_goes_on_from_its_state() -> None:
         t.finish()
     again.restore(t.state())
     for each in (t, again):
-        each.viscous = False
         each.advance(each.stable_dt(1.0)[0])
         each.finish()
     np.testing.assert_array_equal(again.x, t.x)
@@ -134,6 +143,7 @@ def test_scaling_goes_on_from_its_state() -> None:
     assert t.sums[1] != 0.0
 
 
+@pytest.mark.usefixtures("inviscid")
 def test_the_surface_is_heavier_until_the_bodies_rest_again() -> None:
     t, again = flattened(), flattened()
     true, surface = t.mass.copy(), np.unique(t.mesh.facets)

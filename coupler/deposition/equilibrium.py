@@ -15,8 +15,8 @@ import numpy as np
 
 from ..fe.coarse import CoarseGrid
 from ..fe.explicit import Target
-from ..fe.relaxed import active_within, quasi_static
-from ..fe.stability import HighestFrequency, masses_for
+from ..fe.relaxed import Relaxation
+from ..fe.stability import HighestFrequency
 from ..impact.bodies import Bodies
 from ..physics import motion
 from ..state.loops import PARTS
@@ -49,11 +49,12 @@ class Known:
             self._highest = HighestFrequency(len(t.x), len(t.mesh.conn))
         return self._highest
 
-    def grid(self, bodies: Bodies, free: np.ndarray, dt: float) -> CoarseGrid:
+    def grid(self, bodies: Bodies, relaxation: Relaxation) -> CoarseGrid:
         """Of the active elements and what acts between them: that of before where they are the same ones."""
         t = bodies.target
         if self._grid is None or self._grid[0] != t.active_elements:
-            self._grid = t.active_elements, CoarseGrid(t, free, dt, bodies.springs())
+            grid = CoarseGrid(t, relaxation.free, relaxation.mass, relaxation.dt, bodies.springs())
+            self._grid = t.active_elements, grid
         return self._grid[1]
 
 
@@ -85,16 +86,11 @@ def settle(
     reach = t.reach
     held = _held(bodies) + t.kinetic()
     t.rest()
-    conduction, t.conduction = t.conduction, None
-    try:
-        with active_within(t, radius, RELAX_STEP):
-            with quasi_static(t):
-                report = _relax(bodies, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
-            taken = held - _held(bodies)
-            released = _run_for(bodies, release_time)
-            t.rest()
-    finally:
-        t.conduction = conduction
+    relaxation = Relaxation(t, radius, RELAX_STEP)
+    report = _relax(bodies, relaxation, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
+    taken = held - _held(bodies)
+    released = _run_for(bodies, release_time)
+    t.rest()
     t.deactivate_beyond(reach)
     return report | {"taken_J": taken, "released_J": released, "released": released / kinetic_0}
 
@@ -106,7 +102,12 @@ def _held(bodies: Bodies) -> float:
 
 
 def _relax(
-    bodies: Bodies, enough: float, ramp: bool, known: Known, back: tuple[np.ndarray, np.ndarray] | None
+    bodies: Bodies,
+    relaxation: Relaxation,
+    enough: float,
+    ramp: bool,
+    known: Known,
+    back: tuple[np.ndarray, np.ndarray] | None,
 ) -> dict[str, float]:
     """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known, back: see `settle`."""
     t = bodies.target
@@ -117,37 +118,32 @@ def _relax(
     if ramp:
         t.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
-    own = t.mass, t.inv_mass, t.dt_last
-    free = own[1] > 0.0
-    try:
-        dt = _weigh(bodies, free, known.highest(t))
-        t.dt_last = dt
-        steps, left, n = 0, np.inf, t.active_nodes
-        grid, along, momentum = known.grid(bodies, free, dt), np.zeros((n, 3)), np.zeros((n, 3))
-        most = RAMP_DAMPING if ramp else MOST_DAMPING
-        before, damping, inverse = t.total[:n].copy(), most, t.inv_mass
-        t.inv_mass = inverse.copy()
-        while steps < RELAX_STEPS and left > enough:
-            if steps % SEARCH_EVERY == 0:
-                _search(bodies, dt)
-            share(partial(_damp, t, free, dt, damping, along, momentum), n, motion.LEAST)
-            np.divide(inverse[:n], 1.0 + damping, out=t.inv_mass[:n])
-            if steps < portions:
-                t.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
-            t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
-            if steps < BACK:
-                bodies.ease(1.0 - 1.0 / (BACK - steps))
-            _step(bodies, dt)
-            steps += 1
-            along = grid.acceleration(t.total[:n])
-            kinetic, omega2, loose = _moving(t, free[:n], dt, along, momentum, before)
-            damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
-            if steps > max(2 * SEARCH_EVERY, portions, moving_for):
-                left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
-        return {"settle_steps": float(steps), "left_J": float(left)}
-    finally:
-        t.rest()
-        t.mass, t.inv_mass, t.dt_last = own
+    _weigh(bodies, relaxation, known.highest(t))
+    dt = relaxation.dt
+    steps, left, n = 0, np.inf, t.active_nodes
+    grid, along, momentum = known.grid(bodies, relaxation), np.zeros((n, 3)), np.zeros((n, 3))
+    most = RAMP_DAMPING if ramp else MOST_DAMPING
+    before, damping = t.total[:n].copy(), most
+    while steps < RELAX_STEPS and left > enough:
+        if steps % SEARCH_EVERY == 0:
+            _search(bodies, dt)
+        share(partial(_damp, t, relaxation.free, dt, damping, along, momentum), n, motion.LEAST)
+        if steps < portions:
+            t.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
+        t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
+        if steps < BACK:
+            bodies.ease(1.0 - 1.0 / (BACK - steps))
+        relaxation.advance(damping)
+        bodies.forces(dt)
+        relaxation.finish()
+        steps += 1
+        along = grid.acceleration(t.total[:n])
+        kinetic, omega2, loose = _moving(relaxation, n, along, momentum, before)
+        damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
+        if steps > max(2 * SEARCH_EVERY, portions, moving_for):
+            left = max(kinetic, loose / max(omega2, (LEAST_DAMPING / dt) ** 2))
+    relaxation.rest()
+    return {"settle_steps": float(steps), "left_J": float(left)}
 
 
 def _ramp(way: float) -> float:
@@ -156,22 +152,17 @@ def _ramp(way: float) -> float:
     return way * way * (3.0 - 2.0 * way)
 
 
-def _weigh(bodies: Bodies, free: np.ndarray, highest: HighestFrequency) -> float:
-    """Give the nodes the masses with which elements and all springs between bodies bear one step; that step, s.
+def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) -> None:
+    """Give the nodes the masses with which elements and all springs between bodies bear one step.
 
     The elements' bound is safe but short (`fe.stability`): the step is the one that the elements really bear with the masses for
     RELAX_STEP, and the springs, whose bound is sharp, get theirs for that.
     """
-    t = bodies.target
-    n, mass = len(t.x), masses_for(t, RELAX_STEP)
-    t.mass, t.inv_mass = mass, np.where(free, 1.0 / mass, 0.0)
-    dt = highest.longest_step(t, RELAX_STEP, t.active_nodes, t.active_elements)
-    for springs in (bodies.bond, bodies.contact):
-        if springs is not None:
-            mass += 0.25 * dt * dt * springs.load(n)
-    mass += 0.25 * dt * dt * t.foundation_load()
-    t.inv_mass = np.where(free, 1.0 / mass, 0.0)
-    return dt
+    relaxation.weigh(highest, RELAX_STEP)
+    n, share_of = len(bodies.target.x), 0.25 * relaxation.dt * relaxation.dt
+    loads = [springs.load(n) for springs in (bodies.bond, bodies.contact) if springs is not None]
+    for load in (*loads, bodies.target.foundation_load()):
+        relaxation.add_mass(share_of * load)
 
 
 def _damp(
@@ -181,15 +172,16 @@ def _damp(
 
 
 def _moving(
-    t: Target, free: np.ndarray, dt: float, along: np.ndarray, momentum: np.ndarray, before: np.ndarray
+    relaxation: Relaxation, n: int, along: np.ndarray, momentum: np.ndarray, before: np.ndarray
 ) -> tuple[float, float, float]:
-    """Kinetic energy (J) in the masses of the relaxation, the squared frequency (1/s2) of what moves now, and f M^-1 f / 2 (N m/s2) of
-    the forces f that nothing balances: over omega^2 an energy. along (n,3) m/s2: the grid's part of M^-1 f; before (n,3) N: the
-    forces a step ago, and then those of now."""
-    n, sums = len(before), np.zeros((PARTS, 3))
-    together(motion.moving, free, t.mass[:n], t.total[:n], along, momentum, t.v[:n], before, sums)
+    """Kinetic energy (J) of the first n nodes in the masses of the relaxation, the squared frequency (1/s2) of what moves now, and
+    f M^-1 f / 2 (N m/s2) of the forces f that nothing balances: over omega^2 an energy. along (n,3) m/s2: the grid's part of M^-1 f;
+    before (n,3) N: the forces a step ago, and then those of now."""
+    t, sums = relaxation.target, np.zeros((PARTS, 3))
+    free, mass = relaxation.free, relaxation.mass[:n]
+    together(motion.moving, free[:n], mass, t.total[:n], along, momentum, t.v[:n], before, sums)
     twice, power, loose = sums.sum(axis=0)
-    return 0.5 * twice, max(power / dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * loose
+    return 0.5 * twice, max(power / relaxation.dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * loose
 
 
 def _run_for(bodies: Bodies, time: float) -> float:
@@ -199,7 +191,9 @@ def _run_for(bodies: Bodies, time: float) -> float:
         _search(bodies, SEARCH_EVERY * t.stable_dt()[0])
         dt = min(0.9 * bodies.stable_dt(1.0), left)
         for _ in range(SEARCH_EVERY):
-            _step(bodies, dt)
+            t.advance(dt, is_conducting=False)
+            bodies.forces(dt)
+            t.finish()
             left -= dt
         largest = max(largest, 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.v, t.v)))
     return largest
@@ -210,9 +204,3 @@ def _search(bodies: Bodies, dt: float) -> None:
     fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
     time = SEARCH_EVERY * dt
     bodies.search(3.0 * fastest * time + WAY * float(np.cbrt(t.mesh.V0.min())), time=time)
-
-
-def _step(bodies: Bodies, dt: float) -> None:
-    bodies.target.advance(dt)
-    bodies.forces(dt)
-    bodies.target.finish()

@@ -87,8 +87,8 @@ def _stiffness(
 class CoarseGrid:
     """The grid over the active part of a target."""
 
-    def __init__(self, t: Target, free: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
-        """free (n,) bool: nodes that can move; dt s: the step, which the target's masses bear; links: springs between its bodies."""
+    def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
+        """free (n,) bool: nodes that can move; mass (n,) kg; dt s: the step, which these masses bear; links: springs between bodies."""
         n, m = t.active_nodes, t.active_elements
         points, weights = _interpolation(t.x[:n])
         weights[~free[:n]] = 0.0
@@ -109,7 +109,7 @@ class CoarseGrid:
         if links:
             springs = SpringTable(*map(np.concatenate, zip(*links, strict=True)))
             stiff = stiff + sparse.kron(_between(P, springs), sparse.eye_array(3), format="csr")
-        heavy = sparse.kron(self._PT @ P.multiply(t.mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
+        heavy = sparse.kron(self._PT @ P.multiply(mass[:n, None]).tocsr(), sparse.eye_array(3), format="csr")
         alone = sparse.diags_array(np.full(3 * len(used), ALONE * heavy.diagonal().max()))
         inertia = stiff * (dt / FREQUENCY) ** 2 + LEAST * heavy + alone
         self._inertia = splu(

@@ -38,9 +38,9 @@ class Target:
     Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx yy zz yz xz xy;
     sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the point of impact, or from the
     nearest of several, and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are computed; none
-    beyond the `horizon` (m, see `window`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
-    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how much the
-    half-space round the target has contracted, 1 at the start.
+    beyond the `horizon` (m, see `window`) or the `limit` (m, see `activate_all`). inertia: of the elements that are scaled
+    (`fe.inertia`); least_mass kg: see `weigh_surface`. force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above
+    when they became inactive. rest_scale: how much the half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
@@ -106,7 +106,7 @@ class Target:
         self.inertia = ElementInertia()
         self.force_suffix_sum = np.zeros((n + 1, 3))
         self.fixed = nodes_of(mesh, fixed)
-        self.horizon = np.inf
+        self.horizon = self.limit = np.inf
         self.edge: Edge | None = None
         self.least_mass = 0.0
         self._weigh()
@@ -121,7 +121,6 @@ class Target:
         self.support, self.impulse = np.zeros(3), np.zeros(3)
         self.dt_last, self.time = 0.0, 0.0
         self._highest: HighestFrequency | None = None
-        self.viscous = True
         speeds = [sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])) for law in self.laws]
         self.wave_speed = AHEAD * max(speeds)  # shocks run ahead of sound
         edge = 2.0 * float(np.max(mesh.V0[: max(1, m // 20)])) ** (1.0 / 3.0)
@@ -195,7 +194,7 @@ class Target:
 
     def _active_counts(self, reach: float) -> tuple[int, int]:
         """Numbers of active nodes and elements when the front is `reach` m from the point of impact."""
-        elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon)))
+        elements = int(np.searchsorted(self.mesh.reach_element, min(reach, self.horizon, self.limit)))
         return max(self.active_nodes, int(self._nodes_of[elements])), elements
 
     @property
@@ -242,24 +241,38 @@ class Target:
             dt = max(dt, self._highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
-    def advance(self, dt: float) -> None:
-        """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s.
+    def advance(self, dt: float, is_conducting: bool = True) -> None:
+        """Kick to n+1/2, drift to n+1, stress and internal forces there. dt in s; is_conducting: whether heat flows between elements.
 
         Raises SolverError when a tetrahedron inverts.
         """
-        half_step, kicked, mesh = 0.5 * (self.dt_last + dt), self.active_nodes, self.mesh
+        half_step, kicked = 0.5 * (self.dt_last + dt), self.active_nodes
         self.impulse += half_step * self.support
         self._activate(dt)
+        self.move(kicked, half_step, dt, self.inv_mass, (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY))
+        if is_conducting and self.conduction is not None:
+            self.conduction.advance(dt, self)
+        self.dt_last = dt
+        self.time += dt
+
+    def move(
+        self, kicked: int, kick: float, dt: float, inv_mass: np.ndarray, viscosity: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """Accelerate the first `kicked` nodes for `kick` s by all forces on them, and move the active nodes for dt s; stress and
+        internal forces there. inv_mass (n,) 1/kg; viscosity: coefficients of the linear and the quadratic bulk viscosity.
+
+        Raises SolverError when a tetrahedron inverts.
+        """
+        mesh = self.mesh
         self.f, self.f_old = self.f_old, self.f
-        b1, b2 = (LINEAR_VISCOSITY, QUADRATIC_VISCOSITY) if self.viscous else (0.0, 0.0)
         smallest, sums = np.full(PARTS, np.inf), np.zeros((PARTS, 3))
         together(
-            k.advance, kicked, self.active_nodes, self.active_elements, half_step, dt,
-            (self.total, self.inv_mass, self.v, self.x, self.f_ext),
+            k.advance, kicked, self.active_nodes, self.active_elements, kick, dt,
+            (self.total, inv_mass, self.v, self.x, self.f_ext),
             (self.x, mesh.conn, self.volume),
             (self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, self.J, self.p,
              self.energy),
-            (dt, b1, b2, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
+            (dt, *viscosity, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
              self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, self.eps_gradient),
             (self.start, self.table, self.fe, self.f),
             smallest, sums,
@@ -267,38 +280,42 @@ class Target:
         if smallest.min() <= 0.0:
             raise SolverError(inverted(self))
         self.sums += sums.sum(axis=0)
-        if self.conduction is not None:
-            self.conduction.advance(dt, self)
-        self.dt_last = dt
-        self.time += dt
 
     def finish(self) -> None:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
-        n, dt = self.active_nodes, self.dt_last
+        self.add_up(self.dt_last)
+        if len(self.dashpot_nodes):
+            power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.v, self.drag, self.total)
+            self.absorbed -= 0.5 * self.dt_last * power
+            self.support += motion.sum_over(0, len(self.drag), self.drag)
+        self.pull()
+        if len(self.fixed):
+            self.support -= motion.sum_at(self.fixed, self.total)
+        if self.inertia.most > 0.0:
+            lost, held = self.inertia.advance(self, self.total, self.active_nodes, self.dt_last)
+            self.sums[1] += lost
+            self.support -= held
+
+    def add_up(self, dt: float) -> None:
+        """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
+        n = self.active_nodes
         self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
         motion.add_forces(0, n, self.f, self.f_ext, self.total)
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
         self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.x), self.f_ext)
-        if len(self.dashpot_nodes):
-            power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.v, self.drag, self.total)
-            self.absorbed -= 0.5 * dt * power
-            self.support += motion.sum_over(0, len(self.drag), self.drag)
+
+    def pull(self) -> None:
+        """Add the forces of the springs at the window's edge and of the half-space."""
         if self.edge is not None:
             pull = self.edge.pull(self.x)
             self.total[self.edge.nodes] += pull
             self.support += pull.sum(axis=0)
         if len(self.spring_nodes):
-            active = self.spring_nodes < n  # what is inactive is in balance with its springs
+            active = self.spring_nodes < self.active_nodes  # what is inactive is in balance with its springs
             nodes = self.spring_nodes[active]
             pull = -np.einsum("aij,aj->ai", self.springs[active], self.x[nodes] - self.spring_rest[active])
             self.total[nodes] += pull
             self.support += pull.sum(axis=0)
-        if len(self.fixed):
-            self.support -= motion.sum_at(self.fixed, self.total)
-        if self.inertia.most > 0.0:
-            lost, held = self.inertia.advance(self, self.total, n, dt)
-            self.sums[1] += lost
-            self.support -= held
 
     def external_impulse(self) -> np.ndarray:
         """Impulse (3,) that supports and absorbing sides have given to the target so far, N s."""
@@ -358,15 +375,16 @@ class Target:
             self._weigh()
         return kinetic
 
-    def activate_all(self) -> None:
-        """Make all nodes and elements active."""
-        self.reach = np.inf
+    def activate_all(self, limit: float = np.inf) -> None:
+        """Make all nodes and elements active that are within `limit` m of the point of impact, and no others until
+        `deactivate_beyond`."""
+        self.reach, self.limit, self.active_nodes, self.active_elements = np.inf, limit, 0, 0
         self._activate(0.0)
 
     def deactivate_beyond(self, reach: float) -> None:
         """Make all inactive that is farther than `reach` m from the point of impact: it must be at rest, in equilibrium."""
         self._store_inactive_forces()
-        self.reach, self.active_nodes, self.active_elements = reach, 0, 0
+        self.reach, self.limit, self.active_nodes, self.active_elements = reach, np.inf, 0, 0
         self._activate(0.0)
 
     def _store_inactive_forces(self) -> None:

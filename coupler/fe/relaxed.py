@@ -1,45 +1,74 @@
-"""What holds while a target is relaxed: which part of it is active, and that nothing depends on velocities."""
-
-from collections.abc import Iterator
-from contextlib import contextmanager
+"""Steps of a target towards equilibrium, with masses and held nodes of their own."""
 
 import numpy as np
 
+from ..physics import motion
 from .explicit import Target
+from .stability import HighestFrequency, masses_for
 from .window import outside
 
 
-@contextmanager
-def active_within(t: Target, radius: float, dt: float) -> Iterator[None]:
-    """While this lasts, all is active up to `radius` m from where the numbering begins, and what is beyond keeps still; its pending
-    heat becomes pressure there in a step of dt s, at rest."""
-    kept = t.horizon, t.fixed, t.inv_mass
-    t.activate_all()
-    m = int(np.searchsorted(t.mesh.reach_element, radius))
-    if t.heat[m:].any():
-        own = t.heat[:m].copy()
-        t.heat[:m] = 0.0
-        t.advance(dt)
-        t.heat[:m] = own
-    t.horizon, t.active_nodes, t.active_elements = min(radius, t.horizon), 0, 0
-    t.activate_all()
-    edge = outside(t.mesh, t.active_elements, t.active_nodes)
-    t.fixed, t.inv_mass = np.union1d(t.fixed, edge), t.inv_mass.copy()
-    t.inv_mass[t.fixed] = 0.0
-    try:
-        yield
-    finally:
-        t.horizon, t.fixed, t.inv_mass = kept
+class Relaxation:
+    """Quasi-static steps of a target at rest, or of a part of it: nothing of what depends on velocities acts, no bulk viscosity, no
+    absorbing faces, no conduction; masses, held nodes and steps of the target's own motion stay.
 
+    fixed (k,): nodes that are held, those of the target and those at the edge of the part; free (n,) bool: the others. mass (n,) kg of
+    the nodes, inv_mass (n,) 1/kg, 0 of held ones; dt: last step, s; see `weigh`.
+    """
 
-@contextmanager
-def quasi_static(t: Target) -> Iterator[None]:
-    """While this lasts nothing that depends on velocities acts: no bulk viscosity, no absorbing faces."""
-    kept = t.dashpot_nodes, t.dashpot
-    t.viscous, t.dashpot_nodes, t.dashpot = False, kept[0][:0], kept[1][:0]
-    t.drag = np.zeros((0, 3))
-    try:
-        yield
-    finally:
-        t.viscous, (t.dashpot_nodes, t.dashpot) = True, kept
-        t.drag = np.zeros((len(kept[0]), 3))
+    def __init__(self, target: Target, radius: float, dt: float):
+        """radius: m from where the numbering begins; what is beyond keeps still, its pending heat becomes pressure in dt s."""
+        t = self.target = target
+        t.activate_all()
+        m = int(np.searchsorted(t.mesh.reach_element, radius))
+        if t.heat[m:].any():
+            own = t.heat[:m].copy()
+            t.heat[:m] = 0.0
+            t.advance(dt, is_conducting=False)
+            t.heat[:m] = own
+        t.activate_all(radius)
+        self.fixed = np.union1d(t.fixed, outside(t.mesh, t.active_elements, t.active_nodes))
+        self.free = t.inv_mass > 0.0
+        self.free[self.fixed] = False
+        self.mass, self.dt = t.mass, 0.0
+        self._invert()
+
+    def weigh(self, highest: HighestFrequency, dt: float) -> None:
+        """Give the nodes the masses with which the elements bear a step of dt s by their own bound. The step is then the one that they
+        really bear, which is longer (`fe.stability`)."""
+        self.mass = masses_for(self.target, dt)
+        self._invert()
+        t = self.target
+        masses = self.mass, self.inv_mass
+        self.dt = highest.longest_step(t, dt, t.active_nodes, t.active_elements, masses=masses)
+
+    def add_mass(self, mass: np.ndarray) -> None:
+        """Make the nodes heavier by mass (n,), kg."""
+        self.mass = self.mass + mass
+        self._invert()
+
+    def _invert(self) -> None:
+        self.inv_mass = np.where(self.free, 1.0 / self.mass, 0.0)
+        self._damped = self.inv_mass.copy()
+
+    def advance(self, damping: float) -> None:
+        """`Target.advance`. damping: over the critical one of the step, by which the forces are divided."""
+        t, n = self.target, self.target.active_nodes
+        t.impulse += self.dt * t.support
+        np.divide(self.inv_mass[:n], 1.0 + damping, out=self._damped[:n])
+        t.move(n, self.dt, self.dt, self._damped)
+
+    def finish(self) -> None:
+        """`Target.finish`."""
+        t = self.target
+        t.add_up(self.dt)
+        t.pull()
+        if len(self.fixed):
+            t.support -= motion.sum_at(self.fixed, t.total)
+
+    def rest(self) -> None:
+        """Take all velocity away."""
+        t = self.target
+        t.impulse = t.impulse + 0.5 * self.dt * t.support - self.mass @ t.v  # what stopped it came from outside
+        t.v[:], t.support = 0.0, np.zeros(3)
+        t.rest()

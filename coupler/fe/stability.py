@@ -166,13 +166,22 @@ class HighestFrequency:
             raise CheckpointError("a state does not fit: the random numbers") from error
 
     def longest_step(
-        self, t: FiniteElements, bound: float, n: int, m: int, springs: Springs | None = None, inertia: ElementInertia | None = None
-    ) -> float:  # fmt: skip
+        self,
+        t: FiniteElements,
+        bound: float,
+        n: int,
+        m: int,
+        springs: Springs | None = None,
+        inertia: ElementInertia | None = None,
+        masses: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> float:
         """Stable step in s of the first n nodes and m elements of a `Target`, whose element bound is `bound` s, without damping.
 
-        springs: between nodes; inertia: of scaled elements; both are in the bound too.
+        springs: between nodes; inertia: of scaled elements; both are in the bound too. masses: of the nodes (n,) kg and their inverses,
+        0 of held nodes, in place of the target's.
         """
         mesh, inertia = t.mesh, inertia or ElementInertia()
+        mass, inverse = masses or (t.mass, t.inv_mass)
         w, f = self._w[:n], self._f
         for of_element in (self._dv, self._fe):  # those that are no longer active have no part in it
             of_element[m : self._elements] = 0.0
@@ -189,16 +198,16 @@ class HighestFrequency:
         w[near] += max(size, 1e-300) * np.sqrt(n / len(near)) * 0.3 * self._random.standard_normal((len(near), 3))
         omega2 = 0.0
         for _ in range(4 if self._warm else 25):
-            w *= (t.inv_mass[:n] > 0)[:, None]
-            before = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
+            w *= (inverse[:n] > 0)[:, None]
+            before = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             self._apply(t, n, m)
             if springs is not None:
                 springs.resist(self._w, f, n)
             inertia.slow(f)
-            w[:] = f[:n] * t.inv_mass[:n, None]
-            after = float(t.mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
+            w[:] = f[:n] * inverse[:n, None]
+            after = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
             omega2 = np.sqrt(after / before)
-            w *= 1.0 / np.sqrt(after / t.mass[:n].sum())
+            w *= 1.0 / np.sqrt(after / mass[:n].sum())
         self._warm = True
         return float(min(max(FREQUENCY_SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))
 
