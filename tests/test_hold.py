@@ -7,8 +7,9 @@ import pytest
 from blocks import cubes
 from scipy.sparse import identity
 
+from coupler.contact.bond import Bond
 from coupler.contact.contact import Contact
-from coupler.contact.hold import CONTACT_RANGE, Hold
+from coupler.contact.hold import CONTACT_RANGE, Hold, bonds_at
 from coupler.contact.law import stiffness
 from coupler.contact.model import Nodes
 from coupler.geometry.triangles import rings
@@ -21,13 +22,18 @@ SQUARE = np.array([[0.0, 0, 0], [SIDE, 0, 0], [SIDE, SIDE, 0], [0, SIDE, 0]])
 FACETS = np.array([[0, 1, 2], [0, 2, 3]])
 
 
+def alone(bond: Bond) -> Hold:
+    """A hold of points that have no neighbours."""
+    return Hold(bond, np.zeros(int(bond.nodes.max(initial=0)) + 2, int), np.zeros(0, int))
+
+
 def patch(pull: float, energy: float = np.inf) -> tuple[Hold, np.ndarray, np.ndarray]:
     """Four points on a square of two facets, 1 um across, the points pulled off by `pull` m after they were bonded."""
     x = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [5, 5, 5.0]]) * 1e-6
     facets = np.array([[0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 2, 3]])
     xp = np.array([[9, 9, 9], [0.6, 0.2, 0], [0.9, 0.6, 0], [0.2, 0.6, 0], [0.5, 0.9, 0]]) * 1e-6
     law = {} if energy == np.inf else {"strength": 4e8, "energy": energy}
-    hold = Hold(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law)
+    hold = alone(bonds_at(np.arange(1, 5), facets, xp, x, np.full(4, 0.25e-12), 1e17, **law))
     return hold, xp + np.array([0.0, 0.0, pull]), x
 
 
@@ -53,7 +59,7 @@ def test_a_hold_gives_way_when_its_energy_is_spent() -> None:
     assert not hold.whole.any()
     assert hold.energy == pytest.approx(10.0 * 1e-12, rel=5e-3)
     assert hold.area == (pytest.approx(1e-12), 0.0)
-    again = Hold.from_state(hold.state())
+    again = alone(Bond.from_state(hold.state()))
     np.testing.assert_array_equal(again.rows, hold.rows)
     assert again.energy == hold.energy
 
@@ -62,7 +68,8 @@ def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
     hold, xp, x = patch(1e-9)
     hold.forces(xp, x, np.zeros_like(xp), np.zeros_like(x))
     held = hold.energy
-    empty = hold.without(np.ones(4, bool)).on(np.zeros(6, np.int64), np.zeros(0, np.int64))
+    hold.bond.drop(np.ones(4, bool))
+    empty = alone(hold.bond)
     f, g = np.zeros_like(xp), np.zeros_like(x)
     empty.forces(xp, x, f, g)
     assert not f.any()
@@ -70,7 +77,7 @@ def test_a_hold_without_springs_keeps_what_they_have_dissipated() -> None:
     assert empty.energy == pytest.approx(held, rel=1e-12)
     assert empty.stable_dt(1.0, np.ones(5)) == np.inf
     assert empty.area == (0.0, 0.0)
-    both = empty.joined(patch(0.0)[0])
+    both = alone(Bond.joined([empty.bond, patch(0.0)[0].bond]))
     assert len(both.rows) == 4
     assert both.energy == pytest.approx(held, rel=1e-12)
 
@@ -95,9 +102,8 @@ class Sheet:
         corner = np.arange(n * n).reshape(n, n)
         lower = np.stack([corner[:-1, :-1], corner[1:, :-1], corner[1:, 1:]], axis=-1).reshape(-1, 3)
         upper = np.stack([corner[:-1, :-1], corner[1:, 1:], corner[:-1, 1:]], axis=-1).reshape(-1, 3)
-        self.hold = Hold(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law).on(
-            *rings(np.concatenate([lower, upper]), np.arange(n * n))
-        )
+        bond = bonds_at(np.arange(n * n), FACETS[below], self.xp, SQUARE, area, STIFFNESS, **law)
+        self.hold = Hold(bond, *rings(np.concatenate([lower, upper]), np.arange(n * n)))
         k = stiffness(STIFFNESS * SIDE / n, float(area[0]), SIDE / n)
         self.contact = Contact(np.zeros(n * n, int), FACETS, np.ones(2, int), [k], [SIDE / n], friction, jump=np.inf)
         self.work, self._last, self._force = 0.0, self.xp.copy(), np.zeros_like(self.xp)
@@ -237,12 +243,12 @@ def test_holds_that_form_one_after_another_act_as_one() -> None:
     below = np.where(first.xp[:, 0] > first.xp[:, 1], 0, 1)
     law = {"strength": STRENGTH, "energy": np.where(part, ENERGY, 2 * ENERGY)}
     parts = [
-        Hold(np.flatnonzero(rows), FACETS[below[rows]], both.xp, SQUARE, np.full(rows.sum(), 1e-12), STIFFNESS,
-             strength=STRENGTH, energy=law["energy"][rows])
+        bonds_at(np.flatnonzero(rows), FACETS[below[rows]], both.xp, SQUARE, np.full(rows.sum(), 1e-12), STIFFNESS,
+                 strength=STRENGTH, energy=law["energy"][rows])
         for rows in (part, ~part)
     ]  # fmt: skip
-    joined = parts[0].joined(parts[1])
-    whole = Hold(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, **law)
+    joined = alone(Bond.joined(parts))
+    whole = alone(bonds_at(np.arange(n), FACETS[below], both.xp, SQUARE, np.full(n, 1e-12), STIFFNESS, **law))
     f, g, F, G = np.zeros((n, 3)), np.zeros((4, 3)), np.zeros((n, 3)), np.zeros((4, 3))
     to = both.xp + np.array([1e-8, 0.0, 1.5e-7])
     joined.forces(to, SQUARE, f, g)
@@ -263,7 +269,7 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     t, share = b.target, 0.3
     top = t.mesh.facets[t.mesh.sets["a.top"]][:6]
     xp, area = t.x[top].mean(axis=1), np.full(6, 1e-13)
-    hold = Hold(np.arange(6), top, xp, t.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY)
+    hold = alone(bonds_at(np.arange(6), top, xp, t.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY))
     f, g = np.zeros((6, 3)), np.zeros_like(t.x)
     for lift in np.linspace(0.0, 1e-6, 1000):
         hold.forces(xp + np.array([0.0, 0.0, lift]), t.x, f, g)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,13 +24,12 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
 
 @dataclass(frozen=True)
 class BondRows:
-    """Of n bonds: nodes; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2) Pa and energy (n,2) J/m2,
-    normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0: none); loose: compression is
-    left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m,
-    elastic; traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the
-    bodies."""
+    """Of n bonds: nodes, or points that are none; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
+    Pa and energy (n,2) J/m2, normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0:
+    none); loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m, elastic;
+    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies."""
 
-    nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="nodes")]
+    nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
     triangles: Annotated[np.ndarray, Rows(3, dtype=np.int64, index_of="nodes")]
     weights: Annotated[np.ndarray, Rows(3)]
     gap: Annotated[np.ndarray, Rows()]
@@ -99,8 +98,10 @@ class Bond:
         shear_energy: float | np.ndarray | None = None,
         exponent: float = 1.0,
         rewelds: float | np.ndarray = 0.0,
+        xp: Any = None,
     ):
-        """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`).
+        """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`); xp (n,3) m: the points
+        that are tied, where they are no nodes.
 
         strength Pa and energy J/m2: of the normal direction, one or one for each row of the interface; the shear ones are
         equal to them by default. exponent: of the power law of mixed modes; rewelds: as in `BondRows`. Rows without area are left
@@ -116,7 +117,7 @@ class Bond:
         self.triangles = np.ascontiguousarray(surfaces.facets[where.facet[kept]])
         self.area = where.area[kept]
         n = len(self.nodes)
-        self.weights, self.gap = _foot(x[self.nodes], x[self.triangles])
+        self.weights, self.gap = _foot((x if xp is None else xp)[self.nodes], x[self.triangles])
         self.stiffness = np.full(n, float(stiffness))
         shear_strength = strength if shear_strength is None else shear_strength
         shear_energy = energy if shear_energy is None else shear_energy
@@ -136,7 +137,7 @@ class Bond:
     def _ready(self) -> None:
         with np.errstate(divide="ignore"):
             self._weakness, self._ease = 1.0 / self.strength, 1.0 / self.energy
-        self._sums, self._free = np.zeros(2), np.full(len(self), -1.0)
+        self._free = np.full(len(self), -1.0)
         self._moved = np.zeros(0, np.int64)  # rows whose node `ease` leads to its new facet
 
     @property
@@ -144,19 +145,22 @@ class Bond:
         """Mask (n,) of the bonds that carry neither tension nor shear."""
         return self.damage >= 1.0
 
-    def forces(self, x: np.ndarray, f: np.ndarray, depth: np.ndarray | None = None, active: int | None = None) -> None:
-        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. depth (n,) m: of a contact
-        that presses the nodes, for bonds that leave compression to it (`bond_kernels.bond_forces`; default: all are free). active:
-        number of active nodes (default: all); what does not move keeps its forces."""
-        if len(self) == 0:
-            return
-        k.bond_forces(
-            x, self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease,
-            self.rewelds, self.exponent, self.loose, self.damage, self.opening, self.traction, self.slid, self.spent,
-            self._free if depth is None else depth, len(x) if active is None else active, f, self._sums,
+    def forces(self, x: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
+        """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. active: number of active nodes
+        (default: all); what does not move keeps its forces."""
+        self.forces_on(x, f, x, f, self._free, len(x) if active is None else active)
+
+    def forces_on(
+        self, xp: np.ndarray, f_point: np.ndarray, x: np.ndarray, f: np.ndarray, depth: np.ndarray, active: int
+    ) -> None:  # fmt: skip
+        """`forces`, where the points xp that are tied are no nodes. depth (n,) m: of a contact that presses them, for bonds that leave
+        compression to it (`bond_kernels.bond_forces`)."""
+        ties = k.Ties(
+            self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease, self.rewelds,
+            self.loose, self.damage, self.opening, self.traction, self.slid, self.spent, self.exponent,
         )  # fmt: skip
-        self.stored = float(self._sums[0])
-        self.dissipated += float(self._sums[1])
+        self.stored, lost = k.bond_forces(xp, x, ties, depth, active, f_point, f)
+        self.dissipated += lost
 
     def heat(self) -> np.ndarray:
         """Heat (n,) J of fracture since the last call."""
@@ -182,8 +186,12 @@ class Bond:
     def load(self, size: int) -> np.ndarray:
         """What the springs add to each of `size` nodes in the bound on omega^2, N/m: largest load / mass (Gershgorin)."""
         load = np.zeros(size)
-        k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load)
+        self.load_on(load, load)
         return load
+
+    def load_on(self, load_point: np.ndarray, load: np.ndarray) -> None:
+        """Add it to that of the points that are tied, and of the nodes."""
+        k.spring_load(self.nodes, self.triangles, self.weights, self.stiffness * self.area, load_point, load)
 
     def resist(self, w: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add to f (N,3) N the forces with which the springs, none broken, act against a small motion w (N,3) m, times -1. active: of

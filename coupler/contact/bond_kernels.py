@@ -1,6 +1,7 @@
 """Bonds of nodes to triangles: which faces which, damage, cohesive forces (numba). Rows in order: the same sums every time."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,6 +9,28 @@ from numba import njit
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Bools, Floats, Ints
 from .closest import closest_on_triangle
+
+
+class Ties(NamedTuple):
+    """Bonds of points to places on triangles of nodes, row by row as in `bond.BondRows`; weakness (n,2): 1/strength, 1/Pa; ease (n,2):
+    1/energy, m2/J; alpha: exponent of the power law of mixed modes."""
+
+    nodes: Ints
+    triangles: Ints
+    weights: Floats
+    gap: Floats
+    area: Floats
+    stiffness: Floats
+    weakness: Floats
+    ease: Floats
+    rewelds: Floats
+    loose: Bools
+    damage: Floats
+    opening: Floats
+    traction: Floats
+    slid: Floats
+    spent: Floats
+    alpha: float
 
 
 @njit(cache=True, nogil=True)
@@ -132,38 +155,34 @@ def yielding(
 
 @njit(cache=True, nogil=True)
 def bond_forces(
-    x: Floats, nodes: Ints, triangles: Ints, weights: Floats, gap: Floats, area: Floats, stiffness: Floats, weakness: Floats,
-    ease: Floats, rewelds: Floats, alpha: float, loose: Bools, damage: Floats, opening: Floats, traction: Floats, slid: Floats,
-    spent: Floats, depth: Floats, active: int, f: Floats, sums: Floats,
-) -> None:  # fmt: skip
-    """Forces of cohesive bonds between nodes and triangles, equal and opposite in force and moment, added to f (N,3).
+    xp: Floats, x: Floats, b: Ties, depth: Floats, active: int, f_point: Floats, f: Floats
+) -> tuple[float, float]:  # fmt: skip
+    """Forces of cohesive bonds between points and triangles, equal and opposite in force and moment, added to f_point, f (N,3).
 
-    x (N,3) m; nodes (n,), triangles (n,3), weights (n,3): node i is tied to the point sum w x of its triangle; gap (n,)
-    m: its distance above it, along the triangle's normal, at which the bond is at rest; area (n,) m2; stiffness (n,)
-    Pa/m; weakness (n,2) 1/Pa, ease (n,2) m2/J: see `yielding`; loose (n,): bonds that leave compression to a contact. With
-    d from the foot to the node, n the normal, the potential is
+    xp, x (N,3) m: point nodes[i] of xp is tied to the place sum w x of its triangle; gap: its distance above it, along the triangle's
+    normal, at which the bond is at rest; loose: bonds that leave compression to a contact. With
+    d from the foot to the point, n the normal, the potential is
 
         U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
 
     and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment
     of forces which act across a gap. Where a bond yields, what becomes permanent of delta is added to `gap`, and of s to the place
-    of the foot: unloading is elastic, to a residual opening. depth (n,) m: penetration of a contact that presses node i; 0 where
-    the contact presses beside it (`in_contact`); negative where the node is free. In contact the net normal traction is
+    of the foot: unloading is elastic, to a residual opening. depth (n,) m: penetration of a contact that presses point i; 0 where
+    the contact presses beside it (`in_contact`); negative where it is free. In contact the net normal traction is
     compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go; slip then
-    takes no more than the share 1 - rewelds (n,) of the strength.
-    damage D (n,), opening <delta> n + s (n,3) m, elastic, traction (n,2) Pa, normal and shear, slid (n,) m, the permanent slip,
-    and spent (n,) J, the energy that each bond has dissipated, move on in place. active: nodes that move, the first ones; bonds
-    between others stay as they are, and add no forces. sums: [energy stored, dissipated by this call], J.
+    takes no more than the share 1 - rewelds of the strength.
+    damage D, opening <delta> n + s (elastic), traction, slid and spent move on in place. active: nodes that move, the first ones; bonds
+    between others stay as they are, and add no forces. Returns the energy stored, and that dissipated by this call, J.
     """
     stored = lost = 0.0
-    for i in range(len(nodes)):
-        a, b, c = triangles[i, 0], triangles[i, 1], triangles[i, 2]
-        k = stiffness[i]
-        if min(nodes[i], a, b, c) >= active:
-            stored += 0.5 * area[i] * (traction[i, 0] ** 2 + traction[i, 1] ** 2) / k
+    for i in range(len(b.nodes)):
+        t0, t1, t2 = b.triangles[i, 0], b.triangles[i, 1], b.triangles[i, 2]
+        k = b.stiffness[i]
+        if min(b.nodes[i], t0, t1, t2) >= active:
+            stored += 0.5 * b.area[i] * (b.traction[i, 0] ** 2 + b.traction[i, 1] ** 2) / k
             continue
-        A, B, C, p = x[a], x[b], x[c], x[nodes[i]]
-        wa, wb, wc = weights[i, 0], weights[i, 1], weights[i, 2]
+        A, B, C, p = x[t0], x[t1], x[t2], xp[b.nodes[i]]
+        wa, wb, wc = b.weights[i, 0], b.weights[i, 1], b.weights[i, 2]
         n0, n1, n2 = area_vector(A, B, C)
         size = sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         n0, n1, n2 = n0 / size, n1 / size, n2 / size
@@ -172,64 +191,63 @@ def bond_forces(
         d0, d1, d2 = from_foot(p, A, B, C, wa, wb, wc)
         h = d0 * n0 + d1 * n1 + d2 * n2
         loss, most = 0.0, 1.0
-        if depth[i] > 0.0 or (depth[i] == 0.0 and traction[i, 0] <= 0.0):
-            gap[i] = h + depth[i]
-            most -= rewelds[i]
-            if traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
-                loss = 0.5 * area[i] * traction[i, 0] ** 2 / k
-                along = opening[i, 0] * n0 + opening[i, 1] * n1 + opening[i, 2] * n2
-                opening[i, 0] -= along * n0
-                opening[i, 1] -= along * n1
-                opening[i, 2] -= along * n2
+        if depth[i] > 0.0 or (depth[i] == 0.0 and b.traction[i, 0] <= 0.0):
+            b.gap[i] = h + depth[i]
+            most -= b.rewelds[i]
+            if b.traction[i, 0] > 0.0:  # what the opening still stored when the contact closed
+                loss = 0.5 * b.area[i] * b.traction[i, 0] ** 2 / k
+                along = b.opening[i, 0] * n0 + b.opening[i, 1] * n1 + b.opening[i, 2] * n2
+                b.opening[i, 0] -= along * n0
+                b.opening[i, 1] -= along * n1
+                b.opening[i, 2] -= along * n2
             delta = 0.0
         else:
-            delta = h - gap[i]
+            delta = h - b.gap[i]
         s0, s1, s2 = d0 - h * n0, d1 - h * n1, d2 - h * n2
         slip2 = s0 * s0 + s1 * s1 + s2 * s2
         wide = max(delta, 0.0)
         o0, o1, o2 = wide * n0 + s0, wide * n1 + s1, wide * n2 + s2
         slip = sqrt(slip2)
         share, part, D = yielding(
-            wide, slip, k, weakness[i, 0], weakness[i, 1], ease[i, 0], ease[i, 1], alpha, damage[i], most
+            wide, slip, k, b.weakness[i, 0], b.weakness[i, 1], b.ease[i, 0], b.ease[i, 1], b.alpha, b.damage[i], most
         )
         if share + part > 0.0:
-            damage[i] = D
-            gap[i] += share * wide
-            slid[i] += part * slip
+            b.damage[i] = D
+            b.gap[i] += share * wide
+            b.slid[i] += part * slip
             # the foot follows: dw = grad w . (part s)
             db = part * (n0 * (s1 * v2 - s2 * v1) + n1 * (s2 * v0 - s0 * v2) + n2 * (s0 * v1 - s1 * v0)) / size
             dc = part * (n0 * (u1 * s2 - u2 * s1) + n1 * (u2 * s0 - u0 * s2) + n2 * (u0 * s1 - u1 * s0)) / size
             wa, wb, wc = wa - db - dc, wb + db, wc + dc
-            weights[i, 0], weights[i, 1], weights[i, 2] = wa, wb, wc
+            b.weights[i, 0], b.weights[i, 1], b.weights[i, 2] = wa, wb, wc
             p0, p1, p2 = share * wide * n0 + part * s0, share * wide * n1 + part * s1, share * wide * n2 + part * s2
             o0, o1, o2 = o0 - p0, o1 - p1, o2 - p2
             # work of the mean traction of the step
-            along = p0 * (opening[i, 0] + o0) + p1 * (opening[i, 1] + o1) + p2 * (opening[i, 2] + o2)
-            loss += max(0.5 * k * area[i] * along, 0.0)
+            along = p0 * (b.opening[i, 0] + o0) + p1 * (b.opening[i, 1] + o1) + p2 * (b.opening[i, 2] + o2)
+            loss += max(0.5 * k * b.area[i] * along, 0.0)
             delta = min(delta, 0.0) + (1.0 - share) * wide
             rest = 1.0 - part
             s0, s1, s2 = rest * s0, rest * s1, rest * s2
             slip2 *= rest * rest
-        spent[i] += loss
+        b.spent[i] += loss
         lost += loss
-        opening[i, 0], opening[i, 1], opening[i, 2] = o0, o1, o2
+        b.opening[i, 0], b.opening[i, 1], b.opening[i, 2] = o0, o1, o2
 
-        tn = 0.0 if loose[i] and delta < 0.0 else k * delta
-        traction[i, 0], traction[i, 1] = tn, k * sqrt(slip2)
-        stored += 0.5 * area[i] * (tn * delta + k * slip2)
-        stiff = area[i] * k
-        tn *= area[i]
+        tn = 0.0 if b.loose[i] and delta < 0.0 else k * delta
+        b.traction[i, 0], b.traction[i, 1] = tn, k * sqrt(slip2)
+        stored += 0.5 * b.area[i] * (tn * delta + k * slip2)
+        stiff = b.area[i] * k
+        tn *= b.area[i]
         f0, f1, f2 = -(tn * n0 + stiff * s0), -(tn * n1 + stiff * s1), -(tn * n2 + stiff * s2)
         # dU/dn = turn d, and d n = (1 - n n) d((B - A) x (C - A)) / size
         turn = (tn - stiff * h) / size
         b0, b1, b2 = -turn * (v1 * s2 - v2 * s1), -turn * (v2 * s0 - v0 * s2), -turn * (v0 * s1 - v1 * s0)
         c0, c1, c2 = -turn * (s1 * u2 - s2 * u1), -turn * (s2 * u0 - s0 * u2), -turn * (s0 * u1 - s1 * u0)
-        add(f, nodes[i], f0, f1, f2)
-        add(f, a, -(wa * f0 + b0 + c0), -(wa * f1 + b1 + c1), -(wa * f2 + b2 + c2))
-        add(f, b, b0 - wb * f0, b1 - wb * f1, b2 - wb * f2)
-        add(f, c, c0 - wc * f0, c1 - wc * f1, c2 - wc * f2)
-    sums[0] = stored
-    sums[1] = lost
+        add(f_point, b.nodes[i], f0, f1, f2)
+        add(f, t0, -(wa * f0 + b0 + c0), -(wa * f1 + b1 + c1), -(wa * f2 + b2 + c2))
+        add(f, t1, b0 - wb * f0, b1 - wb * f1, b2 - wb * f2)
+        add(f, t2, c0 - wc * f0, c1 - wc * f1, c2 - wc * f2)
+    return stored, lost
 
 
 @njit(cache=True, nogil=True)
@@ -253,14 +271,16 @@ def in_contact(
 
 
 @njit(cache=True, nogil=True)
-def spring_load(nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, load: Floats) -> None:
-    """Row sums of the springs' stiffness, N/m, added to load (N,): the largest load / mass bounds omega^2 (Gershgorin).
+def spring_load(
+    nodes: Ints, triangles: Ints, weights: Floats, strength: Floats, load_point: Floats, load: Floats
+) -> None:  # fmt: skip
+    """Row sums of the springs' stiffness, N/m, added to load_point and load (N,): the largest load / mass bounds omega^2 (Gershgorin).
 
-    strength (n,) N/m: of the spring between each node and its foot, in any direction.
+    strength (n,) N/m: of the spring between each point and its foot, in any direction.
     """
     for i in range(len(nodes)):
         reach = abs(weights[i, 0]) + abs(weights[i, 1]) + abs(weights[i, 2])
-        load[nodes[i]] += strength[i] * (1.0 + reach)
+        load_point[nodes[i]] += strength[i] * (1.0 + reach)
         for j in range(3):
             load[triangles[i, j]] += strength[i] * abs(weights[i, j]) * (1.0 + reach)
 

@@ -1,12 +1,12 @@
 """A particle that bonds in its impact: vertices of its surface held to the facets they lie on while it rebounds."""
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..state.records import Shape, check_indices
+from ..state.arrays import Floats, Ints
 from .bond import Bond, BondState
 from .bond_kernels import in_contact
 from .contact import Contact
@@ -17,15 +17,6 @@ HOLD_SAFETY = 0.9  # of the step that the bound on the frequency allows
 FEWEST = 3  # bonds: fewer hold a point or a line, about which a particle turns
 # ratio of what bonds can take up to the energy that parts them, or the inverse, at which the end is decided
 SECURE = 4.0
-
-
-@dataclass(frozen=True)
-class HoldState:
-    """bond: the springs, between rows (n,) of the particle's surface and nodes (k,) of the target."""
-
-    bond: BondState
-    rows: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="surface")]
-    nodes: Annotated[np.ndarray, Shape(-1, dtype=np.int64, index_of="nodes")]
 
 
 @dataclass(frozen=True)
@@ -48,86 +39,40 @@ class HeldPlaces:
 class Hold:
     """Cohesive springs (`contact.bond`) between points of a particle's surface and places on facets of the target.
 
-    rows (n,): the points; nodes (k,): of the facets. The contact carries the pressure between them. A spring carries shear, and
+    The contact carries the pressure between them. A spring carries shear, and
     tension from the moment at which the contact lets go: the opening is zero while the net normal traction of the point and
     its neighbours is compressive. Springs give way by strength and fracture energy as bonds between bodies do.
     """
 
-    def __init__(
-        self, rows: np.ndarray, facets: np.ndarray, xp: np.ndarray, x: np.ndarray, area: np.ndarray, stiffness: float,
-        strength: float | np.ndarray = np.inf, energy: float | np.ndarray = np.inf,
-        shear_strength: float | np.ndarray | None = None, shear_energy: float | np.ndarray | None = None,
-        rewelds: float | np.ndarray = 0.0,
-    ):  # fmt: skip
-        """rows (n,) into xp (.,3) m; facets (n,3) nodes into x (.,3) m; area (n,) m2 of each point; stiffness Pa/m; the others
-        as for `Bond`. Raises SolverError as it does."""
-        self.rows, self.nodes = np.asarray(rows, np.int64), np.unique(facets).astype(np.int64)
-        n = len(self.rows)
-        local = n + np.searchsorted(self.nodes, facets)
-        every = np.arange(n)
-        surfaces = Surfaces(np.ascontiguousarray(local, np.int64), np.zeros(n, np.int64), every)
-        where = Interface(every, every, np.full((n, 3), 1.0 / 3.0), np.zeros(n), area, np.zeros((0, 2), np.int64))
-        law = strength, energy, shear_strength, shear_energy
-        self.bond = Bond(where, surfaces, self._gather(xp, x), stiffness, *law, rewelds=rewelds)
-        self.bond.loose[:] = True
-        self._ring = np.zeros(n + 1, np.int64), np.zeros(0, np.int64)
-
-    def _gather(self, xp: np.ndarray, x: np.ndarray) -> np.ndarray:
-        return np.concatenate([xp[self.rows], x[self.nodes]])
-
-    def joined(self, later: "Hold") -> "Hold":
-        """This hold and the springs of a later one, between other points and the same target."""
-        both = Hold.__new__(Hold)
-        both.rows, both.nodes = np.concatenate([self.rows, later.rows]), np.union1d(self.nodes, later.nodes)
-        first = 0
-        for hold in (self, later):
-            own, place = np.arange(len(hold.rows)) + first, np.searchsorted(both.nodes, hold.nodes)
-            hold.bond.renumber(np.concatenate([own, len(both.rows) + place]))
-            first += len(hold.rows)
-        both.bond = Bond.joined([self.bond, later.bond])
-        return both
-
-    def without(self, gone: np.ndarray) -> "Hold":
-        """This hold less the springs of a mask (n,); what they have dissipated stays in its ledger."""
-        self.bond.drop(gone)
-        left = np.count_nonzero(~gone)
-        self.bond.renumber(np.concatenate([np.cumsum(~gone) - 1, left + np.arange(len(self.nodes))]))
-        self.rows = self.rows[~gone]
-        return self
-
-    def on(self, start: np.ndarray, ring: np.ndarray) -> "Hold":
-        """The hold itself, its points' neighbours taken from those of all v points (`rings`): start (v+1,), ring."""
-        count = start[self.rows + 1] - start[self.rows]
+    def __init__(self, bond: Bond, start: Ints, ring: Ints):
+        """start (v+1,), ring: neighbours of all v points of the surface (`rings`)."""
+        self.bond, rows = bond, bond.nodes
+        count = start[rows + 1] - start[rows]
         first = np.concatenate([[0], np.cumsum(count)])
-        self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[self.rows] - first[:-1], count)]
-        return self
+        self._ring = first, ring[np.arange(first[-1]) + np.repeat(start[rows] - first[:-1], count)]
+
+    @property
+    def rows(self) -> Ints:
+        """The points (n,) that are held."""
+        return self.bond.nodes
 
     def forces(
-        self,
-        xp: np.ndarray,
-        x: np.ndarray,
-        f_point: np.ndarray,
-        f_node: np.ndarray,
-        contact: Contact | None = None,
-    ) -> None:
+        self, xp: Floats, x: Floats, f_point: Floats, f_node: Floats, contact: Contact | None = None
+    ) -> None:  # fmt: skip
         """Add the forces of this instant to f_point (like xp) and f_node (like x), N; damage moves on. contact: between the points
         and the target, of this instant (default: there is none)."""
-        n, depth = len(self.rows), None
+        depth = np.full(len(self.rows), -1.0)
         if contact is not None:
-            depth = np.zeros(n)
             in_contact(
                 self.rows, *self._ring, contact.depth, contact.gap, CONTACT_RANGE * float(contact.spacing[0]), depth
             )
-        f = np.zeros((n + len(self.nodes), 3))
-        self.bond.forces(self._gather(xp, x), f, depth)
-        f_point[self.rows] += f[:n]
-        f_node[self.nodes] += f[n:]
+        self.bond.forces_on(xp, f_point, x, f_node, depth, len(x))
 
-    def stable_dt(self, softness: float, mass: np.ndarray) -> float:
+    def stable_dt(self, softness: float, mass: Floats) -> float:
         """Stable time step (s) of the springs between points of inverse mass `softness` (1/kg) and nodes of mass (N,) kg."""
-        n = len(self.rows)
-        load = self.bond.load(n + len(self.nodes))
-        omega2 = max(float(load[:n].max(initial=0.0)) * softness, float((load[n:] / mass[self.nodes]).max(initial=0.0)))
+        load_point, load = np.zeros(int(self.rows.max(initial=0)) + 1), np.zeros(len(mass))
+        self.bond.load_on(load_point, load)
+        omega2 = max(float(load_point.max()) * softness, float((load / mass).max()))
         return HOLD_SAFETY * 2.0 / np.sqrt(omega2) if omega2 > 0.0 else np.inf
 
     @property
@@ -159,21 +104,25 @@ class Hold:
         """Whether an energy (J) that parts the springs is far more than all of them can take up."""
         return SECURE * float(self.bond.resistance.sum()) <= energy
 
-    def heat(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def state(self) -> BondState:
+        """State of the springs, as a checkpoint holds it."""
+        return self.bond.state()
+
+    def heat(self) -> tuple[Ints, Ints, Floats]:
         """Heat of fracture since the last call: (rows (n,) of the surface, nodes (n,3) of the target, J (n,))."""
-        n = len(self.rows)
-        return self.rows, self.nodes[self.bond.triangles - n], self.bond.heat()
+        return self.rows, self.bond.triangles, self.bond.heat()
 
-    def state(self) -> HoldState:
-        """Everything there is to keep."""
-        return HoldState(self.bond.state(), self.rows.copy(), self.nodes.copy())
 
-    @classmethod
-    def from_state(cls, state: HoldState) -> "Hold":
-        """A hold as a `state` has it. Raises CheckpointError where its parts do not fit."""
-        check_indices(state.bond.rows, nodes=len(state.rows) + len(state.nodes))
-        hold = cls.__new__(cls)
-        hold.rows, hold.nodes = state.rows.copy(), state.nodes.copy()
-        hold.bond = Bond.from_state(state.bond)
-        hold._ring = np.zeros(len(hold.rows) + 1, np.int64), np.zeros(0, np.int64)
-        return hold
+def bonds_at(
+    rows: Ints, facets: Ints, xp: Floats, x: Floats, area: Floats, stiffness: float, **law: Any
+) -> Bond:  # fmt: skip
+    """Bonds of points rows (n,) of xp (.,3) m to facets (n,3) of nodes x (.,3) m, which leave compression to the contact; area (n,) m2
+    of each point; stiffness Pa/m and law as for `Bond`. Raises SolverError as it does."""
+    every = np.arange(len(rows))
+    surfaces = Surfaces(np.ascontiguousarray(facets, np.int64), 0 * every, every)
+    feet, none = np.full((len(rows), 3), 1.0 / 3.0), np.zeros((0, 2), np.int64)
+    bond = Bond(
+        Interface(np.asarray(rows, np.int64), every, feet, 0.0 * area, area, none), surfaces, x, stiffness, **law, xp=xp
+    )
+    bond.loose[:] = True
+    return bond

@@ -373,7 +373,7 @@ def _check(state: BodiesState) -> None:
         if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
             raise CheckpointError("a state does not fit: a face of the mesh points at facets that are not there")
     for record in (mesh, state, *([] if state.bond is None else [state.bond.rows])):
-        check_indices(record, nodes=n, elements=m, facets=facets, laws=len(state.laws))
+        check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 
 
 def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: float) -> float:

@@ -12,8 +12,9 @@ from typing import Annotated
 import numpy as np
 from scipy.sparse import csr_matrix, hstack
 
+from ..contact.bond import Bond, BondState
 from ..contact.contact import ContactState
-from ..contact.hold import SECURE, Hold, HoldState
+from ..contact.hold import SECURE, Hold, bonds_at
 from ..contact.model import Nodes
 from ..errors import SolverError
 from ..fe.gradients import growing
@@ -45,7 +46,7 @@ class ImpactState:
     particle: ParticleState
     contact: ContactState
     ledger: LedgerState
-    hold: HoldState | None
+    hold: BondState | None
     time: float
     deepest: float
     limits: dict[str, int]
@@ -199,7 +200,8 @@ class Impact:
         if self.hold is not None and self.exposure is not None:
             again = self.exposure.extruding[self.hold.rows]
             if again.any():
-                self.hold = self.hold.without(again).on(*self._rings)
+                self.hold.bond.drop(again)
+                self.hold = Hold(self.hold.bond, *self._rings)
         chosen = touching.pressed
         if self.hold is not None:
             chosen &= ~np.isin(touching.rows, self.hold.rows)
@@ -215,8 +217,8 @@ class Impact:
         else:
             metals = self._metals(plan)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
-        later = Hold(rows, t.mesh.facets[facets], s.contacts(p.x), t.x, touching.area[rows], stiffness, **law)
-        self.hold = (later if self.hold is None else self.hold.joined(later)).on(*self._rings)
+        later = bonds_at(rows, t.mesh.facets[facets], s.contacts(p.x), t.x, touching.area[rows], stiffness, **law)
+        self.hold = Hold(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
         """Which of what touches (k,) bool bonds by the criterion."""
@@ -269,5 +271,5 @@ class Impact:
             self.exposure = Exposure(self.domains)
             self.exposure.restore(state.exposure)
         if state.hold is not None:
-            check_indices(state.hold, nodes=len(self.target.x), surface=len(self.contact.points.x))
-            self.hold = Hold.from_state(state.hold).on(*self._rings)
+            check_indices(state.hold.rows, nodes=len(self.target.x), points=self.surface.weights.shape[0])
+            self.hold = Hold(Bond.from_state(state.hold), *self._rings)
