@@ -134,7 +134,7 @@ def test_with_hourglass_control_the_enriched_scheme_is_the_compiled_one(shared_r
 
 
 def test_a_time_step_too_long_is_retried(shared_run: SharedRuns, tmp_path: Path) -> None:
-    """Nothing made up: with a step so much longer than the particle can take, the run fails (docs/evidence/solvers.md)."""
+    """Nothing made up: with a step so much longer than the particle can take, the run fails."""
     whole = shared_run(NI, numerics=CONTROLLED)
     result = run(
         Scene.from_text(NI, "shared"), tmp_path / "out", numerics={"courant": 0.9, "stretch": 4.0, "frequency": 1.5}

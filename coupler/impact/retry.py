@@ -20,8 +20,7 @@ class Remedy:
 
 
 # The first one gives the enriched scheme hourglass control in place of its residuals, which let a soft rim thin out without end.
-# The second one changes every scheme: at 4000 points Q1 0.2 takes 1.2 % and hourglass 3 takes 0.9 % of the flattening
-# (docs/evidence/solvers.md).
+# The second one changes every scheme: at 4000 points Q1 0.2 takes 1.2 % and hourglass 3 takes 0.9 % of the flattening.
 REMEDIES = (
     Remedy(0.5, "half the time step, with hourglass control", {"control": 1.0}),
     Remedy(
