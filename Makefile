@@ -112,7 +112,6 @@ studies: test-setup
 	$(VENV)/bin/python workflows/element_particle.py
 
 accuracy: setup
-	$(VENV)/bin/python workflows/accuracy.py
 	$(VENV)/bin/python workflows/errors.py --jobs 2
 
 effects: setup

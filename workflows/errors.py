@@ -1,6 +1,6 @@
-"""Whether the errors that runs print are true: does `fine` lie within those of `draft` and of `standard`?
+"""What accuracy costs in time, and whether the errors that runs print are true: does `fine` lie within those of the other presets?
 
-    python workflows/errors.py --jobs 2      # docs/tables/errors.csv, and its part of the accuracy page
+    python workflows/errors.py --jobs 2      # docs/tables/errors.csv, figure and numbers of the accuracy page
     python workflows/errors.py --docs        # runs nothing: from the table that exists
 
 The scenes were chosen before the first comparison, and the constants of the rule (`coupler.plan.refinement`) are those of its source.
@@ -13,7 +13,7 @@ from concurrent.futures import as_completed
 from pathlib import Path
 
 import numpy as np
-from pages import PAGES, ROOT, TABLES, number, options, study_table, versions, write_parts, write_table
+from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
 from coupler.deposition.error import Companions
@@ -22,8 +22,9 @@ from coupler.errors import ColdsprayError
 from coupler.measures import CONVERGING, MEASURES
 from coupler.measures import measure as record
 from coupler.plan.planning import plan
-from coupler.plan.refinement import FORECAST_AT, has_error
+from coupler.plan.refinement import FORECAST_AT, SHAPE, has_error
 from coupler.ranks.executors import executor
+from coupler.report.picture import blank, save
 from coupler.studies.ladder_runs import spent
 from coupler.studies.table import Row, StudyTable
 
@@ -126,47 +127,95 @@ def pairs(rows: Sequence[Row], preset: str, key: str) -> list[tuple[float, float
     return found
 
 
-def by_measure(rows: Sequence[Row]) -> list[dict[str, str]]:
-    """Of each measure and of all together, at each preset: in how many scenes fine lies within the error, the median error and the
-    median difference from fine, both in percent of the value; as rows of a table."""
+def shape(rows: Sequence[Row], preset: str) -> dict[str, tuple[float, float, float]]:
+    """Scene -> processor time of its run at a preset, s, and the largest error and difference from fine of its shape, percent."""
+    found = {}
+    for row in (row for row in rows if row["preset"] == preset and not row["failed"]):
+        own = [row, *(r for r in rows if r["preset"] == "fine" and r["scene"] == row["scene"])]
+        pairs_of = [pair for key in SHAPE for pair in pairs(own, preset, key)]
+        error, off = (100.0 * max((pair[k] for pair in pairs_of), default=np.nan) for k in (0, 1))
+        found[row["scene"]] = number(row, "cpu_s"), error, off
+    return found
+
+
+def table_part(rows: Sequence[Row]) -> list[str]:
+    """Of each measure and of all, at each preset: median error, median difference from fine, in how many scenes fine is within."""
     found = {(key, preset): pairs(rows, preset, key) for key in CONVERGING for preset in PRESETS[:2]}
     found |= {("all", preset): [pair for key in CONVERGING for pair in found[key, preset]] for preset in PRESETS[:2]}
     lines = []
     for key in (*CONVERGING, "all"):
-        line = {"measure": MEASURES[key].short if key in MEASURES else key}
+        cells = [MEASURES[key].short if key in MEASURES else key]
         for preset in PRESETS[:2]:
             own = found[key, preset]
-            error, off = (100.0 * float(np.median([pair[k] for pair in own])) if own else np.nan for k in (0, 1))
-            line[f"{preset}: fine within"] = f"{sum(off <= error for error, off in own)} of {len(own)}"
-            line |= {f"{preset}: error, %": f"{error:.2g}", f"{preset}: fine off, %": f"{off:.2g}"}
-        lines.append(line)
-    return lines
-
-
-def page(rows: Sequence[Row]) -> list[str]:
-    """What the page says: the counts of each measure, what the error costs, and the runs that failed."""
-    lines = by_measure(rows)
-    shares = [
-        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["preset"] == "standard" and r["error_cpu_s"]
+            cells += [f"{100.0 * float(np.median([pair[k] for pair in own])):.2g} %" if own else "-" for k in (0, 1)]
+            cells.append(f"{sum(off <= error for error, off in own)} of {len(own)}" if own else "-")
+        lines.append(cells)
+    head = [
+        "measure",
+        *(f"{preset}: {text}" for preset in PRESETS[:2] for text in ("printed error", "fine off", "fine within")),
     ]
     failed = [f"{row['scene']}, {row['preset']}: {row['failed']}" for row in rows if row["failed"]]
-    scenes = len({row["scene"] for row in rows if row["preset"] == "fine" and not row["failed"]})
-    texts = [
-        f"`fine` lies within the printed error, in {scenes} scenes ([by measure](../tables/errors_by_measure.csv)):",
+    return [
+        *markdown(head, lines),
         "",
+        f"Failed: {'; '.join(failed)}." if failed else "No run failed.",
+        "",
+        versions(rows),
     ]
-    for preset in PRESETS[:2]:
-        counts = ", ".join(f"{line['measure']} {line[f'{preset}: fine within']}" for line in lines[:-1])
-        texts.append(
-            f"- at `{preset}` in {lines[-1][f'{preset}: fine within']} comparisons: {counts}. The median error is"
-            f" {lines[-1][f'{preset}: error, %']} %, the median difference from `fine` {lines[-1][f'{preset}: fine off, %']} %."
+
+
+def time_part(rows: Sequence[Row]) -> list[str]:
+    """The median time and error of the presets, in sentences."""
+    of = {preset: shape(rows, preset) for preset in PRESETS}
+    common = [scene for scene in of["fine"] if all(scene in of[preset] for preset in PRESETS)]
+    texts = []
+    for preset in PRESETS:
+        seconds, error, off = (np.array([of[preset][scene][k] for scene in common]) for k in range(3))
+        told = (
+            f", {np.nanmedian(off):.1f} % from `fine` (printed error {np.nanmedian(error):.1f} %)"
+            if preset != "fine"
+            else ""
         )
-    texts += [
-        "",
-        f"At `standard` the coarser runs take {100 * np.median(shares):.0f} % of the run's processor time (median).",
+        texts.append(f"`{preset}` {np.median(seconds):.0f} s{told}")
+    cost = [
+        number(r, "error_cpu_s") / number(r, "cpu_s") for r in rows if r["preset"] == "standard" and r["error_cpu_s"]
     ]
-    texts.append(f"Failed: {'; '.join(failed)}." if failed else "No run failed.")
-    return [*texts, "", versions(rows)]
+    return [
+        f"Medians over the {len(common)} scenes that have all three, of the largest difference in shape: {'; '.join(texts)}. The"
+        f" coarser runs that measure the error take {100 * np.median(cost):.0f} % of the time of a run at `standard`."
+    ]
+
+
+def draw(rows: Sequence[Row]) -> None:
+    """Difference from fine over time at the presets, and the printed error over the true difference."""
+    figure = blank(10.0, 4.2, 110, "constrained")
+    left, right = figure.subplots(1, 2)
+    coarse, standard = (shape(rows, preset) for preset in PRESETS[:2])
+    for scene in set(coarse) & set(standard):
+        left.loglog(
+            *([values[k] for values in (coarse[scene], standard[scene])] for k in (0, 2)), "-", color="0.8", lw=0.8
+        )
+    for preset, of, colour in zip(PRESETS, (coarse, standard), ("C1", "C2"), strict=False):
+        seconds, _, off = np.array(list(of.values())).T
+        left.loglog(seconds, off, ".", color=colour, alpha=0.6)
+        left.loglog(
+            np.median(seconds), np.nanmedian(off), "D", color=colour, ms=9, mec="k", label=f"{preset} (diamond: median)"
+        )
+        found = np.array([pair for key in CONVERGING for pair in pairs(rows, preset, key)]).T * 100.0
+        right.loglog(found[1], found[0], ".", color=colour, label=preset, alpha=0.7)
+    ends = (0.01, 300.0)
+    right.loglog(ends, ends, "k-", lw=0.8)
+    right.text(20.0, 0.03, "fine outside", fontsize=9)
+    right.text(0.015, 100.0, "fine within", fontsize=9)
+    right.set(xlabel="difference from fine (%)", ylabel="printed error (%)", xlim=ends, ylim=ends)
+    left.set(xlabel="processor time (s)", ylabel="largest difference of flattening,\ncrater, diameter from fine (%)")
+    left.set_title("shape, a line for each scene", fontsize=10)
+    right.set_title("all measures of all scenes", fontsize=10)
+    for axes in (left, right):
+        axes.legend(fontsize=8)
+        for scale in (axes.xaxis, axes.yaxis):
+            scale.set_major_formatter("{x:g}")
+    save(figure, figure_path("accuracy", "errors.png"))
 
 
 def forecast(rows: Sequence[Row]) -> dict[str, float]:
@@ -197,9 +246,8 @@ def main() -> None:
         known.rows.sort(key=lambda row: order.get((row["scene"], row["preset"]), len(order)))
         known.write()
     print("FORECAST =", forecast(known.rows))
-    about = "remake: make accuracy; error and difference in percent of the value, medians over the scenes"
-    write_table(TABLES / "errors_by_measure.csv", by_measure(known.rows), about)
-    write_parts(PAGES["accuracy"], {"errors": page(known.rows)})
+    draw(known.rows)
+    write_parts(PAGES["accuracy"], {"time": time_part(known.rows), "errors": table_part(known.rows)})
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import stability
-from pages import ROOT, options, study_table, table_rows
+from pages import options, study_table, table_rows
 from scipy.optimize import least_squares
 
 from coupler import run
@@ -26,12 +26,6 @@ from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
 
 TIMED = 4
-LADDERS = {
-    "single_ni": "ni500",
-    "single_ti": "ti500",
-    "fast_ni": "ni1000",
-    "al_on_steel": "al725",
-}  # scene of workflows/: its accuracy table
 COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
 DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
@@ -139,14 +133,6 @@ def impacts() -> tuple[np.ndarray, ...]:
                 float(row[c]) for c in ("diameter_um", "speed_m_s", "temperature_K", "points", "steps", "dt_ps")
             )
             singles.append((material(row["material"]), steel, 1e-6 * D, v, T, 300.0, 0.0, N, steps, 1e-12 * steps * dt))
-    for name, ladder in LADDERS.items():
-        p = Scene.load(ROOT / "workflows" / f"{name}.toml").particle
-        for row in table_rows(f"accuracy_{ladder}"):
-            if row["axis"] in ("points", "reference") and not row["failed"]:
-                N, steps, time = (float(row[c]) for c in ("points_used", "steps", "sim_time_s"))
-                singles.append(
-                    (material(p.material), steel, p.diameter, p.velocity, p.temperature, 300.0, 0.0, N, steps, time)
-                )
     for row in table_rows("pace_sample"):
         if row["retries"] == "0":
             D, v, T, T_t, angle, steps, time = (float(row[c]) for c in (*DRAWN[2:], "steps", "time_ns"))
