@@ -232,7 +232,6 @@ def test_summary_table_of_several_impacts(tmp_path):
     assert rows["surface met at"] == ["0", "9.1", "µm"]
     assert rows["idle, by process"] == ["", "25, 3.1", "%"]
     assert rows["most memory"] == ["", "412.3", "MB"]
-    assert rows["where they run"] == ["", "split", ""]
     assert "joins" not in rows
     assert [row[1:] for row in printed(result) if row[:1] == ["wall time"]] == [["30", "20", "s"], ["", "55.5", "s"]]
 
