@@ -86,6 +86,17 @@ def test_every_link_leads_somewhere(page: Path) -> None:
             assert not anchor or anchor in slugs(there), link
 
 
+def test_every_file_that_a_page_names_is_there() -> None:
+    """Files of the repository in text, such as `coupler/units.py`: pages change where a module moves."""
+    named = {
+        name
+        for page in PAGES
+        for name in re.findall(r"\b(?:coupler|tests|workflows)/[\w/]+\.(?:py|toml)\b", page.read_text())
+    }
+    assert len(named) > 50
+    assert not [name for name in sorted(named) if not (ROOT / name).is_file()]
+
+
 def test_every_page_is_in_a_list_of_pages() -> None:
     listed = {DOCS / "index.md"}
     for page in DOCS.rglob("*.md"):
