@@ -235,7 +235,7 @@ def test_a_concave_side_is_cut_into_triangles_that_lie_in_it(tmp_path: Path) -> 
         ("comma.obj", b"v 0,5 0 0", "line 1, 'v 0,5 0 0': three numbers"),
         ("none.obj", obj(CORNERS, []), "has no triangles"),
         ("order.ply", ply("ascii", SIDES).replace(b"element vertex 8\n", b""), "ends before the values"),
-        ("not.ply", binary_stl(), "its head is missing"),
+        ("not.ply", binary_stl(), "its header is missing"),
         ("nan.stl", binary_stl().replace(struct.pack("<f", 1.0), struct.pack("<f", np.nan)), "not numbers"),
     ],
 )

@@ -134,7 +134,7 @@ class Result:
         return [*super().__dir__(), *self._known()]
 
     def _known(self) -> Values:
-        """The names that read like attributes, with their values."""
+        """Values that the result gives as attributes, by name."""
         return {**self.summary, **self.summary["impacts"][-1], **self.values} if self.summary else {}
 
     @property

@@ -105,7 +105,7 @@ def _ply(raw: bytes) -> Surface:
     """The elements "vertex" and "face" of a text or a binary file (Turk 1994, The PLY Polygon File Format); others are left out."""
     head = re.search(rb"[\r\n]end_header[ \t]*(\r\n|\r|\n)", raw)
     if not raw.startswith(b"ply") or head is None:
-        raise ValueError("its head is missing or has no end")
+        raise ValueError("its header is missing or not terminated")
     form, elements = "", dict[str, tuple[int, list[Column]]]()
     columns: list[Column] = []
     for line in raw[: head.start()].decode("latin-1").splitlines():

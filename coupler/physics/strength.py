@@ -249,7 +249,7 @@ class Strength:
 
     @property
     def label(self) -> str:
-        """What texts call it: the law, with the set where it has a name."""
+        """Name for texts: the law, with the set where it has a name."""
         return f"{self.law} ({self.set})" if self.set else self.law
 
     def fields(self, T_m: float, rho: float, softens: bool = True, rate_hardens: bool = True) -> dict[str, float]:

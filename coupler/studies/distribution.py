@@ -31,7 +31,7 @@ class Spread:
 
     @property
     def strongest(self) -> str:
-        """The key with the strongest rank correlation, and that; "" where there is none."""
+        """The key with the strongest rank correlation, and its value; "" where there is none."""
         if not self.correlations:
             return ""
         key = max(self.correlations, key=lambda name: abs(self.correlations[name]))
