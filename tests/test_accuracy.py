@@ -16,6 +16,7 @@ from coupler.errors import SolverError, StoreError
 from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
 from coupler.plan import refinement
+from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.progress import Progress
@@ -145,7 +146,7 @@ def known_pace(monkeypatch):
 def test_within_takes_the_finest_there_is_time_for():
     scene = scene_with()
     made, said = command.chosen(scene, "60s", None)
-    assert 50.0 < plan(made).wall_estimate <= 60.0
+    assert 50.0 < forecast(plan(made)).whole <= 60.0
     assert f"{made.derived.points} points" in said
     assert made.derived.element_size == pytest.approx(estimates.ELEMENT_SIZE_OVER_SPACING * made.derived.spacing)
     assert command.chosen(scene, "5 min", None)[0].derived.points > made.derived.points
@@ -214,7 +215,7 @@ def test_the_factor_carries_the_constants_to_another_machine(monkeypatch):
     factor = timing.measure()
     assert factor == 2.0
     what = plan(scene_with())
-    assert pace.Pace(factor, "").seconds(what) == 2.0 * what.wall_estimate
+    assert pace.Pace(factor, "").seconds(what) == 2.0 * forecast(what).whole
 
 
 @pytest.mark.usefixtures("known_pace")

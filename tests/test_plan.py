@@ -15,8 +15,9 @@ from test_scene import scene_with, several
 from coupler.errors import StoreError
 from coupler.physics.materials import Material, material
 from coupler.plan import cost as estimates
-from coupler.plan import effects, forecast
+from coupler.plan import effects
 from coupler.plan.batches import batches
+from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text, read_plan
@@ -38,8 +39,8 @@ def test_nickel_on_steel():
     assert made.impact.rate_filter == pytest.approx(0.01 * 25e-6 / 500)
     assert made.impact.end_at == "rest"
     assert made.friction == 0.5
-    assert 30e-12 < made.dt_estimate < 60e-12
-    assert 700 < made.steps_estimate < 4000
+    assert 30e-12 < made.impact.dt_expected < 60e-12
+    assert 700 < sum(forecast(made).steps) < 4000
     assert {"friction", "rate_hardening", "thermal_softening", "plastic_heating"} <= set(made.effects.active)
     assert "cooling" not in made.effects.active
     assert any("strain rates" in warning for warning in made.warnings)
@@ -101,14 +102,15 @@ def test_an_impact_that_ends_at_a_time():
 
 
 def test_cost_grows_with_the_splats_that_join():
-    one, two, three = (plan(several(*[{}] * n, adhesion__kind="tied")) for n in (1, 2, 3))
-    splat = one.impact.splat_elements
-    assert three.memory_bytes - one.memory_bytes == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
-    later = two.steps_estimate - one.steps_estimate  # on a splat: smaller steps, and another metal under it
-    assert later > one.steps_estimate
-    assert three.steps_estimate == two.steps_estimate + later
-    added = [two.wall_estimate - one.wall_estimate, three.wall_estimate - two.wall_estimate]
-    assert one.wall_estimate < min(added)  # the second brings the closing stage with its own pause
+    plans = [plan(several(*[{}] * n, adhesion__kind="tied")) for n in (1, 2, 3)]
+    splat = plans[0].impact.splat_elements
+    one, two, three = map(forecast, plans)
+    assert three.memory - one.memory == pytest.approx(2 * splat * estimates.BYTES_PER_ELEMENT)
+    later = two.steps[1]  # on a splat: smaller steps, and another metal under it
+    assert later > one.steps[0]
+    assert three.steps == (*two.steps, later)
+    added = [two.whole - one.whole, three.whole - two.whole]
+    assert one.whole < min(added)  # the second brings the closing stage with its own pause
     assert one.target_load < two.target_load < three.target_load
 
 
@@ -117,28 +119,29 @@ def test_what_lies_between_impacts_costs_time():
     plain, cold = (plan(several({}, {}, end__at=at, adhesion__kind="tied")) for at in ("rest", "cold"))
     E, splat = plain.target.elements_estimate, plain.impact.splat_elements
     for made, closed in ((plain, False), (cold, True)):
-        cooled = made.effects.cooling
-        between = estimates.between_impacts((E, E + splat), (splat, splat), {0, 1} if cooled else set(), closed)
-        (first, own), (second, last) = made.shares
-        whole = made.wall_estimate - estimates.run_time(E) + estimates.SECONDS_PER_RUN
-        assert (own + last) * whole + sum(between) == pytest.approx(whole - estimates.SECONDS_PER_RUN, rel=0.01)
+        expected = forecast(made)
+        assert expected.met == (E, E + splat)
+        (first, own), (second, last) = expected.shares
+        between = expected.between
+        whole = expected.whole - estimates.run_time(E) + estimates.SECONDS_PER_RUN
+        assert (own + last) * whole == pytest.approx(sum(expected.looped))
         end = second + last + (between[1] + estimates.SECONDS_PER_RUN) / whole
-        assert (first, end) == (0.0, pytest.approx(1.0, rel=0.01))
-        assert (second - own) * whole == pytest.approx(between[0], rel=0.01)
+        assert (first, end) == (0.0, pytest.approx(1.0))
+        assert (second - own) * whole == pytest.approx(between[0])
         assert (between[1] > 0.0) == closed
-        assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if cooled else 0.0)
+        assert between[0] > estimates.SECONDS_PER_CONVERSION + (0.5e-4 * E if made.effects.cooling else 0.0)
 
 
 def test_impacts_on_cuts_cost_what_is_in_their_window_and_one_pause_for_a_batch():
     places = [{"offset": [f"{x} um", "0 um"]} for x in (-100, 100)] * 6
     made = plan(several(*places, preset="draft", substrate__diameter="500 um", adhesion__kind="tied"))
-    met, computed = (of(made.impacts, made.target) for of in (forecast.elements_met, forecast.elements_computed))
+    cooled, hot = (
+        forecast(replace(made, effects=replace(made.effects, cooling=on), ambient=None)) for on in (True, False)
+    )
     ranges = batches(made.impacts)
     assert max(map(len, ranges)) > 1
-    assert max(computed) < 0.5 * met[0] < min(met)
-    between = forecast.time_between(made.impacts, made.target, True, False)
-    without = forecast.time_between(made.impacts, made.target, False, False)
-    paused = [i for i, (a, b) in enumerate(zip(between, without, strict=True)) if a > b]
+    assert max(hot.computed) < 0.5 * hot.met[0] < min(hot.met)
+    paused = [i for i, (a, b) in enumerate(zip(cooled.between, hot.between, strict=True)) if a > b]
     assert paused == [each[-1] for each in ranges[:-1]]  # the last needs none
 
 
@@ -171,7 +174,7 @@ def test_what_is_written_more_often_than_it_can_be_is_said():
     assert [any(note in warning for warning in made.warnings) for made in (often, seldom)] == [True, False]
     assert "a step written every 0.05 ns" not in describe(often)
     assert "a step written every 5 ns" in describe(seldom)
-    written = [forecast.file_bytes(made.impacts, made.target) for made in (often, seldom)]
+    written = [forecast(made).files for made in (often, seldom)]
     assert written[0] < 20.0 * written[1]  # not a hundred times
 
 
@@ -327,7 +330,7 @@ def test_the_mesh_is_fine_near_the_disc_of_the_offsets():
 def test_cost_rises_with_the_preset():
     made = [plan(scene_with(preset=preset)) for preset in ("draft", "standard", "fine")]
     assert [p.impact.points for p in made] == list(estimates.PRESETS.values())
-    assert made[0].wall_estimate < made[1].wall_estimate < made[2].wall_estimate
+    assert [forecast(p).whole for p in made] == sorted(forecast(p).whole for p in made)
 
 
 def test_described_for_a_terminal():
@@ -438,8 +441,8 @@ def test_the_size_of_the_files_is_told(shared_run: SharedRuns) -> None:
         (result.directory / f"{domain}.vtkhdf").stat().st_size for domain in ("particle", "surface", "target")
     )
     made = plan(Scene.from_text(scenes.NI, "files"))
-    assert 0.5 < forecast.file_bytes(made.impacts, made.target) / written < 2.0
+    assert 0.5 < forecast(made).files / written < 2.0
     ends = plan(Scene.from_text(scenes.NI.replace('every = "2 ns"', 'at = "ends"'), "files"))
-    assert forecast.file_bytes(ends.impacts, ends.target) < 0.1 * written
+    assert forecast(ends).files < 0.1 * written
     assert "a step written at the end\n" in describe(ends)
     assert re.search(r"files about \d(\.\d)? MB", describe(made))

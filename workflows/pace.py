@@ -21,6 +21,7 @@ from coupler import run
 from coupler.physics.materials import Material, material
 from coupler.physics.shapes import sphere_volume
 from coupler.plan import cost
+from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.studies import ladder_runs, pace, timing
@@ -29,7 +30,7 @@ TIMED = 4
 COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
 DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
-SAMPLE = 39
+SAMPLE = 63
 SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
 Table = dict[str, object]
 
@@ -89,7 +90,7 @@ def judge(name: str, here: pace.Pace) -> Table:
     planned = plan(Scene.from_dict({**SCENES[name], "name": "pace"}))
     estimate, (impact, took) = here.seconds(planned), computed(SCENES[name])
     values = (
-        name, planned.impact.points, planned.steps_estimate, impact["steps"], round(estimate, 2), round(took, 2),
+        name, planned.impact.points, sum(forecast(planned).steps), impact["steps"], round(estimate, 2), round(took, 2),
         round(100 * (estimate / took - 1)), impact["retries"], round(here.factor, 3),
     )  # fmt: skip
     return dict(zip(COLUMNS, values, strict=True))
@@ -105,7 +106,7 @@ def sample() -> None:
         if key not in table:
             metal, on, diameter, velocity, T, T_target, angle = drawn.values()
             impact, _ = computed(scene(metal, diameter, velocity, on, "draft", T, T_target, angle))  # type: ignore[arg-type]
-            found = {"steps": impact["steps"], "time_ns": 1e9 * impact["time_s"], "retries": impact["retries"]}  # type: ignore[operator]
+            found = {"steps": impact["steps"], "time_ns": 1e9 * impact["end"]["time_s"], "retries": impact["retries"]}  # type: ignore[operator]
             print(table.add({**drawn, **found}), flush=True)
 
 

@@ -14,6 +14,7 @@ from ..impact.bodies import Bodies
 from ..impact.run import RunOptions
 from ..impact.stop import Stopped, StopSignals
 from ..plan.batches import Batch
+from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..ranks.executors import executor
 from .cut import Cut, cut_out
@@ -84,7 +85,7 @@ def side_by_side(
                 future = pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
                 begun.append((task, cut, future))
             first, last = begun[0][0].i + 1, begun[-1][0].i + 1
-            before = begun[0][0].plan.shares[first - 1][0]
+            before = forecast(begun[0][0].plan).shares[first - 1][0]
             options.progress.stage(f"impacts {first} to {last} side by side", of_impact=False, done=before)
             meanwhile()
             while left := [future for _, _, future in begun if not future.done()]:

@@ -21,6 +21,7 @@ from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunOptions
 from ..impact.summary import ImpactRecord
 from ..plan.batches import Batch
+from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..plan.record import plan_text
 from .batches import TASKS, Done, clear, side_by_side, tasks
@@ -128,7 +129,7 @@ class Deposition:
         for text in unsettled(self.joins[-1]):
             self.options.progress.log(text)
         if not batch.is_whole and number < len(self.plan.impacts):
-            self.options.progress.batch_ended(self.plan.shares[number][0])
+            self.options.progress.batch_ended(forecast(self.plan).shares[number][0])
         return whole
 
     def _take_note(self, before: Bodies, after: Bodies, done: Sequence[Done], is_written: bool) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from ..contact.hold import Hold
 from ..errors import NoContactError, SolverError
 from ..files.store import Store, StoreState
+from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
@@ -135,7 +136,7 @@ class _Attempt:
         """state: on its way, from which it goes on; bodies: those of the state, or of the start. Starts LAMMPS."""
         p = plan.impacts[i]
         self.plan, self.i, self.options, self.retries = plan, i, options, retries
-        options.progress.start(p.expected, p.end_time, i, before, plan.shares, p.dt_expected)
+        options.progress.start(p.expected, p.end_time, i, before, forecast(plan).shares, p.dt_expected)
         options.progress.stage("building the particle")
         numerics = retries[-1].numerics if retries else options.numerics
         level = state.level if state is not None else None

@@ -2,7 +2,6 @@
 
 import math
 import os
-from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -180,25 +179,6 @@ def machine_memory() -> float:
 def run_time(n_elements: float) -> float:
     """Time of a run but its steps, on one core, s: mesh, files, pictures; not the start of the program."""
     return SECONDS_PER_RUN + SECONDS_PER_MESHED_ELEMENT * n_elements
-
-
-def between_impacts(
-    elements: Sequence[float], splats: Sequence[int], paused: Collection[int], closed: bool
-) -> tuple[float, ...]:
-    """Time after each impact on one core, s: conversion of its splat, rest, pause; after the last only with a closing stage.
-
-    elements: tetrahedra that each impact meets; splats: of its own splat, 0 where it rebounds; paused: the impacts after which heat
-    flows; closed: all cools to ambient.
-    """
-    times = []
-    for i, (before, own) in enumerate(zip(elements, splats, strict=True)):
-        last, each = i == len(splats) - 1, SECONDS_PER_ELEMENT * (before + own)
-        pause = (
-            PAUSE_STEPS * each if last else PAUSE_STEPS * each + HEAT_STEPS * SECONDS_PER_HEAT_ELEMENT * (before + own)
-        )
-        joining = JOIN_STEPS * each + (SECONDS_PER_CONVERSION + SECONDS_PER_SPLAT_ELEMENT * own if own else 0.0)
-        times.append(joining + pause * (closed if last else i in paused) if closed or not last else 0.0)
-    return tuple(times)
 
 
 def step_time(steps: float, points: float, n_elements: float, engine: str) -> float:

@@ -1,25 +1,22 @@
 """The plan of a run: everything decided, nothing computed, no solver imported."""
 
-import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
-
-import numpy as np
 
 from .. import units
 from ..geometry.tetrahedra import COARSEST
 from ..measures import REBOUNDS
-from ..physics.adhesion import Adhesion, PairFormula, pair_formula
+from ..physics.adhesion import Adhesion, pair_formula
 from ..physics.materials import Material
-from ..scene.tables import Face, Particle
+from ..scene.tables import Particle
 from . import cost as estimates
-from . import effects, forecast
-from .batches import Batch, batches_of
-from .effects import Decision, Effects, Situation
+from . import effects
+from .batches import batches_of
+from .effects import Effects, Situation
 from .gas import describe as describe_gas
+from .model import ImpactPlan, Plan, SolidPlan, TargetPlan
 from .reading import Scene
 from .refinement import companions
 from .remarks import absorbing_distance, remarks
@@ -29,171 +26,6 @@ RATE_FILTER_OVER_CROSSING = 0.01  # the strain rate is smoothed over this part o
 # factors on the contact's penalty stiffness, the second where bonds decide: its springs give back half of the rebound, or a sixth
 CONTACT_STIFFNESS, BONDED_STIFFNESS = 1.0, 8.0
 COLD_EFFECTS = ("plastic_heating", "mie_gruneisen", "thermal_expansion")
-
-
-@dataclass(frozen=True)
-class ImpactPlan:
-    """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
-    (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
-    that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
-    rate's smoothing; dwell, the time until the next. end_at: "rest", "greatest" (deformation) or "time"; the first two at
-    end_time at the latest. window: radius (m) round it beyond which the target rests, inf where all is computed. formula: critical
-    velocities of its metal and of that which it hits, a splat or the substrate.
-    lengths: m, of the shape at tilt 0. file: the key of its surface in `Plan.solids`, "" of a shape that is no file's.
-    splat_elements: of its splat, an estimate; 0 where it is expected to rebound. initial_strain: plastic strain of the powder, from its
-    hardness."""
-
-    material: Material
-    shape: str
-    file: str
-    tilt: float
-    diameter: float
-    velocity: tuple[float, float, float]
-    temperature: float
-    offset: tuple[float, float]
-    gap: float
-    spacing: float
-    points: int
-    end_time: float
-    expected: float
-    dt_expected: float
-    rate_filter: float
-    output_every: float
-    dwell: float
-    end_at: Literal["rest", "greatest", "time"]
-    window: float
-    formula: PairFormula
-    lengths: tuple[float, float, float]
-    splat_elements: int
-    initial_strain: float
-
-    @property
-    def towards(self) -> float:
-        """Velocity normal to the surface, m/s."""
-        return -self.velocity[2]
-
-    @property
-    def velocity_ratio(self) -> float | None:
-        """`towards` over the critical velocity of its own metal; None where that has none, infinite at its melting point."""
-        critical = self.formula.critical
-        return None if critical is None else self.towards / critical if critical else math.inf
-
-
-@dataclass(frozen=True)
-class TargetPlan:
-    """A cylinder. Lengths m, temperature K; element_size within refined_radius of the disc of radius `spread` about `centre` (x, y),
-    then growing by `growth` per unit of distance to largest_element. sides, bottom: "absorbing" only if that effect is on."""
-
-    material: Material
-    diameter: float
-    height: float
-    temperature: float
-    sides: Face
-    bottom: Face
-    element_size: float
-    largest_element: float
-    centre: tuple[float, float]
-    spread: float
-    refined_radius: float
-    growth: float
-    elements_estimate: int
-
-    def faces(self, condition: Face) -> tuple[str, ...]:
-        """Names of the faces with this condition."""
-        return tuple(name for name, kind in (("sides", self.sides), ("bottom", self.bottom)) if kind == condition)
-
-
-@dataclass(frozen=True)
-class SolidPlan:
-    """The surface of a shape from a file, as `geometry.solid.Solid` has it."""
-
-    points: tuple[tuple[float, float, float], ...]
-    triangles: tuple[tuple[int, int, int], ...]
-
-    def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Points (n,3) and triangles (m,3)."""
-        return np.array(self.points), np.array(self.triangles)
-
-
-@dataclass(frozen=True)
-class Plan:
-    """All decisions about a run, and its expected cost; written to plan.json. Times in s, lengths in m.
-
-    impacts: one after another; batches: which of them are computed side by side. contact_stiffness: factor on the penalty stiffness.
-    dt_estimate: the smallest of all impacts; steps, wall time and memory are those of all; target_load: cost of the target and the
-    contact over that of the particles. gas: lines about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids:
-    shapes from files, by the name of the file.
-    ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer coefficient
-    (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, "" for one.
-    decisions: about each effect. companions: points of the coarser runs that measure the error, none where it is not measured.
-    skipped: impacts of the scene that have failed and are not in `impacts`, with the reason.
-    """
-
-    name: str
-    impacts: tuple[ImpactPlan, ...]
-    batches: tuple[Batch, ...]
-    target: TargetPlan
-    adhesion: Adhesion
-    splat_method: str
-    splat_element_size: float
-    mass_scaling: float
-    friction: float
-    contact_stiffness: float
-    effects: Effects
-    decisions: tuple[Decision, ...]
-    dt_estimate: float
-    steps_estimate: int
-    memory_bytes: float
-    wall_estimate: float
-    target_load: float
-    preset: str
-    engine: str
-    gas: tuple[str, ...]
-    warnings: tuple[str, ...]
-    solids: dict[str, SolidPlan]
-    ambient: float | None
-    surface_heat: tuple[float, float] | None
-    spray: str
-    companions: tuple[int, ...] = ()
-    skipped: tuple[str, ...] = ()
-
-    def is_on_coating(self, i: int) -> bool:
-        """Whether impact i is one of many, on its own cut of what those before it have left."""
-        return i > 0 and math.isfinite(self.impacts[i].window)
-
-    @property
-    def shares(self) -> tuple[tuple[float, float], ...]:
-        """Of each impact: the part of the expected wall time that lies before it, and its own without what follows it. The whole
-        includes the files and pictures at the end."""
-        elements = forecast.elements_computed(self.impacts, self.target)
-        after = forecast.time_between(self.impacts, self.target, self.effects.cooling, self.ambient is not None)
-        own = []
-        for impact, met in zip(self.impacts, elements, strict=True):
-            steps = impact.expected / impact.dt_expected
-            own.append(estimates.step_time(steps, impact.points, met, self.engine))
-        ends = list(itertools.accumulate(a + b for a, b in zip(own, after, strict=True)))
-        whole = ends[-1] + estimates.SECONDS_PER_RUN
-        return tuple((begin / whole, time / whole) for begin, time in zip([0.0, *ends], own, strict=False))
-
-    def batch_from(self, first: int) -> Batch | None:
-        """What is left of the batch of an impact from that one on; None after the last."""
-        return next((replace(each, first=first) for each in self.batches if each.stop > first), None)
-
-    def without(self, i: int, why: str) -> "Plan":
-        """The plan less impact i, which is skipped."""
-        impacts = (*self.impacts[:i], *self.impacts[i + 1 :])
-        left = batches_of(impacts, self.effects.cooling)
-        return replace(self, impacts=impacts, batches=left, skipped=(*self.skipped, why))
-
-    @property
-    def impact(self) -> ImpactPlan:
-        """The first impact."""
-        return self.impacts[0]
-
-    @property
-    def end_time(self) -> float:
-        """The longest all impacts together may take, s, without the pauses."""
-        return sum(impact.end_time for impact in self.impacts)
 
 
 def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | None = False) -> Plan:
@@ -207,12 +39,6 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
     decisions = effects.decide(_situations(scene, impacts, base), _settled(scene))
     decided = Effects(**{row.name: row.on for row in decisions})
     target = _target(scene, base, decided)
-    steps = [math.ceil(i.expected / i.dt_expected) for i in impacts]
-    elements = forecast.elements_computed(impacts, target)
-    costs = list(zip(steps, [i.points for i in impacts], elements, strict=True))
-    weights = [n * points for n, points, _ in costs]  # as the particle's cost goes
-    loads = [estimates.target_load(points, n, scene.resolution.engine) for _, points, n in costs]
-    between = forecast.time_between(impacts, target, decided.cooling, scene.derived.ambient is not None)
     adhesion = scene.derived.adhesion_law if decided.adhesion else Adhesion(kind="none")
     return Plan(
         name=scene.name,
@@ -227,13 +53,6 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         contact_stiffness=contact_stiffness or (BONDED_STIFFNESS if adhesion.in_impact else CONTACT_STIFFNESS),
         effects=decided,
         decisions=decisions,
-        dt_estimate=min(i.dt_expected for i in impacts),
-        steps_estimate=sum(steps),
-        memory_bytes=estimates.memory(scene.derived.points, forecast.elements_met(impacts, target)[-1]),
-        wall_estimate=sum(estimates.step_time(*each, scene.resolution.engine) for each in costs)
-        + estimates.run_time(target.elements_estimate)
-        + sum(between),
-        target_load=sum(w * load for w, load in zip(weights, loads, strict=True)) / sum(weights),
         preset=scene.preset,
         engine=scene.resolution.engine,
         gas=tuple(describe_gas(scene)),

@@ -14,7 +14,7 @@ from pydantic_core import to_json
 from .. import __version__
 from ..errors import StoreError
 from ..files.inputs import read_json_object
-from .planning import Plan
+from .model import Plan
 
 FILE = "plan.json"
 FORMAT = 9

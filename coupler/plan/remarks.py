@@ -2,38 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 from .. import units
 from ..physics.materials import Material, fitted_at
 from . import cost, effects
 from .cost import WINDOW
 from .effects import Effects
+from .model import ImpactPlan
 from .reading import Scene
 
 BEYOND_FIT = "beyond the fitted range"
 NEAR_MELTING = 0.9  # of the melting point
 EXPOSURE_POINTS = 12000  # to a particle: with fewer its surface stretches so little that bonds by exposure are too weak
-
-
-class Impact(Protocol):
-    """What warnings depend on. velocity (vx, vy, vz) m/s; diameter m; temperature K; points: about that many;
-    output_every, dt_expected: s."""
-
-    @property
-    def material(self) -> Material: ...
-    @property
-    def velocity(self) -> tuple[float, float, float]: ...
-    @property
-    def diameter(self) -> float: ...
-    @property
-    def temperature(self) -> float: ...
-    @property
-    def points(self) -> int: ...
-    @property
-    def output_every(self) -> float: ...
-    @property
-    def dt_expected(self) -> float: ...
 
 
 def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
@@ -46,7 +26,7 @@ def absorbing_distance(scene: Scene, offset: tuple[float, float]) -> float:
     return min(distances)
 
 
-def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Effects) -> list[str]:
+def remarks(scene: Scene, impacts: Sequence[ImpactPlan], base: Material, decided: Effects) -> list[str]:
     """What the scene should know before it runs: where it leaves the range of its models, and what it asks for in vain."""
     warnings = []
     if text := _extrapolation([i.material for i in impacts] + [base], impacts):
@@ -102,7 +82,7 @@ def remarks(scene: Scene, impacts: Sequence[Impact], base: Material, decided: Ef
     return warnings
 
 
-def _extrapolation(metals: list[Material], impacts: Sequence[Impact]) -> str:
+def _extrapolation(metals: list[Material], impacts: Sequence[ImpactPlan]) -> str:
     """What to say of metals whose strength is not fitted at the strain rate v / D, with the sets that are; else nothing."""
     rate = max(math.hypot(*i.velocity) / i.diameter for i in impacts)
     short = {metal.name: metal for metal in metals if metal.fitted_rate < rate}
@@ -119,7 +99,7 @@ def _hot(material: Material, *reached: float) -> str:
     return f"may reach {between} K; {material.name} melts at {material.T_m:.0f} K" if near else ""
 
 
-def _heap(impacts: Sequence[Impact], radius: float) -> str:
+def _heap(impacts: Sequence[ImpactPlan], radius: float) -> str:
     """What to say of a coating, its centres on a disc of `radius` m, that grows higher than it is wide; nothing otherwise."""
     across = 2.0 * radius + sum(i.diameter for i in impacts) / len(impacts)
     height = sum(i.diameter**3 for i in impacts) / (1.5 * across**2)  # of their volume on the disc

@@ -6,8 +6,8 @@ from textwrap import fill
 
 from .. import units
 from . import cost as estimates
-from .forecast import file_bytes
-from .planning import ImpactPlan, Plan
+from .forecast import forecast
+from .model import ImpactPlan, Plan
 from .remarks import BEYOND_FIT
 
 _MOST_LINES = 12  # of the impacts
@@ -16,10 +16,11 @@ _FEWER = 2  # lines of other lists, in brief
 _MOST_SHAPES = 3
 
 
-def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
-    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. forecast: lines about time and
-    accuracy on this machine, in place of the plan's own. brief: within 30 lines, without the reasons of the effects."""
-    target, show = plan.target, units.rounded
+def describe(plan: Plan, here: str = "", brief: bool = False) -> str:
+    """The plan as text of some 50 lines, at most about 120 columns wide, for a terminal. here: lines about time and accuracy on this
+    machine, in place of the plan's own. brief: within 30 lines, without the reasons of the effects."""
+    target, show, expected = plan.target, units.rounded, forecast(plan)
+    dt = min(impact.dt_expected for impact in plan.impacts)
     points = sorted({i.points for i in plan.impacts})
     many = f"{_round(points[0])} to {_round(points[-1])}" if len(points) > 1 else f"{points[0]}"
     middle = f" of {_at(*target.centre)}" if any(target.centre) else ""
@@ -43,9 +44,9 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         f"  points     about {many}, spacing {show(plan.impact.spacing, 'um')}, engine {plan.engine}",
         f"  elements   about {_round(target.elements_estimate)}, smallest {show(target.element_size, 'um')}"
         f" within {show(target.refined_radius, 'um')}{middle}",
-        f"  steps      about {_round(plan.steps_estimate)} of {show(plan.dt_estimate, 'ps')} (dt)",
-        f"  memory     about {plan.memory_bytes / 1e9:.2g} GB; files about {_bytes(file_bytes(plan.impacts, plan.target))}",
-        forecast or f"  wall time  about {duration(plan.wall_estimate)} on one core, after compilation",
+        f"  steps      about {_round(sum(expected.steps))} of {show(dt, 'ps')} (dt)",
+        f"  memory     about {expected.memory / 1e9:.2g} GB; files about {_bytes(expected.files)}",
+        here or f"  wall time  about {duration(expected.whole)} on one core, after compilation",
     ]
     rows, notes = plan.decisions, [line for text in plan.warnings for line in _note(text, brief)]
     if brief:
@@ -55,7 +56,8 @@ def describe(plan: Plan, forecast: str = "", brief: bool = False) -> str:
         lines.append(f"  effects    {len(rows) - len(off)} of {len(rows)} on{without} (-v: why)")
         return "\n".join([*lines, *notes])
     lines += [
-        f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {plan.target_load:.2g} of the particle",
+        "  retry      what fails is computed again from its start with half the time step, in twice its time, then with a quarter",
+        f"  two ranks  mpiexec -n 2 coldspray run ...: the target and the contact cost {expected.target_load:.2g} of the particle",
         "",
         "  effect                    on   because",
         *(f"  {row.name:25} {'yes' if row.on else 'no':4} {row.number} = {row.value:.3g}: {row.why}" for row in rows),

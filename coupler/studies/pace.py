@@ -20,7 +20,8 @@ from ..errors import ColdsprayError, StoreError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
 from ..files.provenance import processor
-from ..plan.planning import Plan
+from ..plan.forecast import forecast
+from ..plan.model import Plan
 
 FACTORS = (0.05, 50.0)  # limits of what is accepted
 
@@ -34,7 +35,7 @@ class Pace:
 
     def seconds(self, plan: Plan) -> float:
         """Processor time of a plan in one thread here, s."""
-        return self.factor * plan.wall_estimate
+        return self.factor * forecast(plan).whole
 
 
 def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
