@@ -152,6 +152,20 @@ def test_heat_of_one_element_spreads_and_none_is_lost() -> None:
     assert float(m.V0 @ block.T) == pytest.approx(total, rel=1e-13)
 
 
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 5e-4])
+def test_elements_beside_those_that_a_contact_warms_stay_as_warm_as_they_were(step: float) -> None:
+    """Ten elements at a face get 20 K again and again. Nodes take the mean of the elements around them, so that a cold element beside
+    a hot one may lose heat it never had: at most 1.5 % of the highest rise, which the independent check of runs allows too."""
+    m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2))
+    block = Block(m, law_record(elastic()), np.full(len(m.conn), 300.0))
+    hot = np.flatnonzero(m.points[m.conn][:, :, 2].max(axis=1) > 1.0 - 1e-9)[:10]
+    block.run(1e-9)
+    for _ in range(30):
+        block.T[hot] += 20.0
+        block.run(step / ALPHA)
+        assert block.T.min() > 300.0 - 0.015 * (block.T.max() - 300.0)
+
+
 @pytest.mark.parametrize("length", [1e-6, 1.0])
 def test_conduction_in_a_moving_target(length: float) -> None:
     """The ledger closes as well with conduction; it matters in a body of a micrometre and not in one of a metre."""

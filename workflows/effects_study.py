@@ -1,19 +1,19 @@
-"""What each effect changes, and what `auto` changes and saves.
+"""What each effect changes and costs, and what `auto` saves.
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
-    python workflows/effects_study.py --proof    # everything on against auto at draft: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --costs    # time of a step, and the share that leaving out saves: docs/tables/effects_costs.csv
+    python workflows/effects_study.py --proof    # everything on against auto, twelve scenes at draft: docs/tables/effects_proof.csv
+    python workflows/effects_study.py --costs    # share of a step that leaving out saves: docs/tables/effects_costs.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the page
 
-Rows in the tables of changes are not computed again. Costs are processor time of one thread, of impacts that go on in turn, so that
-other work on the machine slows them down alike; of each ten steps the least of several rounds (--rounds N) counts.
+Rows in the tables of changes are not computed again. Times are processor time of one thread. What is compared goes on in turn, so that
+other work on the machine slows down all alike, and the least of several rounds (--rounds N) counts.
 """
 
 import json
 import math
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,6 @@ from pages import (
     PAGES,
     TABLES,
     markdown,
-    marked,
     number,
     options,
     single_impact,
@@ -34,34 +33,39 @@ from pages import (
 )  # fmt: skip
 
 from coupler import Scene, run
-from coupler.errors import ColdsprayError
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import WINDOW, Impact
 from coupler.impact.loop import advance_window
-from coupler.measures import CONVERGING, MEASURES, measure
-from coupler.plan.effects import GRADIENTS, THRESHOLDS
+from coupler.measures import CONVERGING, measure
+from coupler.plan.effects import EFFECTS, GRADIENTS
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
 from coupler.studies.table import Row, StudyTable
 
 Effects = str | list[str]
-STUDY_COLUMNS = ("scene", "effect", "number", *CONVERGING, "steps", "drift", "failed")
-PROOF_COLUMNS = (
-    "scene", *CONVERGING, "failed", "cpu_all_s", "cpu_auto_s", "ratio", "time_all_s", "time_auto_s", "left_out",
-)  # fmt: skip
-BASE = ["all", f"-{GRADIENTS}"]
+STUDY_COLUMNS = ("scene", "effect", "number", *CONVERGING)
+PROOF_COLUMNS = ("scene", "cpu_all_s", "cpu_auto_s", "ratio", "left_out")
+SHOWN = {"flattening_ratio": "flattening", "eps_p_mean": "mean strain", "T_p99_K": "T rise 99 %"}
 # not left out of a scene that does not ask for it: of no meaning to a single impact, or to one without bonds by exposure
 NEVER = ("adhesion", "cooling", GRADIENTS)
+FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
 CROSSINGS = 1.5  # D/v: how far impacts are followed where their time is measured
 
 
-def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", more: str = "", after: str = "") -> str:
-    """A scene of about 500 points in a particle of so many um and m/s. more: of the particle; after: further particles."""
-    size = f'diameter = "{8 * diameter:g} um"\nheight = "{4 * diameter:g} um"\n'
-    text = single_impact(metal, diameter, velocity, base, spacing_of(500, diameter))
-    tied = '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n' if after else ""
-    text = text.replace("[substrate]\n", f"{more}\n{after}{tied}[substrate]\n")
-    return text.replace("[resolution]", f"{size}[resolution]")
+def scene(metal: str, diameter: float, velocity: float, base: str = "SS304", more: str = "", points: int = 500) -> str:
+    """A scene of so many points (0: by preset) in a particle of so many um and m/s. more: of the particle."""
+    text = single_impact(metal, diameter, velocity, base, spacing_of(points, diameter) if points else 0.0)
+    size = f'\ndiameter = "{8 * diameter:g} um"\nheight = "{4 * diameter:g} um"\n'
+    return text.replace("[substrate]\n", f"{more}\n[substrate]").replace("[substrate]", f"[substrate]{size}")
+
+
+def sequence(*dwells: str, points: int = 500) -> str:
+    """Nickel particles of 25 um, one more than the pauses between them."""
+    text = scene("Ni", 25, 500, more=f'dwell = "{dwells[0]}"', points=points)
+    later = [f'[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "500 m/s"\n{dwell}\n'
+             for dwell in (*(f'dwell = "{dwell}"' for dwell in dwells[1:]), "")]  # fmt: skip
+    ending = '[adhesion]\nkind = "tied"\n[end]\nat = "rest"\n'
+    return text.replace("[substrate]", f"{''.join(later)}{ending}[substrate]")
 
 
 def exposing(metal: str, diameter: float, velocity: float) -> str:
@@ -70,78 +74,107 @@ def exposing(metal: str, diameter: float, velocity: float) -> str:
     return f"{scene(metal, diameter, velocity, metal)}\n{bonds}"
 
 
-def following(dwell: str = "") -> str:
-    return f'[[particle]]\nmaterial = "Ni"\ndiameter = "25 um"\nvelocity = "500 m/s"\n{dwell}\n'
-
-
-SCENES = {
-    "Ni on steel, 500 m/s": scene("Ni", 25, 500),
-    "slow: Ni 5 um, 200 m/s": scene("Ni", 5, 200),
-    "fast: Ni 60 um, 1250 m/s": scene("Ni", 60, 1250),
-    "preheated: Ni at 600 K, 400 m/s": scene("Ni", 25, 400, more='temperature = "600 K"'),
-    "Ti on Ti, 600 m/s": scene("Ti", 25, 600, "Ti"),
-    "soft on hard: Al on steel, 500 m/s": scene("Al", 25, 500),
-    "hard on soft: Ni on Al, 400 m/s": scene("Ni", 25, 400, "Al"),
-    "Cu on Cu, 500 m/s": scene("OFHC_Cu", 25, 500, "OFHC_Cu"),
-    "rebound: Ni, 150 m/s": scene("Ni", 25, 150),
-    "large: Ni 190 um, 300 m/s": scene("Ni", 190, 300),
-    **{
-        f"two Ni, {pause} between": scene("Ni", 25, 500, more=f'dwell = "{pause}"', after=following())
-        for pause in ("10 ns", "100 ns", "1 us", "20 us")
-    },
-    "bonds by exposure: Ni 10 um, 660 m/s": exposing("Ni", 10, 660),
-    "bonds by exposure: Ni 40 um, 660 m/s": exposing("Ni", 40, 660),
-    "bonds by exposure: Cu 14 um, 570 m/s": exposing("OFHC_Cu", 14, 570),
-    "bonds by exposure: Al 22 um, 620 m/s": exposing("Al1100", 22, 620),
+EACH = tuple(name for name in NAMES if name not in NEVER)
+STUDIES = {  # scene: its text, what is left out of it
+    "Ni on steel, 500 m/s": (scene("Ni", 25, 500), EACH),
+    "Cu on Cu, 500 m/s": (scene("OFHC_Cu", 25, 500, "OFHC_Cu"), FLOW),
+    "Ni 5 um, 200 m/s": (scene("Ni", 5, 200), FLOW),
+    "Ni 190 um, 300 m/s": (scene("Ni", 190, 300), FLOW),
+    **{f"two Ni, {pause} between": (sequence(pause), ("cooling",)) for pause in ("10 ns", "100 ns", "1 us")},
+    "bonds by exposure: Ni 10 um, 660 m/s": (exposing("Ni", 10, 660), (GRADIENTS,)),
+    "bonds by exposure: Ni 40 um, 660 m/s": (exposing("Ni", 40, 660), (GRADIENTS,)),
+    "bonds by exposure: Cu 14 um, 570 m/s": (exposing("OFHC_Cu", 14, 570), (GRADIENTS,)),
+    "bonds by exposure: Al 22 um, 620 m/s": (exposing("Al1100", 22, 620), (GRADIENTS,)),
 }
-WARM = (
-    "thermal_softening", "temperature_dependent_cp", "friction_heat", "dissipation_heat", "mie_gruneisen", "thermal_expansion",
-)  # fmt: skip
-FLOW = ("temperature_dependent_k", "conduction", "particle_conduction", "interface_conduction")
-ONLY = {
-    "preheated: Ni at 600 K, 400 m/s": WARM,
-    "Ti on Ti, 600 m/s": (*WARM, "particle_conduction"),
-    "soft on hard: Al on steel, 500 m/s": (*WARM, "particle_conduction", "interface_conduction"),
-    "hard on soft: Ni on Al, 400 m/s": (*WARM, "conduction", "interface_conduction"),
-    "Cu on Cu, 500 m/s": (*WARM, *FLOW),
-    "rebound: Ni, 150 m/s": ("thermal_softening", "dissipation_heat", "mie_gruneisen", "thermal_expansion"),
-    "large: Ni 190 um, 300 m/s": FLOW,
-    **{name: ("cooling",) for name in SCENES if name.startswith("two Ni")},
-    **{name: (GRADIENTS,) for name in SCENES if name.startswith("bonds")},
-}  # what is left out of each scene; of the others everything
-PROOFS = {name: text for name, text in SCENES.items() if not name.startswith(("two Ni", "bonds"))} | {
-    "rod: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "rod"'),
-    "hollow: Ni, 450 m/s": scene("Ni", 25, 450, more='shape = "hollow_sphere"'),
-    "not in the study: Cu on steel, 600 m/s": scene("OFHC_Cu", 20, 600),
-    "not in the study: Ti at 500 K on Al, 450 m/s": scene("Ti", 35, 450, "Al", more='temperature = "500 K"'),
-    "not in the study: Al on Al, 650 m/s": scene("Al", 30, 650, "Al"),
-    "three Ni, 20 us between": scene(
-        "Ni", 25, 500, more='dwell = "20 us"', after=following('dwell = "20 us"') + following()
-    ),
+PROOFS = {
+    "Ni 25 um on steel, 500 m/s": scene("Ni", 25, 500, points=0),
+    "Ni 5 um on steel, 200 m/s": scene("Ni", 5, 200, points=0),
+    "Ni 190 um on steel, 300 m/s": scene("Ni", 190, 300, points=0),
+    "Ni 40 um on steel, 150 m/s": scene("Ni", 40, 150, points=0),
+    "Cu 20 um on steel, 450 m/s": scene("OFHC_Cu", 20, 450, points=0),
+    "Cu 30 um on Cu, 400 m/s": scene("OFHC_Cu", 30, 400, "OFHC_Cu", points=0),
+    "Al 25 um on Al, 500 m/s": scene("Al", 25, 500, "Al", points=0),
+    "Ti 30 um at 500 K on Ti, 600 m/s": scene("Ti", 30, 600, "Ti", 'temperature = "500 K"', points=0),
+    "Ti 15 um on Al, 450 m/s": scene("Ti", 15, 450, "Al", points=0),
+    "Ni 25 um at 600 K, 400 m/s": scene("Ni", 25, 400, more='temperature = "600 K"', points=0),
+    "SS316L 35 um at 30 degrees, 500 m/s": scene("SS316L", 35, 500, more='angle = "30 deg"', points=0),
+    "two Ni 25 um, 20 us between": sequence("20 us", points=0),
 }
 
 
-def compute(text: str, effects: Effects) -> dict[str, float]:
-    """Run a scene with these effects: its measures at its end, temperatures as their rise; the processor time of all of it (s). A
-    measure outside its range is nan."""
-    checked = Scene.from_text(f"effects = {json.dumps(effects)}\n{text}", "effects_study")
+def compute(text: str) -> dict[str, float]:
+    """Run a scene: its measures at its end, temperatures as their rise, and `cpu_s`, the processor time of all of it. A measure outside
+    its range is nan."""
+    checked = Scene.from_text(text, "effects_study")
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        result = run(checked, Path(folder) / "run", threads=1)
+        result = run(checked, Path(folder) / "run", threads=1, quiet=True)
         cpu = time.process_time() - start
         last, T_0 = result.impacts[-1], checked.particles[-1].temperature
-        end = {**last, **last["end"]}
-        end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
-        values = {
-            key: float(end[key]) - measure(key).initial(T_0) if end.get(key) is not None else math.nan
-            for key in (*CONVERGING, "time_s")
-        }
-        values |= {"cpu_s": cpu, "steps": float(result.steps), "drift": float(result.energy_drift)}
-    return values
+    end = {**last, **last["end"]}
+    end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end
+    values = {
+        key: float(end[key]) - measure(key).initial(T_0) if end.get(key) is not None else math.nan for key in CONVERGING
+    }
+    return values | {"cpu_s": cpu}
 
 
-def in_turn(scenes: Mapping[str, str], crossings: float) -> dict[str, list[float]]:
-    """Processor time (s) of each ten steps of impacts that differ in their effects, until crossings x D/v.
+def changes(values: Mapping[str, float], whole: Mapping[str, float]) -> dict[str, float]:
+    """Change of each measure in percent of what it is with everything on; nan where that is 0."""
+    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
+
+
+def study(table: StudyTable) -> None:
+    """Leave out one effect at a time."""
+    for name, (text, effects) in STUDIES.items():
+        if wanted := [effect for effect in effects if (name, effect) not in table]:
+            numbers, base = numbers_of(text), ["all", f"+{GRADIENTS}"] if GRADIENTS in effects else ["all"]
+            whole = compute(with_effects(text, base))
+            for effect in wanted:
+                values = compute(with_effects(text, [*base, f"-{effect}"]))
+                row = {"scene": name, "effect": effect, "number": f"{numbers[effect]:.4g}"}
+                print(table.add({**row, **changes(values, whole)}), flush=True)
+
+
+def numbers_of(text: str) -> dict[str, float]:
+    """The number of each effect."""
+    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
+
+
+def costs(rounds: int) -> None:
+    """Time of a step with everything on, and the share of it that leaving out an effect saves."""
+    choices: dict[str, Effects] = {"everything on": "all", "none": "none"}
+    choices |= {name: ["all", f"-{name}"] for name in EACH}
+    rows = shares(STUDIES["Ni on steel, 500 m/s"][0], choices, rounds)
+    with_bonds: dict[str, Effects] = {"everything on, bonds by exposure": ["all", f"+{GRADIENTS}"], GRADIENTS: ["all"]}
+    rows += shares(exposing("Ni", 10, 660), with_bonds, rounds)
+    write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
+
+
+def shares(text: str, choices: Mapping[str, Effects], rounds: int) -> list[dict[str, object]]:
+    """Rows of the table of costs: choices of effects for a scene, each beside the first of them."""
+    least = least_of({key: with_effects(text, effects) for key, effects in choices.items()}, rounds)
+    step = {key: float(np.mean(costs)) / WINDOW for key, costs in least.items()}
+    whole = next(iter(step.values()))
+    return [
+        {"left_out": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()
+    ]
+
+
+def with_effects(text: str, effects: Effects) -> str:
+    return f"effects = {json.dumps(effects)}\n{text}"
+
+
+def least_of(scenes: Mapping[str, str], rounds: int) -> dict[str, Sequence[float]]:
+    """`in_turn` several times: of each ten steps the least."""
+    least = in_turn(scenes)
+    for _ in range(rounds - 1):
+        least = {key: np.minimum(costs, least[key]) for key, costs in in_turn(scenes).items()}
+    return least
+
+
+def in_turn(scenes: Mapping[str, str]) -> dict[str, Sequence[float]]:
+    """Processor time (s) of each ten steps of impacts that differ in their effects, until CROSSINGS x D/v.
 
     They go on in turn, ten steps of each at a time. The first ten are left out: they load compiled code.
     """
@@ -149,167 +182,70 @@ def in_turn(scenes: Mapping[str, str], crossings: float) -> dict[str, list[float
     for name, text in scenes.items():
         planned = plan(Scene.from_text(text, "effects_study"))
         impacts[name] = Impact(build_domains(planned))
-        end = crossings * planned.impact.diameter / float(np.linalg.norm(planned.impact.velocity))
+        end = CROSSINGS * planned.impact.diameter / float(np.linalg.norm(planned.impact.velocity))
     costs: dict[str, list[float]] = {name: [] for name in impacts}
-    going = dict(impacts)
-    while going:
-        for name, impact in list(going.items()):
+    while going := {name: impact for name, impact in impacts.items() if impact.time < end}:
+        for name, impact in going.items():
             start = time.process_time()
             advance_window(impact)
             costs[name].append(time.process_time() - start)
-            if impact.time >= end:
-                del going[name]
     for impact in impacts.values():
         impact.particle.close()
     return {name: seconds[1:] for name, seconds in costs.items()}
 
 
-def least_of(rounds: int, scenes: Mapping[str, str], crossings: float) -> dict[str, list[float]]:
-    """`in_turn` several times: of each ten steps the least."""
-    least: dict[str, list[float]] = {}
-    for _ in range(rounds):
-        for name, costs in in_turn(scenes, crossings).items():
-            least[name] = [min(pair) for pair in zip(least.get(name, costs), costs, strict=True)]
-    return least
-
-
-def changes(values: dict[str, float], whole: dict[str, float]) -> dict[str, float]:
-    """Change of each measure in percent of what it is with everything on; nan where that is 0."""
-    return {key: 100.0 * (values[key] / (whole[key] or math.nan) - 1.0) for key in CONVERGING}
-
-
-def costs(rounds: int) -> None:
-    """Time of a step with everything on, and the share of it that leaving out an effect saves."""
-    choices: dict[str, Effects] = {"everything on": BASE, "none": "none"}
-    choices |= {f"without {name}": [*BASE, f"-{name}"] for name in NAMES if name not in NEVER}
-    rows = shares("Ni on steel, 500 m/s", choices, rounds)
-    with_bonds: dict[str, Effects] = {"everything on, bonds by exposure": "all", f"without {GRADIENTS}": BASE}
-    rows += shares("bonds by exposure: Ni 10 um, 660 m/s", with_bonds, rounds)
-    write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
-
-
-def shares(name: str, choices: Mapping[str, Effects], rounds: int) -> list[dict[str, object]]:
-    """Rows of the table of costs: choices of effects for the scene of this name, each beside the first of them."""
-    scenes = {key: f"effects = {json.dumps(effects)}\n{SCENES[name]}" for key, effects in choices.items()}
-    step = {key: sum(times) / (WINDOW * len(times)) for key, times in least_of(rounds, scenes, CROSSINGS).items()}
-    whole = next(iter(step.values()))
-    return [{"effects": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()]
-
-
-def study(table: StudyTable) -> None:
-    """Leave out one effect at a time."""
-    for name, text in SCENES.items():
-        effects = ONLY.get(name, [effect for effect in NAMES if effect not in NEVER])
-        wanted = [effect for effect in effects if (name, effect) not in table]
-        if not wanted:
-            continue
-        numbers = _numbers(text)
-        base = ["all"] if GRADIENTS in effects else BASE
-        whole = compute(text, base)
-        for effect in wanted:
-            row: dict[str, object] = {"scene": name, "effect": effect, "number": numbers[effect]}
-            try:
-                values = compute(text, [*base, f"-{effect}"])
-                row |= {**changes(values, whole), "steps": values["steps"], "drift": values["drift"]}
-            except ColdsprayError as problem:
-                row |= {"failed": str(problem)[:100]}
-            print(table.add(row), flush=True)
-
-
-def _numbers(text: str) -> dict[str, float]:
-    return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
-
-
 def proof(table: StudyTable, rounds: int) -> None:
-    """Everything that can act against auto, at draft."""
+    """Everything that can act against `auto`, at draft: steps of single impacts in turn, a sequence as whole runs in turn."""
     for name, text in PROOFS.items():
         if (name,) in table:
             continue
-        text = f'preset = "draft"\n{text}'
-        rows = plan(Scene.from_text(text, "effects_study")).decisions
-        cannot = [
-            r.name for r in rows if r.name in ("absorbing_boundaries", "cooling") and r.value <= THRESHOLDS[r.name]
-        ]
-        everything = [*BASE, *(f"-{name}" for name in cannot)]
-        scenes = {"all": f"effects = {json.dumps(everything)}\n{text}", "auto": text}
-        step = {key: sum(times) for key, times in least_of(rounds, scenes, CROSSINGS).items()}
-        row: dict[str, object] = {"scene": name, "left_out": " ".join(row.name for row in rows if not row.on)}
-        try:
-            whole, values = compute(text, everything), compute(text, "auto")
-        except ColdsprayError as problem:
-            row |= {"failed": str(problem)[:100]}
+        texts = {effects: f'preset = "draft"\neffects = "{effects}"\n{text}' for effects in ("all", "auto")}
+        planned = plan(Scene.from_text(texts["auto"], "effects_study"))
+        if len(planned.impacts) == 1:
+            cpu = {key: float(np.sum(costs)) for key, costs in least_of(texts, rounds).items()}
         else:
-            times = {"time_all_s": whole["time_s"], "time_auto_s": values["time_s"]}
-            cpu = step["all"] * whole["time_s"], step["auto"] * values["time_s"]
-            row |= {
-                **changes(values, whole),
-                **times,
-                "cpu_all_s": cpu[0],
-                "cpu_auto_s": cpu[1],
-                "ratio": cpu[0] / cpu[1],
-            }
-        print(table.add(row), flush=True)
+            pairs = [{key: compute(each)["cpu_s"] for key, each in texts.items()} for _ in range(rounds + 1)]
+            cpu = {key: min(pair[key] for pair in pairs[1:]) for key in texts}  # the first ones compile
+        left_out = " ".join(row.name for row in planned.decisions if not row.on)
+        row = {"scene": name, "cpu_all_s": cpu["all"], "cpu_auto_s": cpu["auto"], "ratio": cpu["all"] / cpu["auto"]}
+        print(table.add({**row, "left_out": left_out}), flush=True)
 
 
 def main() -> None:
     """Fill the tables."""
-    a = options(__doc__, "proof", "costs", "docs", rounds=1)
+    a = options(__doc__, "proof", "costs", "docs", rounds=2)
     command = "python workflows/effects_study.py"
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
     against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
-    if a.docs:
-        pass
-    elif a.proof:
+    if a.proof:
         proof(against, a.rounds)
     elif a.costs:
         costs(a.rounds)
-    else:
+    elif not a.docs:
         study(influence)
-    write(influence, against)
+    write(influence.rows, against.rows)
 
 
-def write(influence: StudyTable, against: StudyTable) -> None:
-    """Write the tables into the page."""
-    now = {name: _numbers(text) for name, text in SCENES.items()}  # as the package defines them
-    known = [row | {"number": f"{now[row['scene']][row['effect']]:.4g}"} for row in influence.rows if not row["failed"]]
-    table = table_rows("effects_costs")
-    lines = [
-        [marked(row["effects"], row), f"{number(row, 'ms_per_step'):.2f}", f"{100 * number(row, 'saves'):.1f} %"]
-        for row in table
-    ]
-    parts = {"gradients": [], "study": []}
-    for row in known:
-        parts["gradients" if row["effect"] == GRADIENTS else "study"].append(row)
-    write_parts(PAGES["effects"], {
-        **{name: [*study_part(own), "", versions(own)] for name, own in parts.items()},
-        "costs": markdown("effects | ms per step | saves", lines), "proof": proof_part(against.rows),
-    })  # fmt: skip
-
-
-def study_part(rows: list[Row]) -> list[str]:
-    """The change of each measure, in percent, by effect and its number."""
-    effects = list(dict.fromkeys(row["effect"] for row in rows))
-    ordered = sorted(rows, key=lambda row: (effects.index(row["effect"]), float(row["number"])))
-    lines = [
-        [row["effect"], marked(row["scene"], row), row["number"], *(f"{number(row, name):+.2f}" for name in CONVERGING)]
-        for row in ordered
-    ]
-    return markdown(["left out", "scene", "number", *(MEASURES[name].short for name in CONVERGING)], lines)
-
-
-def proof_part(rows: list[Row]) -> list[str]:
-    """Everything on against auto: changes in percent and processor time."""
+def write(influence: list[Row], against: list[Row]) -> None:
+    """Write the table of effects and what `auto` saves into the page."""
+    saves = {row["left_out"]: f"{100 * number(row, 'saves'):.0f} %" for row in table_rows("effects_costs")}
     lines = []
-    for row in rows:
-        cells = (
-            [row["failed"]] * len(CONVERGING) if row["failed"] else [f"{number(row, name):+.2f}" for name in CONVERGING]
-        )
-        ratio = "-" if row["failed"] else f"{number(row, 'ratio'):.2f}"
-        lines.append([marked(row["scene"], row), *cells, ratio, row["left_out"].replace("_", " ")])
-    head = ["scene", *(MEASURES[name].short for name in CONVERGING), "time, ratio", "left out"]
-    ratios = [number(row, "ratio") for row in rows if not row["failed"]]
-    text = f"Median ratio {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
-    return [*markdown(head, lines), "", text]
+    for effect in EFFECTS:
+        own = [row for row in influence if row["effect"] == effect.name]
+        span = sorted(number(row, "number") for row in own)
+        cells = [max((abs(number(row, key)) for row in own), default=math.nan) for key in SHOWN]
+        lines.append([
+            effect.name, effect.number, f"{span[0]:.2g} to {span[-1]:.2g}" if span else "-",
+            *("-" if math.isnan(cell) else f"{cell:.1f}" for cell in cells), saves.get(effect.name, "-"), f"{effect.threshold:g}",
+        ])  # fmt: skip
+    head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "saves", "threshold"]
+    ratios = [number(row, "ratio") for row in against]
+    median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
+    saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", row["left_out"].replace(" ", ", ")] for row in against]
+    write_parts(PAGES["effects"], {
+        "table": [*markdown(head, lines), "", versions(influence)],
+        "proof": [*markdown("scene | time, everything over auto | left out", saved), "", median],
+    })  # fmt: skip
 
 
 if __name__ == "__main__":

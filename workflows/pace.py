@@ -30,7 +30,7 @@ TIMED = 4
 COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
 DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
-SAMPLE = 63
+SAMPLE = 39
 SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
 Table = dict[str, object]
 

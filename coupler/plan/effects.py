@@ -1,8 +1,12 @@
-"""Which physics a scene calls for: a dimensionless number of each effect, and the value below which `auto` leaves it out."""
+"""Which physics a scene calls for: the table of effects, each with a number and the value below which `auto` leaves it out.
+
+What each changes and costs is measured: rows of its name in docs/tables/effects_study.csv and effects_costs.csv.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from ..physics.dislocations import stress_of_gradient
 from ..physics.materials import Material
@@ -10,33 +14,123 @@ from ..scene.effects import NAMES, WHOLE, Switches
 from .cost import STRAIN_OF_FLOW
 
 GRADIENTS = "gradient_hardening"  # a choice of the model: unless it is named, only with bonds by exposure, whose verdicts depend on it
-# The number of each effect, in words.
-NUMBERS = {
-    "thermal_softening": "heating or preheat / (T_m - T)",
-    "rate_hardening": "rise of the flow stress at v/D",
-    "gradient_hardening": "rise of flow stress at 10/D",
-    "plastic_heating": "Taylor-Quinney coefficient",
-    "temperature_dependent_cp": "relative change of cp",
-    "temperature_dependent_k": "change of k x diffusion length / size",
-    "friction": "friction coefficient",
-    "friction_heat": "friction x heating / (T_m - T)",
-    "dissipation_heat": "heating / T, 0 if it could melt",
-    "mie_gruneisen": "v / c0",
-    "thermal_expansion": "Gamma0 rho cp heating / K",
-    "adhesion": "splats that the scene bonds",
-    "absorbing_boundaries": "time / wave's way to the side and back",
-    "conduction": "sqrt(alpha time) / size x warming",
-    "particle_conduction": "sqrt(alpha time) / spacing",
-    "interface_conduction": "sqrt(alpha time) / size, both",
-    "cooling": "sqrt(alpha dwell) / diameter",
-}
-# Number below which `auto` leaves an effect out; the others take part wherever their number is above zero. No wave is back yet; the
-# pause is too short for heat to leave the splat; of conduction, each kind of which costs 3 to 5 % of a step, what changes no measure of
-# docs/tables/effects_study.csv by more than half a percent.
-THRESHOLDS = {
-    "absorbing_boundaries": 1.0, "cooling": 0.05,
-    "conduction": 0.05, "particle_conduction": 0.1, "interface_conduction": 0.15,
-}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
+
+    side_distance: from the impact to the nearest absorbing face, infinite without any; end_time: the longest that waves and heat may
+    travel until the run is over, this and later impacts together; element_size: of the target, the smallest; duration: of this impact
+    alone; dwell: the pause after it; bonded: whether its splat is to be; exposed: whether bonds form by exposure, with an engine that
+    knows gradients.
+    """
+
+    materials: tuple[Material, Material]
+    temperatures: tuple[float, float]
+    velocity: float
+    diameter: float
+    friction: float
+    side_distance: float
+    end_time: float
+    element_size: float
+    spacing: float
+    duration: float
+    dwell: float
+    bonded: bool
+    exposed: bool
+
+    @property
+    def bodies(self) -> list[tuple[Material, float, float]]:
+        """Material, temperature (K) and heating (K) of particle and target."""
+        return [(m, T, heating(m, T, self.velocity)) for m, T in zip(self.materials, self.temperatures, strict=True)]
+
+    @cached_property
+    def warm(self) -> float:
+        """Heating over what is left to melting, of the body that it softens more."""
+        return max(dT / max(m.T_m - T, 1.0) for m, T, dT in self.bodies)
+
+    def diffusion(self, body: int, time: float) -> float:
+        """Distance, m, that heat diffuses in a time (s) in the particle (0) or the target (1)."""
+        return math.sqrt(diffusivity(self.materials[body], self.temperatures[body]) * time)
+
+    @cached_property
+    def in_target(self) -> float:
+        return self.diffusion(1, self.end_time) / self.element_size
+
+    @cached_property
+    def in_particle(self) -> float:
+        return self.diffusion(0, self.duration) / self.spacing
+
+    def of_both(self, number: Callable[[Material, float, float], float]) -> float:
+        """A number of material, temperature and heating, of the body that calls for the effect more."""
+        return max(number(*body) for body in self.bodies)
+
+    def flow_stress(self, m: Material, T: float) -> float:
+        """Flow stress at the rate of the impact and T (K), at most that of the strength set, Pa."""
+        return m.flow_stress(STRAIN_OF_FLOW, self.velocity / self.diameter, min(T, m.T_ref))
+
+    def gradient_stress(self, m: Material) -> float:
+        """Stress that a gradient of plastic strain of ten over the diameter adds, Pa."""
+        return stress_of_gradient(m.forest, m.gradient_length, 10.0 / self.diameter)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect. number: what decides it, in words; value: that number, of an impact; threshold: `auto` leaves the effect out where
+    the number is no more."""
+
+    name: str
+    number: str
+    value: Callable[[Situation], float]
+    threshold: float = 0.0
+
+
+# Nothing saves as much as one in a hundred of the time but what has a threshold above 0, friction and gradients: no wave is back yet;
+# the pause is too short for heat to leave the splat; of conduction, what changes no measure by more than half a percent.
+EFFECTS = (
+    Effect("thermal_softening", "heating or preheat / (T_m - T)", lambda s: max(s.warm, s.of_both(_preheat))),
+    Effect(
+        "rate_hardening", "rise of the flow stress at v/D",
+        lambda s: s.of_both(lambda m, T, _: s.flow_stress(m, T) / m.flow_stress(STRAIN_OF_FLOW, 0.0, min(T, m.T_ref)) - 1.0),
+    ),
+    Effect(
+        GRADIENTS, "rise of flow stress at 10/D",  # of a plastic strain that changes by 1 over a tenth of the diameter
+        lambda s: s.of_both(lambda m, T, _: math.hypot(1.0, s.gradient_stress(m) / s.flow_stress(m, T)) - 1.0),
+    ),
+    Effect("plastic_heating", "Taylor-Quinney coefficient", lambda s: s.of_both(lambda m, *_: m.taylor_quinney)),
+    Effect(
+        "temperature_dependent_cp", "relative change of cp",
+        lambda s: s.of_both(lambda m, T, dT: abs(m.cp_at(T + dT) / m.cp_at(T) - 1)),
+    ),
+    Effect(
+        "temperature_dependent_k", "change of k x diffusion length / size",
+        lambda s: s.of_both(lambda m, T, dT: abs(m.k_at(T + dT) / m.k_at(T) - 1)) * max(s.in_target, s.in_particle),
+    ),
+    Effect("friction", "friction coefficient", lambda s: s.friction),
+    Effect("friction_heat", "friction x heating / (T_m - T)", lambda s: s.friction * s.warm),
+    Effect(
+        "dissipation_heat", "heating / T, 0 if it could melt",  # molten, its heat drives the points without end
+        lambda s: 0.0 if s.of_both(lambda m, T, dT: T + dT - m.T_m) >= 0.0 else s.of_both(lambda _, T, dT: dT / T),
+    ),
+    Effect("mie_gruneisen", "v / c0", lambda s: s.of_both(lambda m, *_: s.velocity / m.c0)),
+    Effect(
+        "thermal_expansion", "Gamma0 rho cp heating / K",
+        lambda s: s.of_both(lambda m, T, dT: m.Gamma0 * m.rho * m.cp_at(T) * dT / m.K),
+    ),
+    Effect("adhesion", "splats that the scene bonds", lambda s: float(s.bonded)),
+    Effect(
+        "absorbing_boundaries", "time / wave's way to the side and back",
+        lambda s: s.end_time * s.materials[1].wave_speed / (2 * s.side_distance), 1.0,
+    ),
+    Effect("conduction", "sqrt(alpha time) / size x warming", lambda s: s.in_target * s.warm, 0.05),
+    Effect("particle_conduction", "sqrt(alpha time) / spacing", lambda s: s.in_particle, 0.1),
+    Effect(
+        "interface_conduction", "sqrt(alpha time) / size, both",  # what one side cannot take the other cannot give
+        lambda s: min(s.diffusion(1, s.duration) / s.element_size, s.in_particle), 0.15,
+    ),
+    Effect("cooling", "sqrt(alpha dwell) / diameter", lambda s: max(s.diffusion(k, s.dwell) for k in (0, 1)) / s.diameter, 0.05),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -48,30 +142,6 @@ class Decision:
     value: float
     on: bool
     why: str
-
-
-@dataclass(frozen=True)
-class Situation:
-    """What the numbers of an impact are made of. SI units; materials and temperatures: of particle and target.
-
-    end_time: the longest that waves and heat may travel until the run is over, this and later impacts together; duration:
-    of this impact alone; dwell: the pause after it; bonded: whether its splat is to be; exposed:
-    whether bonds form by exposure, with an engine that knows gradients.
-    """
-
-    materials: tuple[Material, Material]
-    temperatures: tuple[float, float]
-    velocity: float
-    diameter: float
-    friction: float
-    side_distance: float  # from the impact to the nearest absorbing face; infinite without any
-    end_time: float
-    element_size: float  # of the target, the smallest
-    spacing: float
-    duration: float
-    dwell: float
-    bonded: bool
-    exposed: bool
 
 
 @dataclass(frozen=True)
@@ -112,52 +182,20 @@ def requested(request: str | Sequence[str]) -> dict[str, bool]:
 def decide(situations: Sequence[Situation], settled: Mapping[str, bool]) -> tuple[Decision, ...]:
     """The decision about each effect. situations: one for each impact, of each number the largest counts; settled: what the scene
     says itself."""
-    each = [numbers(situation) for situation in situations]
     exposed = any(situation.exposed for situation in situations)
 
-    def of(name: str) -> Decision:
-        value, least = max(one[name] for one in each), THRESHOLDS.get(name, 0.0)
-        if name in settled:
-            return Decision(name, NUMBERS[name], value, settled[name], "as the scene says")
-        if name == GRADIENTS and not exposed:
-            return Decision(name, NUMBERS[name], value, False, "by default with bonds by exposure only")
-        return Decision(
-            name, NUMBERS[name], value, value > least, f"{'more' if value > least else 'no more'} than {least:g}"
-        )
+    def of(effect: Effect) -> Decision:
+        value = max(map(effect.value, situations))
+        on, why = value > effect.threshold, f"more than {effect.threshold:g}"
+        if effect.name in settled:
+            on, why = settled[effect.name], "as the scene says"
+        elif effect.name == GRADIENTS and not exposed:
+            on, why = False, "by default with bonds by exposure only"
+        elif not on:
+            why = f"no {why}"
+        return Decision(effect.name, effect.number, value, on, why)
 
-    return tuple(map(of, NUMBERS))
-
-
-def numbers(situation: Situation) -> dict[str, float]:
-    """The number that decides each effect; of the two bodies the one that calls for it more."""
-    bodies = list(zip(situation.materials, situation.temperatures, strict=True))
-    v, rate = situation.velocity, situation.velocity / situation.diameter
-    wave = situation.materials[1].wave_speed
-    in_target = math.sqrt(diffusivity(*bodies[1]) * situation.end_time) / situation.element_size
-    in_particle = math.sqrt(diffusivity(*bodies[0]) * situation.duration) / situation.spacing
-    across = math.sqrt(diffusivity(*bodies[1]) * situation.duration) / situation.element_size
-    warm = max(heating(m, T, v) / max(m.T_m - T, 1.0) for m, T in bodies)
-    melts = any(T + heating(m, T, v) >= m.T_m for m, T in bodies)  # molten, its heat drives the points without end
-    k_change = max(abs(m.k_at(T + heating(m, T, v)) / m.k_at(T) - 1) for m, T in bodies)
-    return {
-        "thermal_softening": max(warm, *(_preheat(m, T) for m, T in bodies)),
-        "rate_hardening": max(_rate_hardening(m, T, rate) for m, T in bodies),
-        "gradient_hardening": max(_gradient_hardening(m, T, situation) for m, T in bodies),
-        "plastic_heating": max(m.taylor_quinney for m, _ in bodies),
-        "temperature_dependent_cp": max(abs(m.cp_at(T + heating(m, T, v)) / m.cp_at(T) - 1) for m, T in bodies),
-        "temperature_dependent_k": k_change * max(in_target, in_particle),
-        "friction": situation.friction,
-        "friction_heat": situation.friction * warm,
-        "dissipation_heat": 0.0 if melts else max(heating(m, T, v) / T for m, T in bodies),
-        "mie_gruneisen": max(v / m.c0 for m, _ in bodies),
-        "absorbing_boundaries": situation.end_time * wave / (2 * situation.side_distance),
-        "thermal_expansion": max(m.Gamma0 * m.rho * m.cp_at(T) * heating(m, T, v) / m.K for m, T in bodies),
-        "adhesion": float(situation.bonded),
-        "conduction": in_target * warm,
-        "particle_conduction": in_particle,
-        "interface_conduction": min(across, in_particle),  # what one side cannot take the other cannot give
-        "cooling": math.sqrt(max(diffusivity(*body) for body in bodies) * situation.dwell) / situation.diameter,
-    }
+    return tuple(map(of, EFFECTS))
 
 
 def heating(material: Material, T: float, velocity: float) -> float:
@@ -170,20 +208,5 @@ def diffusivity(material: Material, T: float) -> float:
     return material.k_at(T) / (material.rho * material.cp_at(T))
 
 
-def _rate_hardening(material: Material, T: float, rate: float) -> float:
-    """Share by which a strain rate (1/s) raises the flow stress at T (K), short of melting."""
-    T = min(T, material.T_ref)
-    slow = material.flow_stress(STRAIN_OF_FLOW, 0.0, T)
-    return material.flow_stress(STRAIN_OF_FLOW, rate, T) / slow - 1.0
-
-
-def _gradient_hardening(material: Material, T: float, situation: Situation) -> float:
-    """Share by which a plastic strain that changes by 1 over a tenth of the diameter raises the flow stress at T (K)."""
-    rate = situation.velocity / situation.diameter
-    flow_stress = material.flow_stress(STRAIN_OF_FLOW, rate, min(T, material.T_ref))
-    stress = stress_of_gradient(material.forest, material.gradient_length, 10.0 / situation.diameter)
-    return math.hypot(1.0, stress / flow_stress) - 1.0
-
-
-def _preheat(material: Material, T: float) -> float:
+def _preheat(material: Material, T: float, _: float) -> float:
     return (T - material.T_ref) / (material.T_m - material.T_ref)
