@@ -26,6 +26,7 @@ from ..sph.heat import PointConduction
 from ..sph.inertia import ENOUGH
 from ..sph.particle import Numerics, Particle
 from .bodies import Bodies, BodiesState, level_under
+from .folding import Folding, folding
 from .heat import HeatPaths
 
 MESHING_LIMIT = 600.0  # s, of gmsh for the substrate
@@ -38,7 +39,8 @@ class Domains:
 
     particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's, carried by its
     points; body: the undeformed particle about its centre; place (3,) m: of that centre at the start; level: height (m) of the
-    surface where the particle first touches it; paths: where heat flows between windows of steps.
+    surface where the particle first touches it; paths: where heat flows between windows of steps; folding: contact of the particle with
+    itself.
     """
 
     particle: DistributedParticle
@@ -49,6 +51,7 @@ class Domains:
     place: np.ndarray
     level: float
     paths: HeatPaths
+    folding: Folding | None
 
     @property
     def target(self) -> Target:
@@ -116,8 +119,11 @@ def build_domains(
     on, inside = plan.effects, None
     if on.particle_conduction:
         inside = PointConduction(body.points, body.spacing, np.full(len(body.points), body.volume), particle.law)
-    paths = HeatPaths(particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction)
-    return Domains(particle, bodies, contact, surface, body, place, level, paths)
+    itself = folding(impact_plan, body, surface, place, k, plan.friction)
+    paths = HeatPaths(
+        particle, bodies.target, surface, contact, on.friction_heat, inside, on.interface_conduction, itself
+    )
+    return Domains(particle, bodies, contact, surface, body, place, level, paths, itself)
 
 
 def body_of(plan: Plan, i: int) -> shapes.Body:

@@ -45,6 +45,7 @@ class ImpactState:
     bodies: BodiesState
     particle: ParticleState
     contact: ContactState
+    folding: ContactState | None
     ledger: LedgerState
     hold: BondState | None
     time: float
@@ -65,7 +66,7 @@ class Impact:
     def __init__(self, domains: Domains):
         self.domains, self.paths = domains, domains.paths
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
-        self.surface, self.contact = domains.surface, domains.contact
+        self.surface, self.contact, self.folding = domains.surface, domains.contact, domains.folding
         self._softness = self.surface.softness(self.particle.mass)
         self.surface_nodes = np.unique(self.target.mesh.facets[self.contact.facing[0]])
         self.ledger = Ledger(domains)
@@ -111,7 +112,8 @@ class Impact:
     @property
     def dissipated(self) -> float:
         """Plastic work and heat of friction so far, J, those of the target before the impact included."""
-        return self.particle.totals.plastic + float(self.target.sums[0]) + self.contact.friction_heat
+        rubbed = 0.0 if self.folding is None else self.folding.contact.friction_heat
+        return self.particle.totals.plastic + float(self.target.sums[0]) + self.contact.friction_heat + rubbed
 
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
@@ -125,6 +127,8 @@ class Impact:
             "particle": min(self.particle.totals.dt, nearer),
             "contact": self.contact.stable_dt(self._softness, float(self.target.mass[self.surface_nodes].min())),
         }
+        if self.folding is not None:
+            bounds["contact"] = min(bounds["contact"], self.folding.stable_dt(self.particle.mass))
         if self.hold is not None:
             bounds["contact"] = min(bounds["contact"], self.hold.stable_dt(self._softness, self.target.mass))
         least = min(bounds.values())
@@ -147,10 +151,14 @@ class Impact:
         bonded = self.hold.rows if self.hold is not None else ()
         self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel, always=bonded)
         self.contact.points.f[:] = 0.0
+        if self.folding is not None:
+            self.folding.search(self.particle, time)
 
     def advance(self, steps: int, dt: float) -> None:
         """Make `steps` steps of dt seconds. Raises SolverError where either domain fails."""
         needed = self.surface.support(self.contact.rows)
+        if self.folding is not None:
+            needed = np.union1d(needed, self.folding.needed)
         with growing(self.target):
             self.particle.run(steps, dt, self.advance_target, self.exchange_forces, needed)
         self.time += steps * dt
@@ -172,6 +180,8 @@ class Impact:
         if self.hold is not None:
             self.hold.forces(points.x, t.x, points.f, t.f_ext, self.contact)
         s.spread(points.f, rows, p.f_ext)
+        if self.folding is not None:
+            self.folding.forces(p)
         t.finish()
 
     def conduct_heat(self, time: float) -> None:
@@ -264,6 +274,8 @@ class Impact:
         """
         self.particle.restore(state.particle)
         self.contact.restore(state.contact)
+        if self.folding is not None and state.folding is not None:
+            self.folding.contact.restore(state.folding)
         self.ledger.restore(state.ledger)
         assign(self, state)
         self.hold = self.exposure = None

@@ -12,12 +12,14 @@ from ..physics.constitutive import conductivities, heat_capacities
 from ..ranks.distributed import DistributedParticle
 from ..sph.carried_surface import CarriedSurface
 from ..sph.heat import PointConduction
+from .folding import Folding
 
 
 @dataclass
 class HeatPaths:
     """The heat paths that are open between a particle with its surface and a target. friction: its heat, and that of fracture, warms
-    what has rubbed or torn; points: conduction in the particle, or None; interface: heat crosses the contact, which is perfect."""
+    what has rubbed or torn; points: conduction in the particle, or None; interface: heat crosses the contact, which is perfect;
+    folding: the contact of the particle with itself."""
 
     particle: DistributedParticle
     target: Target
@@ -26,6 +28,7 @@ class HeatPaths:
     friction: bool = True
     points: PointConduction | None = None
     interface: bool = False
+    folding: Folding | None = None
 
     def flow(self, time: float) -> None:
         """Let heat flow for `time` s among the points of the particle and across the contact."""
@@ -55,6 +58,8 @@ class HeatPaths:
         if len(facets):
             target.warm(target.mesh.facet_element[facets], contact.heat_face[facets])
             contact.heat_face[facets] = 0.0
+        if self.folding is not None and (heat := self.folding.heat()).any():
+            self.particle.warm(heat)
 
     def release_fracture(self, hold: Hold) -> None:
         """Turn the heat of torn bonds since the last call into temperature, the contact's `share` of it on the particle's side."""

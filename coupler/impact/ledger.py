@@ -127,7 +127,9 @@ def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:
     r["viscosity_particle"], r["hourglass_particle"] = particle.viscosity, particle.hourglass
     r["unexplained_particle"] = r["numerical_particle"] - r["viscosity_particle"] - r["hourglass_particle"]
     r["numerical_target"] = float(target.sums[1])
-    r["contact"], r["friction"] = contact.penalty_energy + contact.dropped_energy, contact.friction_heat
+    contacts = [contact] if domains.folding is None else [contact, domains.folding.contact]
+    r["contact"] = sum(c.penalty_energy + c.dropped_energy for c in contacts)
+    r["friction"] = sum(c.friction_heat for c in contacts)
     r["boundary"], r["bodies"] = target.absorbed, domains.bodies.energy
     r["bond"] = hold.energy if hold is not None else 0.0
     return r

@@ -20,7 +20,6 @@ V = TypeVar("V")
 # beside the measures of the end
 _NEED_VERDICT = ("rebound_velocity_m_s", "rebounded", "restitution", "margin_J", "margin_m_s")
 NEEDS_REST = (*_NEED_VERDICT, "bonded_area_end_m2")
-FOLDING = ("hollow_sphere", "rod", "flake", "file")  # shapes whose parts can pass through each other
 INSIDE_ITSELF = 0.002  # of the points: fewer are single ones that leave the surface near an edge
 STUCK = "the particle sticks"  # why it has no rebound velocity
 
@@ -138,12 +137,12 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     metals = {"particle": impact_plan.material, "target": plan.target.material}
     beyond = recorder.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
     domains = impact.domains
-    if impact_plan.shape in FOLDING:
+    if domains.folding is not None:
         share = share_inside_itself(domains.body, domains.place, domains.surface, impact.particle.x)
         if share > INSIDE_ITSELF:
             beyond.append(
-                f"impact {number}: {share:.1%} of the particle's points lie in another part of it, as a particle does not touch itself:"
-                " its shape and strain are not those of a real one"
+                f"impact {number}: {share:.1%} of the particle's points lie in another part of it: its shape and strain are"
+                " not those of a real one: try a finer preset"
             )
     if recorder.over_rim:
         beyond.append(

@@ -1,0 +1,97 @@
+"""A particle that meets itself: walls of a hollow sphere, ends of a rod, lobes of a powder."""
+
+import numpy as np
+
+from ..contact.contact import Contact, ContactState
+from ..contact.model import Nodes
+from ..plan.planning import ImpactPlan
+from ..ranks.distributed import DistributedParticle
+from ..sph.carried_surface import CarriedSurface
+from ..sph.shapes import Body
+from ..state.arrays import Floats, Ints
+
+SHAPES = ("hollow_sphere", "rod", "flake", "file")  # whose parts can meet
+APART = 2.5  # spacings in the undeformed body: what was nearer is the same part of the surface
+SKIN = 1.0  # spacings that a search looks farther than it must
+
+
+class _OwnContact(Contact):
+    """Vertices of a surface against its own faces, less those near a vertex in the undeformed body."""
+
+    def __init__(self, vertices: Floats, triangles: Ints, stiffness: float, spacing: float, friction: float):
+        body, faces = np.zeros(len(vertices), np.int64), np.ones(len(triangles), np.int64)
+        super().__init__(body, triangles, faces, [stiffness], [spacing], friction, skin=SKIN)
+        self._undeformed, self._centres = vertices, vertices[triangles].mean(axis=1)
+
+    def _pairs(self, q: Ints) -> tuple[Ints, Ints]:
+        start, face = super()._pairs(q)
+        point = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        away = self._undeformed[point] - self._centres[face]
+        kept = np.einsum("ij,ij->i", away, away) > (APART * self.spacing[0]) ** 2
+        return np.concatenate([[0], np.cumsum(kept)])[start], face[kept]
+
+
+class Folding:
+    """Contact of all surfaces of a particle, that of a cavity among them, with each other and with themselves.
+
+    A vertex that lies behind a face since before it came near, as on the other side of a wall, has no contact with it
+    (`contact.kernels.follow`).
+    """
+
+    def __init__(self, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float):
+        """body: undeformed, about its centre, which is at place (3,) m; surface: its outer one; stiffness N/m of a vertex."""
+        vertices, triangles = body.vertices, body.triangles
+        self.surface = surface
+        if body.inner is not None:
+            hole, facing = body.inner
+            vertices, triangles = np.concatenate([vertices, hole]), np.concatenate([triangles, facing + len(vertices)])
+            self.surface = CarriedSurface(body.points + place, vertices + place, triangles, body.spacing)
+        self.contact = _OwnContact(vertices, triangles, stiffness, body.spacing, friction)
+        self._support = self.surface.support(np.arange(len(vertices)))
+
+    def search(self, particle: DistributedParticle, time: float) -> None:
+        """Find the parts of the surface that can touch within `time` s."""
+        weights, mass = self.surface.weights, particle.mass / particle.mass.sum()
+        # what moves as a whole comes no nearer to itself
+        x, v = weights @ (particle.x - mass @ particle.x), weights @ (particle.v - mass @ particle.v)
+        fastest = float(np.sqrt(np.einsum("ij,ij->i", v, v).max()))
+        self.contact.search(x, x, 1.5 * 2.0 * fastest * time)
+
+    def state(self) -> ContactState:
+        """State of the contact, as a checkpoint holds it."""
+        return self.contact.state()
+
+    @property
+    def needed(self) -> Ints:
+        """The points of the particle that forces are made of, and go to."""
+        return self._support if len(self.contact.rows) else self._support[:0]
+
+    def stable_dt(self, mass: Floats) -> float:
+        """Stable time step (s) of the springs; mass (n,) kg of the points."""
+        softness = self.surface.softness(mass)
+        return self.contact.stable_dt(softness, 1.0 / softness) if len(self.contact.rows) else np.inf
+
+    def forces(self, particle: DistributedParticle) -> None:
+        """Add the forces of this instant to those on the points of the particle."""
+        if len(self.contact.rows) == 0:
+            return
+        weights, points = self.surface.weights, self.contact.points
+        points.x[:], points.v[:], points.f[:] = weights @ particle.x, weights @ particle.v, 0.0
+        f = np.zeros_like(points.f)
+        self.contact.forces(particle.dt, Nodes(points.x, points.v, f, len(f)))
+        particle.f_ext += weights.T @ (points.f + f)
+
+    def heat(self) -> Floats:
+        """Heat (n,) J of friction since the last call, by point of the particle."""
+        c, into = self.contact, np.zeros(self.surface.touching.shape[0])
+        into[: len(c.heat_point)] = c.heat_point
+        np.add.at(into, c.faces["nodes"], c.heat_face[:, None] / 3.0)
+        c.heat_point[:], c.heat_face[:] = 0.0, 0.0
+        return self.surface.spread_heat(into)
+
+
+def folding(
+    plan: ImpactPlan, body: Body, surface: CarriedSurface, place: Floats, stiffness: float, friction: float
+) -> Folding | None:
+    """The contact of a particle with itself; None for a convex one, whose parts do not meet."""
+    return Folding(body, surface, place, stiffness, friction) if plan.shape in SHAPES else None
