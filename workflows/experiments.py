@@ -152,7 +152,7 @@ def row_of(case: Case) -> dict[str, object]:
             s = result.values
     except ColdsprayError as problem:
         return row | {"failed": " ".join(str(problem).split())[:200]}
-    band_of = (s["errors"] or {}).get("flattening_ratio_total", {}).get("half_width")
+    band_of = (s.get("errors") or {}).get("flattening_ratio_total", {}).get("half_width")
     return row | {
         "engine": scene.resolution.engine, "restitution": s["rebound_velocity_m_s"] / case.velocity,
         "rebound_m_s": s["rebound_velocity_m_s"], "flattening": s["flattening_ratio_total"], "flattening_band": band_of,
