@@ -48,21 +48,21 @@ class Blocks:
         mesh, self.body = join(parts)
         self.target = t = Target(mesh, law_record(material), 300.0, fixed=fixed, track_wave=False)
         self.surfaces = Surfaces.of(mesh.facets, mesh.facet_element, self.body)
-        self.body_of_node = np.zeros(len(t.x), int)
+        self.body_of_node = np.zeros(len(t.nodes.x), int)
         self.body_of_node[mesh.conn.ravel()] = np.repeat(self.body, 4)
         self.K = material.K
         self.contact: BodyContact | None = None
         self.bond: Bond | None = None
 
     def touch(self, friction: float = 0.0) -> BodyContact:
-        self.contact = BodyContact(self.surfaces, self.target.x, [self.K] * self.surfaces.bodies, friction)
+        self.contact = BodyContact(self.surfaces, self.target.nodes.x, [self.K] * self.surfaces.bodies, friction)
         return self.contact
 
     def tie(self, **law: float) -> Bond:
         """Bond the second block to the first."""
-        t, spacing = self.target, self.surfaces.spacing(self.target.x, 1)
-        found = interface(self.surfaces, t.x, 1, 0.1 * spacing)
-        self.bond = Bond(found, self.surfaces, t.x, penalty(self.K, spacing), **law)
+        t, spacing = self.target, self.surfaces.spacing(self.target.nodes.x, 1)
+        found = interface(self.surfaces, t.nodes.x, 1, 0.1 * spacing)
+        self.bond = Bond(found, self.surfaces, t.nodes.x, penalty(self.K, spacing), **law)
         return self.bond
 
     def nodes(self, body: int) -> np.ndarray:
@@ -81,7 +81,7 @@ class Blocks:
 
     def moment(self) -> np.ndarray:
         t = self.target
-        return np.cross(t.x, t.mass[:, None] * t.velocity()).sum(axis=0)
+        return np.cross(t.nodes.x, t.mass[:, None] * t.velocity()).sum(axis=0)
 
     def run(
         self,
@@ -96,15 +96,15 @@ class Blocks:
             if steps % 10 == 0:
                 dt = alone = min(t.stable_dt(springs=self.bond)[0], limit)
                 if self.contact is not None:
-                    fastest = float(np.linalg.norm(t.v, axis=1).max())
-                    self.contact.search(t.x, 15 * fastest * dt, self.bond)
+                    fastest = float(np.linalg.norm(t.nodes.v, axis=1).max())
+                    self.contact.search(t.nodes.x, 15 * fastest * dt, self.bond)
                     dt = min(dt, self.contact.stable_dt(t.mass, alone))
             step = min(dt, until - t.time)
             t.advance(step)
             if self.contact is not None:
-                self.contact.forces(step, t.x, t.v, t.f_ext)
+                self.contact.forces(step, t.nodes.x, t.nodes.v, t.f_ext)
             if self.bond is not None:
-                self.bond.forces(t.x, t.f_ext)
+                self.bond.forces(t.nodes.x, t.f_ext)
             if push is not None:
                 t.f_ext += push
             t.finish()

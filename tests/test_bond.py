@@ -35,7 +35,7 @@ def cohesive(b: Blocks) -> Bond:
 
 def shifted(b: Blocks, shift: np.ndarray) -> np.ndarray:
     """Positions with the upper block displaced as a whole."""
-    x = b.target.x.copy()
+    x = b.target.nodes.x.copy()
     x[b.nodes(1)] += shift
     return x
 
@@ -44,7 +44,7 @@ def pull(b: Blocks, bond: Bond, path: np.ndarray) -> np.ndarray:
     """Force (steps,3) on the upper block while it is led along a path of displacements (steps,3)."""
     out = []
     for shift in path:
-        f = np.zeros_like(b.target.x)
+        f = np.zeros_like(b.target.nodes.x)
         bond.forces(shifted(b, shift), f)
         out.append(f[b.nodes(1)].sum(axis=0))
     return np.array(out)
@@ -142,15 +142,15 @@ def test_a_bond_that_is_moved_begins_without_a_force_and_leads_its_node_out() ->
     node = bond.nodes[3]
 
     def lift() -> float:
-        f = np.zeros_like(t.x)
-        bond.forces(t.x, f)
+        f = np.zeros_like(t.nodes.x)
+        bond.forces(t.nodes.x, f)
         return float(f[node, 2])
 
-    t.x[node, 2] -= 0.02
+    t.nodes.x[node, 2] -= 0.02
     pressed, stored = lift(), bond.stored
     assert pressed > 0.0
-    assert bond.compression(t.x, rows) == pytest.approx(0.02)
-    bond.move(t.x, rows, bond.triangles[rows])
+    assert bond.compression(t.nodes.x, rows) == pytest.approx(0.02)
+    bond.move(t.nodes.x, rows, bond.triangles[rows])
     assert bond.dissipated == pytest.approx(stored)
     assert abs(lift()) < 1e-9 * pressed
     bond.ease(0.5)
@@ -166,21 +166,21 @@ def test_a_bonded_node_behind_a_folded_surface_is_led_out() -> None:
     b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
     bond, t = b.tie(), b.target
     b.touch()
-    node = bond.nodes[np.argmin(np.hypot(*(t.x[bond.nodes, :2] - 0.3).T))]
+    node = bond.nodes[np.argmin(np.hypot(*(t.nodes.x[bond.nodes, :2] - 0.3).T))]
     row = int(np.flatnonzero(bond.nodes == node)[0])
-    t.x[node, :2] -= 0.15
-    top = np.flatnonzero((b.body_of_node == 0) & (t.x[:, 2] > 0.5 - 1e-9))
-    beside = np.setdiff1d(top[np.hypot(*(t.x[top, :2] - t.x[node, :2]).T) < 0.2], bond.triangles[row])
-    t.x[beside, 2] += 0.1
-    deep = overlaps(b.surfaces, t.x, [1])[node]
+    t.nodes.x[node, :2] -= 0.15
+    top = np.flatnonzero((b.body_of_node == 0) & (t.nodes.x[:, 2] > 0.5 - 1e-9))
+    beside = np.setdiff1d(top[np.hypot(*(t.nodes.x[top, :2] - t.nodes.x[node, :2]).T) < 0.2], bond.triangles[row])
+    t.nodes.x[beside, 2] += 0.1
+    deep = overlaps(b.surfaces, t.nodes.x, [1])[node]
     assert deep > 0.02
-    assert bond.compression(t.x, np.array([row]))[0] < 0.5 * deep
+    assert bond.compression(t.nodes.x, np.array([row]))[0] < 0.5 * deep
     before = bond.triangles[row].copy()
     Bodies.separate(b, [1])
     assert set(bond.triangles[row]) != set(before)
-    assert bond.compression(t.x, np.array([row]))[0] == pytest.approx(0.0, abs=1e-12)
+    assert bond.compression(t.nodes.x, np.array([row]))[0] == pytest.approx(0.0, abs=1e-12)
     Bodies.ease(b, 0.0)
-    assert bond.compression(t.x, np.array([row]))[0] > 0.5 * deep
+    assert bond.compression(t.nodes.x, np.array([row]))[0] > 0.5 * deep
 
 
 def test_bonds_that_hold_a_body_on_a_node_begin_anew() -> None:
@@ -188,19 +188,19 @@ def test_bonds_that_hold_a_body_on_a_node_begin_anew() -> None:
     b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
     bond, t = b.tie(), b.target
     b.touch()
-    top = np.flatnonzero((b.body_of_node == 0) & (t.x[:, 2] > 0.5 - 1e-9))
-    node = top[np.argmin(np.hypot(*(t.x[top, :2] - 0.5).T))]
-    t.x[b.nodes(1), 0] += 1e-3
-    t.x[node, 2] += 0.04
+    top = np.flatnonzero((b.body_of_node == 0) & (t.nodes.x[:, 2] > 0.5 - 1e-9))
+    node = top[np.argmin(np.hypot(*(t.nodes.x[top, :2] - 0.5).T))]
+    t.nodes.x[b.nodes(1), 0] += 1e-3
+    t.nodes.x[node, 2] += 0.04
     pinned = (bond.triangles == node).any(axis=1)
     assert 0 < pinned.sum() < len(bond)
-    assert overlaps(b.surfaces, t.x, [1])[node] > 0.02
-    f = np.zeros_like(t.x)
-    bond.forces(t.x, f)
+    assert overlaps(b.surfaces, t.nodes.x, [1])[node] > 0.02
+    f = np.zeros_like(t.nodes.x)
+    bond.forces(t.nodes.x, f)
     before, held = bond.traction.copy(), bond.stored_by_each[pinned].sum()
     assert before.any(axis=1).all()
     Bodies.separate(b, [1])
-    bond.forces(t.x, f)
+    bond.forces(t.nodes.x, f)
     assert np.abs(bond.traction[pinned]).max() < 1e-9 * np.abs(before).max()
     assert bond.traction[~pinned] == pytest.approx(before[~pinned])
     assert bond.dissipated == pytest.approx(held)
@@ -212,30 +212,30 @@ def test_a_bond_too_soft_for_its_node_holds_it_out() -> None:
     b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
     bond, t = b.tie(), b.target
     b.touch()
-    row = int(np.argmin(np.hypot(*(t.x[bond.nodes, :2] - 0.5).T)))
+    row = int(np.argmin(np.hypot(*(t.nodes.x[bond.nodes, :2] - 0.5).T)))
     bond.area[row] *= 0.02
-    t.x[bond.nodes[row], 2] -= 0.04
-    spacing = b.surfaces.spacing(t.x, 1)
-    assert overlaps(b.surfaces, t.x, [1])[bond.nodes[row]] == pytest.approx(0.04, rel=0.2)
-    f = np.zeros_like(t.x)
-    bond.forces(t.x, f)
+    t.nodes.x[bond.nodes[row], 2] -= 0.04
+    spacing = b.surfaces.spacing(t.nodes.x, 1)
+    assert overlaps(b.surfaces, t.nodes.x, [1])[bond.nodes[row]] == pytest.approx(0.04, rel=0.2)
+    f = np.zeros_like(t.nodes.x)
+    bond.forces(t.nodes.x, f)
     pressing, held, soft = -bond.traction[row, 0] * bond.area[row], bond.stored_by_each[row], bond.stiffness.copy()
     Bodies.separate(b, [1])
-    bond.forces(t.x, f)
+    bond.forces(t.nodes.x, f)
     assert abs(bond.traction[row, 0] * bond.area[row]) < 1e-9 * pressing
     assert bond.dissipated == pytest.approx(held)
     others = np.arange(len(bond)) != row
     np.testing.assert_array_equal(bond.stiffness[others], soft[others])
     assert bond.stiffness[row] * bond.area[row] < np.median(bond.stiffness * bond.area)
     Bodies.ease(b, 0.0)
-    t.x[bond.nodes[row], 2] += bond.compression(t.x, np.array([row]))[0] - FOLDED * spacing
-    bond.forces(t.x, f)
+    t.nodes.x[bond.nodes[row], 2] += bond.compression(t.nodes.x, np.array([row]))[0] - FOLDED * spacing
+    bond.forces(t.nodes.x, f)
     assert -bond.traction[row, 0] * bond.area[row] == pytest.approx(pressing, rel=1e-6)
 
 
 def test_a_bond_becomes_no_stiffer_than_others_are() -> None:
     b = Blocks(((1.0, 1.0, 0.5), 0.2, (0, 0, 0)), ((0.4, 0.4, 0.3), 0.2, (0.3, 0.3, 0.5)))
-    bond, x = b.tie(), b.target.x
+    bond, x = b.tie(), b.target.nodes.x
     springs = bond.stiffness * bond.area
     order = np.argsort(springs)
     least, most = order[[0]], order[[-1]]
@@ -308,11 +308,11 @@ def test_infinite_strength_holds_zero_energy_snaps_infinite_energy_flows(pair: B
 
 def test_force_and_moment_cancel_in_any_shape_with_gaps_and_damage(pair: Blocks, rng: np.random.Generator) -> None:
     t = pair.target
-    t.x[pair.nodes(1)] += [0, 0, 0.02 * SIDE]  # bonds across a gap
+    t.nodes.x[pair.nodes(1)] += [0, 0, 0.02 * SIDE]  # bonds across a gap
     bond = cohesive(pair)
     assert bond.gap == pytest.approx(0.02 * SIDE)
     for size in (1e-6, 1e-5, 3e-5):
-        x, f = t.x + size * rng.standard_normal(t.x.shape), np.zeros_like(t.x)
+        x, f = t.nodes.x + size * rng.standard_normal(t.nodes.x.shape), np.zeros_like(t.nodes.x)
         bond.forces(x, f)
         assert np.abs(f.sum(axis=0)).max() < 1e-12 * np.abs(f).sum()
         assert np.abs(np.cross(x, f).sum(axis=0)).max() < 1e-12 * np.abs(f).sum() * SIDE
@@ -321,7 +321,11 @@ def test_force_and_moment_cancel_in_any_shape_with_gaps_and_damage(pair: Blocks,
 
 def test_bonds_between_nodes_that_do_not_move_keep_their_state(pair: Blocks, rng: np.random.Generator) -> None:
     """Of the first nodes that move, the forces are those of all bonds, and so are the energies."""
-    every, some, x = cohesive(pair), cohesive(pair), pair.target.x + 3e-6 * rng.standard_normal(pair.target.x.shape)
+    every, some, x = (
+        cohesive(pair),
+        cohesive(pair),
+        pair.target.nodes.x + 3e-6 * rng.standard_normal(pair.target.nodes.x.shape),
+    )
     for bond in (every, some):
         bond.forces(x, np.zeros_like(x))
     active = int(np.median(np.minimum(every.nodes, every.triangles.min(axis=1))))
@@ -338,9 +342,9 @@ def test_bonds_between_nodes_that_do_not_move_keep_their_state(pair: Blocks, rng
 
 def test_the_forces_are_the_gradient_of_the_stored_energy(pair: Blocks, rng: np.random.Generator) -> None:
     t = pair.target
-    t.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
+    t.nodes.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
     bond = pair.tie()
-    x, d = t.x + 2e-5 * rng.standard_normal(t.x.shape), rng.standard_normal(t.x.shape)
+    x, d = t.nodes.x + 2e-5 * rng.standard_normal(t.nodes.x.shape), rng.standard_normal(t.nodes.x.shape)
     f = np.zeros_like(x)
     bond.forces(x, f)
 
@@ -354,11 +358,11 @@ def test_the_forces_are_the_gradient_of_the_stored_energy(pair: Blocks, rng: np.
 
 def test_a_rigid_motion_of_a_tied_pair_makes_no_force(pair: Blocks) -> None:
     t = pair.target
-    t.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
+    t.nodes.x[pair.nodes(1)] += [0, 0, 0.05 * SIDE]
     bond = cohesive(pair)
     for angle in np.linspace(0.3, 6.0, 7):
-        turned = Rotation.from_rotvec(angle * np.array([0.6, -0.5, 0.62])).apply(t.x)
-        f = np.zeros_like(t.x)
+        turned = Rotation.from_rotvec(angle * np.array([0.6, -0.5, 0.62])).apply(t.nodes.x)
+        f = np.zeros_like(t.nodes.x)
         bond.forces(turned + np.array([1.0, -2.0, 3.0]), f)
         assert np.abs(f).max() < 1e-9 * N * SIDE**2
     assert bond.dissipated == 0.0
@@ -379,8 +383,8 @@ def test_a_wave_crosses_a_tied_interface_as_through_one_body() -> None:
         t = b.target
         if name == "tied":
             assert b.tie().area.sum() == pytest.approx(W**2)
-        t.v[:, 2] = np.exp(-(((t.x[:, 2] - 0.5) / 0.25) ** 2))
-        far = np.flatnonzero(t.x[:, 2] > 2 * L - 1e-9)
+        t.nodes.v[:, 2] = np.exp(-(((t.nodes.x[:, 2] - 0.5) / 0.25) ** 2))
+        far = np.flatnonzero(t.nodes.x[:, 2] > 2 * L - 1e-9)
         seen: list[tuple[float, float]] = []
         b.run(4e-4, watch=lambda t=t, far=far, seen=seen: seen.append((t.time, float(t.v[far, 2].mean()))))
         ends[name] = (np.array(seen)[:, 0], np.array(seen)[:, 1])
@@ -399,7 +403,7 @@ def test_blocks_torn_apart_spend_the_fracture_energy_and_the_ledger_closes(towar
     bond, t = b.tie(strength=20e6, energy=500.0), b.target
     b.touch(friction=0.3)
     for body, sign in ((0, -1), (1, 1)):
-        t.v[b.nodes(body)] = sign * np.array(toward) / np.linalg.norm(toward)
+        t.nodes.v[b.nodes(body)] = sign * np.array(toward) / np.linalg.norm(toward)
     start, momentum, moment, worst = b.energy(), t.momentum(), b.moment(), [0.0]
 
     def check_ledger() -> None:
@@ -421,7 +425,7 @@ def test_cubes_that_fly_apart_part_when_they_can_pay_the_fracture_energy(energy:
     bond, t, kinetic = b.tie(strength=30e6, energy=energy), b.target, 7800.0
     b.touch()
     for body, sign in ((0, -1), (1, 1)):
-        t.v[b.nodes(body), 2] = sign * 1.0
+        t.nodes.v[b.nodes(body), 2] = sign * 1.0
     bonds = len(bond)
     b.run(2e-3)
     assert t.mass.sum() == pytest.approx(2 * kinetic)
@@ -436,8 +440,8 @@ def test_cubes_that_fly_apart_part_when_they_can_pay_the_fracture_energy(energy:
 
 def test_a_broken_bond_under_pressure_hands_over_to_the_contact(pair: Blocks) -> None:
     bond, contact = cohesive(pair), pair.touch(friction=0.4)
-    up, still = pair.nodes(1), np.zeros_like(pair.target.x)
-    contact.search(pair.target.x, 0.0, bond)
+    up, still = pair.nodes(1), np.zeros_like(pair.target.nodes.x)
+    contact.search(pair.target.nodes.x, 0.0, bond)
     before = contact.penalty_energy  # held nodes are the bond's; those of the other side touch by rounding at most
     x = shifted(pair, np.array([1.02 * 2 * GII / S, 0, -0.001 * SIDE]))
     f, g = np.zeros_like(x), np.zeros_like(x)
@@ -459,7 +463,7 @@ def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once
     """Springs of nodes that bonds hold are lost, those of the other side become heat or are dropped: together what they stored."""
     bond, contact = cohesive(pair), pair.touch(friction=0.4)
     # a contact takes over what bonds hold at its first search: here they come after it
-    contact.search(pair.target.x, 0.0)
+    contact.search(pair.target.nodes.x, 0.0)
     springs = contact.past().nodes
     springs["spring"] = [0.3, 0.4, 0.0]  # N
     contact.go_on(ContactPast(springs))
@@ -473,8 +477,8 @@ def test_friction_springs_that_open_while_bonds_take_nodes_over_are_counted_once
 
 def test_a_bond_that_slides_far_keeps_its_shear_and_leaves_the_pressure_to_the_contact(pair: Blocks) -> None:
     bond, contact = pair.tie(strength=S, energy=1e6), pair.touch()  # so tough that it lasts for ten spacings
-    up, still = pair.nodes(1), np.zeros_like(pair.target.x)
-    contact.search(pair.target.x, 0.0, bond)
+    up, still = pair.nodes(1), np.zeros_like(pair.target.nodes.x)
+    contact.search(pair.target.nodes.x, 0.0, bond)
     spacing = float(np.sqrt(bond.area.max()))
     x = shifted(pair, np.array([0.7 * spacing, 0, -0.001 * SIDE]))
     f = np.zeros_like(x)
@@ -507,7 +511,7 @@ def test_a_run_goes_on_from_its_state_as_if_it_had_not_stopped(pair: Blocks) -> 
 
 def test_numbers_of_nodes_may_change_and_sets_be_joined(pair: Blocks, rng: np.random.Generator) -> None:
     t = pair.target
-    order = rng.permutation(len(t.x))
+    order = rng.permutation(len(t.nodes.x))
     new = np.argsort(order)  # new number of each old node
     one, two, whole = cohesive(pair), cohesive(pair), cohesive(pair)
     x = shifted(pair, np.array([1e-6, 0, 2e-6]))
@@ -539,7 +543,7 @@ def test_a_law_that_cannot_be_followed_is_refused(pair: Blocks, law: dict[str, f
 
 def test_no_bonds_cost_nothing(pair: Blocks) -> None:
     s = pair.surfaces
-    lifted = pair.target.x + np.where(pair.body_of_node[:, None] == 1, SIDE, 0.0)
+    lifted = pair.target.nodes.x + np.where(pair.body_of_node[:, None] == 1, SIDE, 0.0)
     none = Bond(interface(s, lifted, 1, 0.1 * SIDE), s, lifted, 1e15)
     f = np.zeros_like(lifted)
     none.forces(lifted, f)
@@ -563,8 +567,8 @@ def test_the_stable_step_is_below_the_exact_one_of_the_springs(pair: Blocks) -> 
         stiffness += k * np.outer(g, g)
     root = 1 / np.sqrt(t.mass[used])
     exact = 2 / np.sqrt(np.linalg.eigvalsh(stiffness * np.outer(root, root)).max())
-    assert 0.5 * exact < 2 / np.sqrt(np.max(bond.load(len(t.x)) / t.mass)) < exact
-    w = np.zeros((len(t.x), 3))
+    assert 0.5 * exact < 2 / np.sqrt(np.max(bond.load(len(t.nodes.x)) / t.mass)) < exact
+    w = np.zeros((len(t.nodes.x), 3))
     w[used] = np.random.default_rng(1).normal(size=(len(used), 3))
     f = np.zeros_like(w)
     bond.resist(w, f)
@@ -574,14 +578,14 @@ def test_the_stable_step_is_below_the_exact_one_of_the_springs(pair: Blocks) -> 
 def test_the_step_of_tied_blocks_is_that_of_springs_and_elements_together(pair: Blocks) -> None:
     """Springs far stiffer than the elements, on a block far heavier than the other, set the step alone; row sums make it shorter."""
     t, bond = pair.target, pair.tie()
-    heavier = np.ones(len(t.x))
+    heavier = np.ones(len(t.nodes.x))
     heavier[t.mesh.conn[pair.body == 0]] = 100.0
     t.mass *= heavier
     t.inv_mass /= heavier
     free = t.stable_dt(enough=1.0)[0]
     assert t.stable_dt(1.0, springs=bond)[0] <= free
     bond.stiffness *= 1e4
-    f, w, factor = np.zeros_like(t.x), np.random.default_rng(1).normal(size=t.x.shape), 0.0
+    f, w, factor = np.zeros_like(t.nodes.x), np.random.default_rng(1).normal(size=t.nodes.x.shape), 0.0
     for _ in range(2000):
         f[:] = 0.0
         bond.resist(w, f)

@@ -85,7 +85,7 @@ def test_no_hole_around_a_splat() -> None:
         [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1
     )
     mesh = new.target.mesh
-    beyond = np.abs(new.target.x[:, :2]).max(axis=1) > 10.1e-6
+    beyond = np.abs(new.target.nodes.x[:, :2]).max(axis=1) > 10.1e-6
     top = mesh.sets["top"]
     out = top[beyond[mesh.facets[top]].any(axis=1)]
     assert np.isin(out, new.reachable()).all()
@@ -102,8 +102,8 @@ def test_a_splat_put_on_the_surface_keeps_its_volume(monkeypatch: pytest.MonkeyP
 
     new = joined()
     own = new.target.mesh.conn[new.body == 1]
-    assert volumes(new.target.x, own).sum() == pytest.approx(8e-15, rel=1e-3)
-    assert new.target.x[np.unique(own), 2].min() > -1e-9, "it lies on the substrate"
+    assert volumes(new.target.nodes.x, own).sum() == pytest.approx(8e-15, rel=1e-3)
+    assert new.target.nodes.x[np.unique(own), 2].min() > -1e-9, "it lies on the substrate"
     monkeypatch.setattr(placing, "MOST_OFFSET", 0.0)
     with pytest.raises(SolverError, match="changed its volume by -6"):
         joined()
@@ -126,7 +126,7 @@ def test_a_splat_that_cannot_be_moved_out_gets_its_volume_first(monkeypatch: pyt
     new = substrate().joined([body], Adhesion(kind="tied"), 6e-6, (0.0, 0.0, 0.0), 1.0, 1)
     assert seen[0] < 0.96 * 8e-15
     assert seen[1] == pytest.approx(8e-15, rel=1e-3)
-    assert new.target.volume[new.body == 1].sum() == pytest.approx(8e-15, rel=0.01)
+    assert new.target.elements.volume[new.body == 1].sum() == pytest.approx(8e-15, rel=0.01)
 
 
 def test_a_thin_place_does_not_keep_a_splat_from_its_volume() -> None:

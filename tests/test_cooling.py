@@ -26,7 +26,7 @@ def block(size: float, lengths: tuple[float, float, float] = (1.0, 1.0, 1.0), lo
 
 
 def heights(t: Target) -> np.ndarray:
-    return t.x[t.mesh.conn][:, :, 2].mean(axis=1)
+    return t.nodes.x[t.mesh.conn][:, :, 2].mean(axis=1)
 
 
 def test_half_space_with_a_cold_face_follows_the_error_function() -> None:
@@ -38,12 +38,12 @@ def test_half_space_with_a_cold_face_follows_the_error_function() -> None:
         end = 0.2**2 / ALPHA
         report = cool(t, end, bottom, 300.0)
         exact = 300.0 + 100.0 * np.vectorize(erf)(heights(t) / (2 * sqrt(ALPHA * end)))
-        errors.append(float(np.sqrt(np.average((t.T - exact) ** 2, weights=m.V0))) / 100.0)
+        errors.append(float(np.sqrt(np.average((t.elements.T - exact) ** 2, weights=m.V0))) / 100.0)
         through = 2 * K * 100.0 * sqrt(end / (pi * ALPHA)) * (4 * size) ** 2
         assert report["taken_away_J"] == pytest.approx(through, rel=0.02)
-        assert report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (400.0 - t.T)), rel=1e-9)
+        assert report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (400.0 - t.elements.T)), rel=1e-9)
         assert t.sums[2] == pytest.approx(-report["taken_away_J"], rel=1e-9)
-        assert t.heat.sum() == pytest.approx(t.sums[2], rel=1e-9)
+        assert t.elements.heat.sum() == pytest.approx(t.sums[2], rel=1e-9)
     assert errors[1] < 0.006
     assert errors[1] < 0.8 * errors[0]
 
@@ -58,11 +58,11 @@ def test_insulated_heat_levels_out_and_none_is_lost_with_cp_and_k_of_temperature
     def enthalpy(T: np.ndarray) -> np.ndarray:
         return 450.0 * (T - 300.0) + 0.15 * (T - 300.0) ** 2
 
-    before = float(m.V0 @ enthalpy(t.T))
+    before = float(m.V0 @ enthalpy(t.elements.T))
     report = cool(t, 30.0 / ALPHA, NONE, 300.0)
-    assert float(m.V0 @ enthalpy(t.T)) == pytest.approx(before, rel=1e-8)
+    assert float(m.V0 @ enthalpy(t.elements.T)) == pytest.approx(before, rel=1e-8)
     level = 300.0 + (sqrt(450.0**2 + 0.6 * before / m.V0.sum()) - 450.0) / 0.3
-    assert t.T == pytest.approx(level, abs=1e-2)
+    assert t.elements.T == pytest.approx(level, abs=1e-2)
     assert report["T_max_before_K"] == 1000.0
     assert abs(report["taken_away_J"]) < 1e-8 * RHO * before
 
@@ -82,11 +82,11 @@ def test_two_bodies_level_out_through_their_contact() -> None:
         m.facets[m.sets["b.top"]][:1, 0].astype(np.int64), links.triangles[:1], links.weights[:1], np.zeros(1)
     )
     cool(t, tau, NONE, 0.0, [links, empty])
-    means = [float(np.average(t.T[body == i], weights=m.V0[body == i])) for i in (0, 1)]
+    means = [float(np.average(t.elements.T[body == i], weights=m.V0[body == i])) for i in (0, 1)]
     assert sum(means) == pytest.approx(900.0, rel=1e-9)
     crossed = 150.0 * 2 * K * sqrt(tau / (pi * ALPHA))
     assert RHO * CP * (600.0 - means[1]) == pytest.approx(crossed, rel=0.03)
-    assert t.T[body == 1].min() == pytest.approx(450.0, abs=25.0)
+    assert t.elements.T[body == 1].min() == pytest.approx(450.0, abs=25.0)
 
 
 def test_a_jet_heats_a_small_body_as_one_lump() -> None:
@@ -98,8 +98,8 @@ def test_a_jet_heats_a_small_body_as_one_lump() -> None:
     h = 0.02 * K
     time = 0.7 * RHO * CP / h  # volume over area is 1 m
     report = cool(t, time, NONE, 0.0, film=Film(top.ravel(), np.repeat(size / 3, 3), h, 500.0))
-    assert float(np.average(t.T, weights=m.V0)) == pytest.approx(500.0 - 200.0 * np.exp(-0.7), abs=2.0)
-    assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.T - 300.0)), rel=1e-8)
+    assert float(np.average(t.elements.T, weights=m.V0)) == pytest.approx(500.0 - 200.0 * np.exp(-0.7), abs=2.0)
+    assert -report["taken_away_J"] == pytest.approx(RHO * CP * float(m.V0 @ (t.elements.T - 300.0)), rel=1e-8)
 
 
 def test_two_threads_cool_as_one_does_to_the_last_bit() -> None:
@@ -110,7 +110,7 @@ def test_two_threads_cool_as_one_does_to_the_last_bit() -> None:
         t = Target(m, law_record(elastic()), np.where(m.points[m.conn][:, 0, 0] > 0.5, 900.0, 300.0), fixed=())
         with second_thread(threads):
             cool(t, 0.1 / ALPHA, np.unique(m.facets[m.sets["bottom"]]), 300.0)
-        after.append(t.T)
+        after.append(t.elements.T)
     assert np.ptp(after[0]) > 10.0
     assert np.array_equal(*after)
 

@@ -70,7 +70,7 @@ def column() -> Bodies:
 
 def part(bodies: Bodies, upper: int) -> None:
     """Break the bonds between a body and the one below it, which it is bonded to alone."""
-    owner = np.zeros(len(bodies.target.x), int)
+    owner = np.zeros(len(bodies.target.nodes.x), int)
     owner[bodies.target.mesh.conn] = bodies.body[:, None]
     assert bodies.bond is not None
     bodies.bond.damage[owner[bodies.bond.nodes] == upper] = 1.0
@@ -87,7 +87,7 @@ def test_what_no_path_of_bonds_leads_to_is_not_held(column: Bodies) -> None:
 def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) -> None:
     """Two of three blocks of 20 um: the rest keeps its state to the last bit, and what they covered can be hit again."""
     part(column, 2)
-    x, count = column.target.x.copy(), column.count
+    x, count = column.target.nodes.x.copy(), column.count
     stays = np.unique(column.target.mesh.conn[column.body < 2])
     hidden = len(column.buried)
     left, records = detaching.without_detached(planned, column, 5, "impact")
@@ -96,7 +96,7 @@ def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) 
     assert sum(r["mass_kg"] for r in records) == pytest.approx(2 * rho * 8e-15, rel=1e-9)
     assert (left.count, count) == (2, 4)
     np.testing.assert_array_equal(left.impact, [0, 1])
-    np.testing.assert_array_equal(left.target.x, x[stays])
+    np.testing.assert_array_equal(left.target.nodes.x, x[stays])
     assert left.target.mesh.sets.keys() >= {"top", "bottom", "sides", "splat1"}
     assert left.contact is not None
     left.search(0.0)
@@ -106,7 +106,7 @@ def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) 
     assert len(left.bond) > 0
     assert 0 < len(left.buried) < hidden
     top = left.target.mesh.facets[np.setdiff1d(left.target.mesh.sets["splat1"], left.buried)]
-    assert (left.target.x[top][:, :, 2].min(axis=1) > 19.9e-6).any(), "the top of the first block can be hit"
+    assert (left.target.nodes.x[top][:, :, 2].min(axis=1) > 19.9e-6).any(), "the top of the first block can be hit"
     again = Bodies.from_state(left.state(), ("bottom",), (), 0.3, False)
     np.testing.assert_array_equal(again.impact, left.impact)
 
@@ -116,12 +116,12 @@ def test_what_lies_apart_from_it_is_not_looked_at(column: Bodies) -> None:
     law = law_record(material("Ni"), rate_filter=1e-9)
     two = column.joined([block((16e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), SIZE, ORIGIN, 1.0, 5)
     own = np.unique(two.target.mesh.conn[two.body == 4])
-    two.target.x[own, 2] += SIZE
+    two.target.nodes.x[own, 2] += SIZE
     left = two.without(np.array([False, False, True, True, False]), SIZE)
 
     def buried_beyond(bodies: Bodies, x: float) -> int:
         facets = bodies.target.mesh.facets[bodies.buried]
-        return int(np.sum(bodies.target.x[facets, 0].min(axis=1) > x))
+        return int(np.sum(bodies.target.nodes.x[facets, 0].min(axis=1) > x))
 
     assert buried_beyond(left, 15e-6) == buried_beyond(two, 15e-6) > 0
     assert len(left.buried) < len(two.buried) - 1

@@ -43,8 +43,8 @@ def ball() -> Iterator[Build]:
 
 
 def move(p: Particle, velocity: np.ndarray) -> None:
-    p.v[:] = velocity
-    p._vest[:] = velocity
+    p.points.v[:] = velocity
+    p.points.vest[:] = velocity
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_losses_heat_their_points(ball: Build) -> None:
     upper = p.X[:, 2] > 0.0
     move(p, np.where(upper[:, None], 20.0, 0.1) * np.random.default_rng(3).normal(size=p.X.shape))
     p.run(10, DT, lambda: None)
-    heat = float(p.law["rho"][0] * p.volume @ (heat_capacities(p.law[0], p.T) * (p.T - 300.0)))
+    heat = float(p.law["rho"][0] * p.volume @ (heat_capacities(p.law[0], p.points.T) * (p.points.T - 300.0)))
     assert heat == pytest.approx(float(p.sums[2:].sum()), rel=1e-6)
-    assert p.T[upper].mean() - 300.0 > 10.0 * abs(p.T[~upper].mean() - 300.0)
+    assert p.points.T[upper].mean() - 300.0 > 10.0 * abs(p.points.T[~upper].mean() - 300.0)
 
 
 def test_machdyn_books_no_parts(ball: Build) -> None:
@@ -107,7 +107,7 @@ def test_machdyn_books_no_parts(ball: Build) -> None:
     p.run(100, DT, lambda: None)
     assert p.totals().viscosity == p.totals().hourglass == 0.0
     assert p.internal_work > p.elastic() + p.sums[0]
-    assert np.array_equal(p.T, np.full(p.n, 300.0))
+    assert np.array_equal(p.points.T, np.full(p.n, 300.0))
 
 
 def test_bulk_viscosity_heats_its_elements() -> None:
@@ -118,15 +118,15 @@ def test_bulk_viscosity_heats_its_elements() -> None:
     for heats in (True, False):
         record = law.law_record(metal, {"dissipation_heat": heats, "plastic_heating": False})
         t = Target(m, record, 300.0, fixed=(), track_wave=False)
-        t.v[:] = -200.0 * (m.points - 0.5)
+        t.nodes.v[:] = -200.0 * (m.points - 0.5)
         for _ in range(20):
             t.advance(2e-6)
             t.finish()
         assert t.sums[1] > 0.0
-        heat = float((record["rho"] * m.V0) @ (heat_capacities(record[0], t.T) * (t.T - 300.0)))
+        heat = float((record["rho"] * m.V0) @ (heat_capacities(record[0], t.elements.T) * (t.elements.T - 300.0)))
         assert heat == pytest.approx(t.sums[1] if heats else 0.0, rel=1e-3)
         assert t.sums[2] == pytest.approx(t.sums[1] if heats else 0.0, rel=1e-12)
-        temperatures.append(t.T.mean())
+        temperatures.append(t.elements.T.mean())
     assert temperatures[0] > temperatures[1] == 300.0
 
 

@@ -57,10 +57,10 @@ def test_heat_makes_pressure_only_with_thermal_expansion(expands: bool) -> None:
         track_wave=False,
     )
     t.warm(np.arange(len(m.conn)), 1e8 * m.V0)
-    assert t.T.min() > 320.0
+    assert t.elements.T.min() > 320.0
     t.advance(1e-9)
     t.finish()
-    np.testing.assert_allclose(t.p, metal.Gamma0 * 1e8 if expands else 0.0, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(t.nodes.p, metal.Gamma0 * 1e8 if expands else 0.0, rtol=1e-6, atol=1e-3)
     assert t.elastic() == pytest.approx(0.0, abs=1e-6 * 1e8)
 
 
@@ -74,13 +74,13 @@ def test_plastic_heat_stays_out_of_the_pressure_without_expansion() -> None:
         faces = ("bottom", "top", "sides")
         t = Target(m, record, 300.0, fixed=faces, track_wave=False)
         t.inv_mass[:] = 0.0  # every node is driven
-        t.v[:, 0] = 1e3 * m.points[:, 2]
+        t.nodes.v[:, 0] = 1e3 * m.points[:, 2]
         for _ in range(400):
             t.advance(1e-6)
             t.finish()
-        assert t.eps_p.min() > 0.1
+        assert t.elements.eps_p.min() > 0.1
         assert t.sums[2] == pytest.approx(0.9 * t.sums[0] if on else 0.0, rel=1e-9)
-        pressures.append((float(t.p.mean()), 0.9 * t.sums[0]))
+        pressures.append((float(t.nodes.p.mean()), 0.9 * t.sums[0]))
     assert pressures[0][0] == pytest.approx(metal.Gamma0 * pressures[0][1], rel=0.01)  # of a volume of 1 m3
     assert abs(pressures[1][0]) < 1e-6 * pressures[0][0]
 
@@ -129,13 +129,20 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     laws = law.law_record(nickel), np.concatenate([law.law_record(steel), law.law_record(material("Al"))])
     seen = Extremes()
     one = np.ones(200)
-    calm = SimpleNamespace(
-        rate=0.0 * one, T=300.0 * one, J=one, eps_p=0.0 * one, active_nodes=200, active_elements=200, law=laws[0], laws=laws[1],
-        law_of=(np.arange(200) > 190).astype(int),
-    )  # fmt: skip
+
+    def holding(**state: np.ndarray) -> SimpleNamespace:
+        """Points and target of this state."""
+        record = SimpleNamespace(**state)
+        return SimpleNamespace(
+            points=record, nodes=record, elements=record, active_nodes=200, active_elements=200, law=laws[0], laws=laws[1],
+            law_of=(np.arange(200) > 190).astype(int),
+        )  # fmt: skip
+
+    at_rest = {"rate": 0.0 * one, "T": 300.0 * one, "J": one, "eps_p": 0.0 * one}
+    calm = holding(**at_rest)
     seen.note(calm, calm)
     assert seen.warnings(1, {"particle": nickel, "target": steel}, True) == []
-    wild = SimpleNamespace(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one, eps_p=one, law=laws[0])
+    wild = holding(rate=3e7 * one, T=0.95 * nickel.T_m * one, J=0.97 * one, eps_p=one)
     seen.note(wild, calm)
     seen.note(calm, calm)  # what was stays
     (line,) = seen.warnings(2, {"particle": nickel, "target": steel}, True)
@@ -144,7 +151,7 @@ def test_warnings_name_the_limit_that_was_left() -> None:
     assert "0.95 of the melting point (to 0.9)" in line
     assert "target" not in line
     splat = Extremes()  # of aluminium on steel: its melting point counts
-    splat.note(calm, SimpleNamespace(**vars(calm) | {"T": 850.0 * one}))
+    splat.note(calm, holding(**at_rest | {"T": 850.0 * one}))
     assert "0.99 of the melting point" in splat.warnings(1, {"particle": nickel, "target": steel}, True)[0]
     # a linear equation of state is 5 % short at that compression
     linear = greatest_compression(nickel, False)
@@ -196,16 +203,13 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
             for name in (name for name in record.dtype.names if record.dtype[name] == np.int64):
                 record[name] = replaced
     x = m.points - 0.5
-    t.v[:] = 500.0 * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], -0.3 * x[:, 2]], axis=1)
+    t.nodes.v[:] = 500.0 * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], -0.3 * x[:, 2]], axis=1)
     dt = 0.5 * t.stable_dt()[0]
     for _ in range(10):
         t.advance(dt)
         t.finish()
-    assert np.mean(t.eps_p > 0.0) > 0.5
-    return {
-        name: getattr(t, name)
-        for name in ("x", "fe", "J", "p", "energy", "s", "sigma_y", "eps_p", "rate", "T", "heat", "sums")
-    }
+    assert np.mean(t.elements.eps_p > 0.0) > 0.5
+    return vars(t.nodes) | vars(t.elements) | {"sums": t.sums}
 
 
 POINT = (

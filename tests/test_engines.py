@@ -60,19 +60,19 @@ def set_velocity(rates: tuple[float, float, float], noise: float = 20.0) -> Call
     """Velocities that stretch at these rates (1/s), and some that no linear field has (m/s)."""
 
     def do(p: Particle) -> None:
-        p.v[:] = p.X * np.array(rates) + noise * np.random.default_rng(5).normal(size=p.X.shape)
-        p._vest[:] = p.v
+        p.points.v[:] = p.X * np.array(rates) + noise * np.random.default_rng(5).normal(size=p.X.shape)
+        p.points.vest[:] = p.points.v
 
     return do
 
 
 def assert_equal(a: Particle, b: Particle, factor: float = 1.0) -> None:
     for name, share in CLOSE.items():
-        expected, got = getattr(a, name), getattr(b, name)
+        expected, got = a.get(name), b.get(name)
         scale = D if name == "x" else np.abs(expected).max()
         assert np.abs(got - expected).max() <= factor * share * scale, name
     assert np.abs(a.stress() - b.stress()).max() <= factor * 1e-10 * np.abs(a.stress()).max()
-    assert np.abs(a.f - b.f).max() <= factor * 1e-10 * np.abs(a.f).max()
+    assert np.abs(a.points.f - b.points.f).max() <= factor * 1e-10 * np.abs(a.points.f).max()
     assert a._strain() == pytest.approx(b._strain(), abs=factor * 1e-11)
     assert a.stable_dt() == pytest.approx(b.stable_dt(), rel=factor * 1e-11)
     for quantity in ("kinetic", "elastic"):
@@ -87,7 +87,7 @@ def test_300_steps_are_the_same(pair: Callable[..., tuple[Particle, Particle]], 
     particles = pair(name, lattice=lattice)
     both(particles, set_velocity((4e7, 3e7, -7e7)))
     both(particles, lambda p: p.run(300, DT, lambda: None))
-    assert particles[0].eps_p.max() > 0.15
+    assert particles[0].points.eps_p.max() > 0.15
     assert_equal(*particles)
 
 
@@ -110,7 +110,7 @@ def test_a_stretched_and_rotated_start(pair: Callable[..., tuple[Particle, Parti
     stretch = np.array([[1.05, 0.02, 0.0], [0.02, 0.97, 0.01], [0.0, 0.01, 0.98]])
 
     def displace(p: Particle) -> None:
-        p.x[:] = p.X @ (turn @ stretch).T
+        p.points.x[:] = p.X @ (turn @ stretch).T
         set_velocity((1e7, 0.0, -1e7))(p)
 
     both(particles, displace)
@@ -122,14 +122,14 @@ def test_a_spin_of_many_steps_keeps_the_rotation_exact(pair: Callable[..., tuple
     particles = pair(points=300)
 
     def spin(p: Particle) -> None:
-        p.v[:] = np.cross(np.array([0.0, 0.0, 5e6]), p.X)
-        p._vest[:] = p.v
+        p.points.v[:] = np.cross(np.array([0.0, 0.0, 5e6]), p.X)
+        p.points.vest[:] = p.points.v
 
     both(particles, spin)
     both(particles, lambda p: p.run(1000, 2e-11, lambda: None))
     # the hourglass control jumps where its error changes sign, and in a rigid spin that error is rounding
-    assert np.abs(particles[0].x - particles[1].x).max() < 1e-8 * D
-    R = particles[1].R.reshape(-1, 3, 3)  # type: ignore[attr-defined]
+    assert np.abs(particles[0].points.x - particles[1].points.x).max() < 1e-8 * D
+    R = particles[1].points.R.reshape(-1, 3, 3)  # type: ignore[attr-defined]
     assert np.abs(np.einsum("nki,nkj->nij", R, R) - np.eye(3)).max() < 1e-12
 
 
@@ -146,8 +146,8 @@ def test_heat_between_steps(pair: Callable[..., tuple[Particle, Particle]]) -> N
 
     both(particles, heated)
     melt = float(particles[0].law["T_m"][0])
-    assert particles[0].T.max() > melt
-    assert (particles[0].sigma_y < compiled_kernels.PLASTIC * 1e9).sum() > 20
+    assert particles[0].points.T.max() > melt
+    assert (particles[0].points.sigma_y < compiled_kernels.PLASTIC * 1e9).sum() > 20
     assert_equal(*particles, factor=100.0)
 
 
@@ -195,7 +195,7 @@ def test_a_restored_particle_goes_on_to_the_last_bit(pair: Callable[..., tuple[P
     second.restore(state)
     second.run(100, DT, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f"):
-        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+        assert np.array_equal(first.get(name), second.get(name)), name
     assert first.internal_work == second.internal_work
 
 
@@ -212,7 +212,7 @@ def test_lammps_searches_in_few_enough_bins(
         set_velocity((4e7, 3e7, -7e7))(p)
         p.run(50, DT, lambda: None)
     for name, part in CLOSE.items():
-        one, other = getattr(narrow, name), getattr(wide, name)
+        one, other = narrow.get(name), wide.get(name)
         order = np.argsort(narrow.ids), np.argsort(wide.ids)
         np.testing.assert_allclose(one[order[0]], other[order[1]], rtol=0, atol=part * np.abs(one).max(), err_msg=name)
 
@@ -233,7 +233,7 @@ def test_two_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Part
         with second_thread(threads):
             p.run(100, DT, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "sums"):
-        assert np.array_equal(getattr(alone, name), getattr(shared, name)), name
+        assert np.array_equal(alone.get(name), shared.get(name)), name
 
 
 def test_blas_has_one_thread_in_a_run() -> None:

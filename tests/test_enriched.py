@@ -36,14 +36,14 @@ def made() -> Iterator[Build]:
 
 
 def move(p: EnrichedParticle, velocity: np.ndarray) -> None:
-    p.v[:] = velocity
-    p._vest[:] = velocity
+    p.points.v[:] = velocity
+    p.points.vest[:] = velocity
 
 
 def place(p: EnrichedParticle, A: np.ndarray) -> None:
     """Put the points where the gradient A (3,3) takes them, without strain on the way."""
-    p.x[:] = p.X @ A.T
-    p.F[:] = A.ravel()
+    p.points.x[:] = p.X @ A.T
+    p.points.F[:] = A.ravel()
 
 
 def strip(layers: int, slender: float) -> tuple[np.ndarray, float, np.ndarray]:
@@ -67,7 +67,7 @@ def test_a_plate_of_five_layers_vibrates_as_a_beam(made: Build) -> None:
     dt, before, now = 0.35 * p.spacing / p.wave_speed, 1.0, 1.0
     while now > 0.0:  # to the turning point, after a quarter of the period
         p.run(10, dt, lambda: None)
-        before, now = now, float(np.sum(mode * p.v))
+        before, now = now, float(np.sum(mode * p.points.v))
     quarter = p.time - 10 * dt * now / (now - before)
     t = thick / length
     T1 = 1.0 + 6.585 * (1.0 + 0.0752 * NU + 0.8109 * NU**2) * t**2 - 0.868 * t**4
@@ -83,11 +83,11 @@ def test_a_linear_field_is_exact(made: Build, lattice: Lattice) -> None:
     A = np.array([[1.01, 0.004, 0.0], [-0.002, 0.99, 0.003], [0.001, 0.0, 1.002]])
     place(p, A)
     p.run(1, 1e-18, lambda: None)
-    assert np.abs(p.F.reshape(-1, 3, 3) - A).max() < 1e-10
-    assert p.unseen.max() < 1e-12 * E
+    assert np.abs(p.points.F.reshape(-1, 3, 3) - A).max() < 1e-10
+    assert p.points.unseen.max() < 1e-12 * E
     inside = np.linalg.norm(p.X, axis=1) < 0.5 * D - 3.5 * p.spacing
     assert inside.sum() > 5
-    assert np.abs(p.f[inside]).max() < 1e-9 * np.abs(p.f).max()
+    assert np.abs(p.points.f[inside]).max() < 1e-9 * np.abs(p.points.f).max()
 
 
 def test_viscosity_is_all_that_an_elastic_body_loses(made: Build) -> None:
@@ -109,11 +109,11 @@ def test_momentum_and_energy_of_a_violent_spin(made: Build) -> None:
     move(p, p.X * np.array([4e7, 3e7, -6e7]) + np.cross([0.0, 0.0, 1e7], p.X) + noise)
 
     def spin() -> np.ndarray:
-        return np.cross(p.x, p.mass[:, None] * p.v).sum(axis=0)
+        return np.cross(p.points.x, p.mass[:, None] * p.points.v).sum(axis=0)
 
     L, linear, start = spin(), p.momentum(), p.kinetic()
     p.run(400, 2e-11, lambda: None)
-    assert p.eps_p.mean() > 0.3
+    assert p.points.eps_p.mean() > 0.3
     assert np.abs(spin() - L).max() < 1e-12 * np.abs(L).max()
     assert np.abs(p.momentum() - linear).max() < 1e-12 * p.mass.sum() * 100.0
     assert p.kinetic() + p.elastic() + p.sums[0] == pytest.approx(start, rel=2e-3)
@@ -130,7 +130,7 @@ def test_a_free_spin_goes_on_as_it_is(made: Build) -> None:
     start, sizes, dt = p.kinetic(), [], 0.3 * p.spacing / p.wave_speed
     for time in (0.5e-6, 3e-6):
         p.run(round((time - p.time) / dt), dt, lambda: None)
-        arm = p.x - p.x.mean(axis=0)
+        arm = p.points.x - p.points.x.mean(axis=0)
         sizes.append((np.ptp(arm[:, 2]), np.hypot(*arm[:, :2].T).max()))
     assert sizes[1] == pytest.approx(sizes[0], rel=1e-3)
     stored = p.kinetic() + p.elastic()
@@ -148,7 +148,7 @@ def stiffness(p: EnrichedParticle) -> np.ndarray:
         velocity[k] = 10.0
         move(p, velocity.reshape(-1, 3))
         p.run(1, dt, lambda: None)
-        rows.append(p.f.ravel() / (10.0 * dt))
+        rows.append(p.points.f.ravel() / (10.0 * dt))
     p.restore(here)
     K = -np.array(rows)
     assert np.abs(K - K.T).max() < 1e-4 * np.abs(K).max()
@@ -168,7 +168,7 @@ def test_the_step_follows_from_the_highest_frequency(made: Build) -> None:
     flat = np.diag([2.0**0.5, 2.0**0.5, 0.5])
     for A, near in ((np.eye(3), 0.01), (flat, 0.02), (flat[:, [2, 0, 1]], 0.02)):
         place(p, A)
-        move(p, np.zeros_like(p.x))
+        move(p, np.zeros_like(p.points.x))
         p.run(1, 1e-18, lambda: None)
         exact = 2.0 / np.sqrt(np.linalg.eigvalsh(stiffness(p))[-1] / p.mass[0])
         for _ in range(10):  # later calls start from the last vector
@@ -181,16 +181,16 @@ def test_a_body_steps_at_its_limit_and_not_beyond(made: Build) -> None:
     for share, steps, bounded in ((0.99, 100, True), (1.1, 15, False)):
         p = made(*packing.sphere(D, 60), Q1=0.0)
         move(p, 1e-3 * np.random.default_rng(3).normal(size=p.X.shape))
-        start, dt = np.abs(p.v).max(), share * p.stable_dt() / p.numerics.frequency
+        start, dt = np.abs(p.points.v).max(), share * p.stable_dt() / p.numerics.frequency
         p.run(steps, dt, lambda: None)
-        assert (np.abs(p.v).max() < 3.0 * start) == bounded
+        assert (np.abs(p.points.v).max() < 3.0 * start) == bounded
 
 
 def crushed(made: Build, inertia: float) -> EnrichedParticle:
     """A small sphere, pressed to 0.16 of its height at equal volume; inertia: as in `Numerics`."""
     p = made(*packing.sphere(D, 60), Q1=0.0, inertia=inertia)
     place(p, np.diag([2.5, 2.5, 0.16]))
-    move(p, np.zeros_like(p.x))
+    move(p, np.zeros_like(p.points.x))
     p.run(1, 1e-18, lambda: None)
     return p
 
@@ -201,20 +201,20 @@ def test_crushed_cells_with_inertia_bear_a_longer_step(made: Build) -> None:
         bare = crushed(made, 0.0).stable_dt()
     for share, steps, bounded in ((0.99, 100, True), (1.1, 15, False)):
         p = crushed(made, 0.25)
-        move(p, p.v + 1e-3 * np.random.default_rng(3).normal(size=p.X.shape))
+        move(p, p.points.v + 1e-3 * np.random.default_rng(3).normal(size=p.X.shape))
         for _ in range(10):
             dt = p.stable_dt()
         assert dt > 1.4 * bare
-        start = np.abs(p.v).max()
+        start = np.abs(p.points.v).max()
         p.run(steps, share * dt / p.numerics.frequency, lambda: None)
-        assert (np.abs(p.v).max() < 3.0 * start) == bounded
+        assert (np.abs(p.points.v).max() < 3.0 * start) == bounded
 
 
 def test_added_inertia_is_none_of_rigid_motions(made: Build) -> None:
     """Forces that accelerate and spin the body as a whole stay as they are; others keep their sum and their moment."""
     p = crushed(made, 0.25)
     p.stable_dt()
-    arm = p.x - p.x.mean(axis=0)
+    arm = p.points.x - p.points.x.mean(axis=0)
     rigid = p.mass[:, None] * (np.array([3.0, -1.0, 2.0]) + np.cross([2.0, 1.0, -3.0], arm) / D)
     f = rigid.copy()
     p._inertia.slow(f)
@@ -256,4 +256,4 @@ def test_a_restored_particle_goes_on_to_the_last_bit(made: Build, inertia: float
     assert second.elastic() == elastic_energy
     second.run(50, 1e-11, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "unseen"):
-        assert np.array_equal(getattr(first, name), getattr(second, name)), name
+        assert np.array_equal(first.get(name), second.get(name)), name

@@ -111,10 +111,10 @@ def turned(angle: float) -> np.ndarray:
 def grown(t: Target, F: np.ndarray) -> np.ndarray:
     """Gradient (m,3) of a strain that grows linearly over the reference, in a target that is deformed by F."""
     X = t.mesh.points
-    t.x[:], t.eps_gradient[:], t.eps_p[:] = X @ F.T, 0.0, 0.2
+    t.nodes.x[:], t.elements.eps_gradient[:], t.elements.eps_p[:] = X @ F.T, 0.0, 0.2
     with growing(t):
-        t.eps_p += 1.0 + X[t.mesh.conn].mean(axis=1) @ SLOPE
-    return t.eps_gradient.copy()
+        t.elements.eps_p[:] += 1.0 + X[t.mesh.conn].mean(axis=1) @ SLOPE
+    return t.elements.eps_gradient.copy()
 
 
 def test_elements_see_a_linear_strain(target: Target) -> None:
@@ -125,8 +125,8 @@ def test_elements_see_a_linear_strain(target: Target) -> None:
     assert np.count_nonzero(inner) > 50
     assert got.mean(axis=0) == pytest.approx(SLOPE, rel=0.05)
     with growing(target):
-        target.eps_p += 0.3  # alike everywhere
-    assert target.eps_gradient[inner] == pytest.approx(got, abs=1e-3)
+        target.elements.eps_p[:] += 0.3  # alike everywhere
+    assert target.elements.eps_gradient[inner] == pytest.approx(got, abs=1e-3)
 
 
 def test_elements_take_the_gradient_where_they_are(target: Target) -> None:
@@ -155,9 +155,9 @@ def test_points_see_a_linear_strain(engine: str) -> None:
         grow_gradients(p.n, 1.0 + p.X @ SLOPE, p._first, p._neighbour, p._gradient, *rows, out)
         U = rotation.T @ F
         assert out == pytest.approx(np.tile(np.linalg.solve(U, SLOPE), (p.n, 1)), rel=1e-6)
-    p.eps_gradient[:] = SLOPE
-    p.R[:] = R.ravel()
-    assert p.spatial_gradient == pytest.approx(np.tile(R @ SLOPE, (p.n, 1)))
+    p.points.eps_gradient[:] = SLOPE
+    p.points.R[:] = R.ravel()
+    assert p.carried()["eps_gradient"] == pytest.approx(np.tile(R @ SLOPE, (p.n, 1)))
     p.close()
 
 
@@ -195,8 +195,8 @@ def test_a_splat_keeps_its_gradients(tmp_path: Path) -> None:
             seen[:] = [(cloud_of(impact.domains).eps_gradient, impact.particle.mass)]
         elif len(seen) == 1:
             own = impact.bodies.body == 1
-            seen.append((impact.target.eps_gradient[own], impact.target.mesh.V0[own]))
-            assert not impact.target.eps_gradient[~own].any()  # steel, as the library has it
+            seen.append((impact.target.elements.eps_gradient[own], impact.target.mesh.V0[own]))
+            assert not impact.target.elements.eps_gradient[~own].any()  # steel, as the library has it
 
     run(Scene.from_text(text, "double"), tmp_path / "out", progress=QUIET, probe=probe)
     (points, mass), (elements, volume) = seen

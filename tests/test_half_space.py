@@ -34,13 +34,13 @@ def cylinder(scale: float, kind: str) -> Bodies:
 def stresses_of_a_warm_spot(bodies: Bodies) -> np.ndarray:
     """Mean xx and zz stresses (MPa) in a hemisphere of 10 um below the middle that is 60 K warmer, and round it up to 30 um."""
     t = bodies.target
-    away = np.linalg.norm(t.x[t.mesh.conn].mean(axis=1), axis=1)
+    away = np.linalg.norm(t.nodes.x[t.mesh.conn].mean(axis=1), axis=1)
     hot, ring = away < 10e-6, (away >= 10e-6) & (away < 30e-6)
     t.warm(np.flatnonzero(hot), STEEL.rho * STEEL.cp_at(300.0) * 60.0 * t.mesh.V0[hot])
     settle(bodies, 1e-9, ramp=True)
     stress = t.stress()
     return np.array(
-        [np.average(stress[part, i], weights=t.volume[part]) for part in (hot, ring) for i in (0, 2)]
+        [np.average(stress[part, i], weights=t.elements.volume[part]) for part in (hot, ring) for i in (0, 2)]
     ) / 1e6  # fmt: skip
 
 
@@ -75,7 +75,7 @@ def test_the_energy_of_the_springs_is_in_the_ledger() -> None:
     """A free push of the whole block on its springs: kinetic and elastic energy stay the same but for what the dashpots take."""
     t = cylinder(1.0, HALF_SPACE).target
     t.activate_all()
-    t.v[:, 2] = -1.0
+    t.nodes.v[:, 2] = -1.0
     start = 0.5 * float(t.mass.sum())
     for _ in range(60):
         t.advance(t.stable_dt()[0])
@@ -109,16 +109,16 @@ def test_what_the_wave_has_not_reached_is_in_balance_with_its_springs() -> None:
     bodies = cylinder(2.0, HALF_SPACE)
     stresses_of_a_warm_spot(bodies)
     t = bodies.target
-    assert np.abs(t.x[t.spring_nodes] - t.spring_rest).max() > 1e-11
+    assert np.abs(t.nodes.x[t.spring_nodes] - t.spring_rest).max() > 1e-11
     t.deactivate_beyond(20e-6)
-    assert t.active_nodes < len(t.x)
-    top = np.flatnonzero(np.linalg.norm(t.x, axis=1) < 8e-6)
+    assert t.active_nodes < len(t.nodes.x)
+    top = np.flatnonzero(np.linalg.norm(t.nodes.x, axis=1) < 8e-6)
     pushed = np.zeros(3)
     before = t.momentum() - t.external_impulse()
     for _ in range(40):
         t.advance(5e-11)
         t.finish()
-        t.total[top, 2] -= 1e-3
+        t.nodes.total[top, 2] -= 1e-3
         pushed[2] -= 5e-11 * 1e-3 * len(top)
     moved = t.momentum() - t.external_impulse() - before
     assert moved[2] == pytest.approx(pushed[2], rel=0.03)  # half of the last push is still to come
@@ -130,7 +130,7 @@ def test_a_cut_at_the_side_has_the_springs_of_the_whole() -> None:
     part, cut = cut_out(bodies, (32e-6, 0.0, 0.0), 20e-6)
     t, own = bodies.target, part.target
     number = part.state().target.nodes.node_number[own.spring_nodes]
-    free = np.linalg.norm(own.x[own.spring_nodes] - [32e-6, 0.0, 0.0], axis=1) < 20e-6
+    free = np.linalg.norm(own.nodes.x[own.spring_nodes] - [32e-6, 0.0, 0.0], axis=1) < 20e-6
     assert 5 < free.sum() < len(t.spring_nodes) / 2
     assert np.isin(number[free], cut.nodes).all()
     place = np.searchsorted(t.spring_nodes, number[free])
@@ -140,10 +140,10 @@ def test_a_cut_at_the_side_has_the_springs_of_the_whole() -> None:
 def test_bodies_that_are_numbered_anew_keep_the_contraction_of_the_half_space() -> None:
     bodies = cylinder(1.0, HALF_SPACE)
     t = bodies.target
-    t.x *= 0.995
+    t.nodes.x[:] *= 0.995
     t.rest_scale *= 0.995
     same = bodies.renumbered((10e-6, 0.0, 0.0)).target
-    assert np.abs(same.x[same.spring_nodes] - same.spring_rest).max() < 1e-12
+    assert np.abs(same.nodes.x[same.spring_nodes] - same.spring_rest).max() < 1e-12
     assert same.elastic() == pytest.approx(t.elastic(), abs=1e-15)
 
 
@@ -153,11 +153,11 @@ def test_heat_of_what_is_inactive_waits() -> None:
     t = bodies.target
     t.deactivate_beyond(15e-6)
     e = next(e for e in range(t.active_elements, len(t.mesh.conn)) if (t.mesh.conn[e] < t.active_nodes).any())
-    t.heat[e] = 1e-9
-    before = t.energy.copy()
+    t.elements.heat[e] = 1e-9
+    before = t.nodes.energy.copy()
     for _ in range(5):
         t.advance(1e-12)
         t.finish()
     assert e >= t.active_elements
-    assert t.heat[e] == 1e-9
-    assert float(t.mesh.node_volume @ np.abs(t.energy - before)) < 1e-12
+    assert t.elements.heat[e] == 1e-9
+    assert float(t.mesh.node_volume @ np.abs(t.nodes.energy - before)) < 1e-12

@@ -11,9 +11,11 @@ from coupler.errors import SolverError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
 from coupler.fe.heat import Conduction
+from coupler.fe.state import ElementState, NodeState
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material, names
+from coupler.state.records import new_rows
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)
@@ -23,8 +25,9 @@ class Block:
     """Temperatures of a mesh at rest, and conduction over it."""
 
     def __init__(self, m: mesh.TetMesh, laws: np.ndarray, T: np.ndarray, law_of: np.ndarray | None = None):
-        self.mesh, self.T, self.heat, self.sigma_y = m, T.astype(float), np.zeros(len(T)), np.full(len(T), 1e8)
-        self.x, self.volume, self.eps_p, self.laws = m.points, m.V0, np.zeros(len(T)), laws
+        self.mesh, self.laws, self.nodes = m, laws, new_rows(NodeState, len(m.points), x=m.points)
+        known = {"T": T.astype(float), "sigma_y": np.full(len(T), 1e8), "volume": m.V0.copy()}
+        self.elements = new_rows(ElementState, len(T), **known)
         self.law_of = np.zeros(len(T), np.int32) if law_of is None else law_of.astype(np.int32)
         self.start, self.table = kernels.node_to_element(m.conn, len(m.points))
         self.active_nodes, self.active_elements = len(m.points), len(T)
@@ -53,8 +56,8 @@ def test_operator_is_scikit_fems(rng: np.random.Generator) -> None:
     block = Block(m, law_record(elastic()), np.full(len(m.conn), 300.0))
     block.run(1e-9)
     x = m.points + 0.02 * rng.standard_normal(m.points.shape)  # conduction acts in the current configuration
-    block.x, block.volume = x, np.zeros(len(m.conn))
-    assert kernels.volumes(0, len(m.conn), x, m.conn, block.volume) > 0
+    block.nodes.x[:] = x
+    assert kernels.volumes(0, len(m.conn), x, m.conn, block.elements.volume) > 0
     block.conduction.T[:] = T = 300 + 100 * rng.random(len(x))
     block.conduction._flows(block)
     flow = np.zeros(len(x))
@@ -73,8 +76,8 @@ def test_a_cosine_decays_as_its_exponential() -> None:
         block = Block(m, law_record(elastic()), 300 + 100 * np.cos(np.pi * z))
         block.run(end)
         exact = 300 + 100 * np.exp(-0.5) * np.cos(np.pi * z)
-        errors.append(float(np.sqrt(np.average((block.T - exact) ** 2, weights=m.V0))) / 100)
-        assert abs(block.heat.sum()) < 1e-12 * np.abs(block.heat).sum()
+        errors.append(float(np.sqrt(np.average((block.elements.T - exact) ** 2, weights=m.V0))) / 100)
+        assert abs(block.elements.heat.sum()) < 1e-12 * np.abs(block.elements.heat).sum()
     assert errors[-1] < 1e-3
     assert np.polyfit(np.log(sizes), np.log(errors), 1)[0] > 1.7
 
@@ -96,7 +99,7 @@ def test_two_half_spaces_meet_at_the_temperature_of_their_effusivities() -> None
     assert met == pytest.approx(between, abs=1.5)
     far = np.where(law_of == 0, 600.0, 300.0)
     exact = between + (far - between) * np.vectorize(erf)(np.abs(block.z) / (2 * np.sqrt(alpha[law_of] * end)))
-    assert np.abs(block.T - exact).max() < 5.0  # of 300 K
+    assert np.abs(block.elements.T - exact).max() < 5.0  # of 300 K
 
 
 def test_conductivity_that_changes_with_temperature() -> None:
@@ -128,28 +131,28 @@ def test_heat_capacity_that_changes_with_temperature_and_what_is_conserved() -> 
     def enthalpy(T: np.ndarray) -> np.ndarray:
         return 450 * (T - 300) + 0.15 * (T - 300) ** 2
 
-    before = float(m.V0 @ enthalpy(block.T))
+    before = float(m.V0 @ enthalpy(block.elements.T))
     block.run(0.1 / ALPHA)
-    assert np.ptp(block.T) > 10.0  # on the way
+    assert np.ptp(block.elements.T) > 10.0  # on the way
     block.run(8.0 / ALPHA)
-    assert float(m.V0 @ enthalpy(block.T)) == pytest.approx(before, rel=1e-9)
-    assert abs(block.heat.sum()) < 1e-12 * np.abs(block.heat).sum()
+    assert float(m.V0 @ enthalpy(block.elements.T)) == pytest.approx(before, rel=1e-9)
+    assert abs(block.elements.heat.sum()) < 1e-12 * np.abs(block.elements.heat).sum()
     level = 300 + (sqrt(450**2 + 0.6 * before / m.V0.sum()) - 450) / 0.3
-    assert block.T == pytest.approx(level, abs=1e-3)
+    assert block.elements.T == pytest.approx(level, abs=1e-3)
 
 
 def test_heat_of_one_element_spreads_and_none_is_lost() -> None:
     m = mesh.prepare(*mesher.box((1.0, 1.0, 1.0), 0.2))
     block = Block(m, law_record(elastic()), np.full(len(m.conn), 300.0))
-    block.T[100] = 900.0
-    total = float(m.V0 @ block.T)
+    block.elements.T[100] = 900.0
+    total = float(m.V0 @ block.elements.T)
     peaks = []
     for _ in range(40):
         block.run(2e-4 / ALPHA)
-        peaks.append(block.T.max())
-        assert block.T.min() > 300.0 - 1.0
+        peaks.append(block.elements.T.max())
+        assert block.elements.T.min() > 300.0 - 1.0
     assert np.all(np.diff(peaks) < 0)
-    assert float(m.V0 @ block.T) == pytest.approx(total, rel=1e-13)
+    assert float(m.V0 @ block.elements.T) == pytest.approx(total, rel=1e-13)
 
 
 @pytest.mark.parametrize("step", [1e-5, 1e-4, 5e-4])
@@ -176,7 +179,7 @@ def test_conduction_in_a_moving_target(length: float) -> None:
         t = Target(m, law_record(material("OFHC_Cu")), 300.0, fixed=(), track_wave=False, conduction=conducts)
         hot = np.flatnonzero(m.points[m.conn][:, :, 2].mean(axis=1) < 0.3 * length)
         t.warm(hot, 3e8 * m.V0[hot])
-        t.v[:, 2] = np.where(m.points[:, 2] < 0.5 * length, 60.0, -60.0)
+        t.nodes.v[:, 2] = np.where(m.points[:, 2] < 0.5 * length, 60.0, -60.0)
         start = t.kinetic() + t.elastic()
         for step in range(300):
             if step % 10 == 0:
@@ -184,12 +187,12 @@ def test_conduction_in_a_moving_target(length: float) -> None:
             t.advance(dt)
             t.finish()
         ledger.append((t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]) / start)
-        assert 8960 * 383 * (m.V0 @ (t.T - 300)) == pytest.approx(t.sums[2], rel=1e-9)
+        assert 8960 * 383 * (m.V0 @ (t.elements.T - 300)) == pytest.approx(t.sums[2], rel=1e-9)
         made.append(t)
     assert ledger[0] == pytest.approx(1.0, rel=5e-3)  # five elements across, struck hard
     assert ledger[1] == pytest.approx(ledger[0], rel=1e-4)
     still, moved = made
-    difference = np.abs(still.T - moved.T).max()
+    difference = np.abs(still.elements.T - moved.elements.T).max()
     assert difference > 5.0 if length < 1e-3 else difference < 0.1
 
 
@@ -207,9 +210,9 @@ def test_conduction_needs_only_the_active_part() -> None:
             t.finish()
         assert (t.active_elements < len(m.conn)) == track_wave
         made.append(t)
-    assert np.abs(made[0].T - made[1].T).max() < 1e-9
-    assert np.abs(made[0].v - made[1].v).max() < 1e-8 * np.abs(made[0].v).max()
-    assert 310.0 < made[0].T.max() < 300.0 + 1e9 / (8960 * 383) - 1.0
+    assert np.abs(made[0].elements.T - made[1].elements.T).max() < 1e-9
+    assert np.abs(made[0].nodes.v - made[1].nodes.v).max() < 1e-8 * np.abs(made[0].nodes.v).max()
+    assert 310.0 < made[0].elements.T.max() < 300.0 + 1e9 / (8960 * 383) - 1.0
 
 
 def test_a_heated_body_expands_by_its_grueneisen_number_and_a_linear_one_does_not() -> None:
@@ -218,16 +221,16 @@ def test_a_heated_body_expands_by_its_grueneisen_number_and_a_linear_one_does_no
         metal = material("Ni")
         t = Target(m, law_record(metal, {"mie_gruneisen": on}), 300.0, fixed=(), track_wave=False)
         t.warm(np.arange(len(m.conn)), metal.rho * metal.cp_at(300.0) * m.V0)
-        assert t.T == pytest.approx(301.0, rel=1e-6)
+        assert t.elements.T == pytest.approx(301.0, rel=1e-6)
         dt = t.stable_dt()[0]
         for _ in range(600):
             t.advance(dt)
             t.finish()
-            t.v *= 0.9  # to rest
+            t.nodes.v[:] *= 0.9  # to rest
         beta = metal.Gamma0 * metal.rho * metal.cp_at(300.0) / metal.K
-        grown = t.volume.sum() / m.V0.sum() - 1.0
+        grown = t.elements.volume.sum() / m.V0.sum() - 1.0
         assert grown == pytest.approx(beta if on else 0.0, rel=1e-3, abs=1e-12)
-        assert np.abs(t.p).max() < 1e-3 * beta * metal.K
+        assert np.abs(t.nodes.p).max() < 1e-3 * beta * metal.K
 
 
 def test_grueneisen_expansion_is_that_of_the_handbook() -> None:
@@ -257,8 +260,8 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
         sides = ("bottom",) if law_of is None else ("copper.bottom", "steel.bottom")
         tops = ("top",) if law_of is None else ("copper.top", "steel.top")
         t = Target(m, law, T, law_of=law_of, fixed=sides, absorbing=tops, track_wave=False, conduction=True)
-        t.v[:] = v
-        t.v[t.fixed] = 0.0
+        t.nodes.v[:] = v
+        t.nodes.v[t.fixed] = 0.0
         t.warm(np.arange(20), np.zeros(20))
         for _ in range(60):
             t.advance(2e-6)
@@ -275,15 +278,15 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     for i, t in enumerate(alone):
         elements = np.flatnonzero(body == i)
         nodes = np.flatnonzero(joined.law_of_node == i)
-        for of_kind, fields in (
-            (elements, ("s", "T", "eps_p", "sigma_y", "heat", "volume")),
-            (nodes, ("x", "v", "f", "p", "energy", "J")),
+        for of_kind, own, whole, fields in (
+            (elements, t.elements, joined.elements, ("s", "T", "eps_p", "sigma_y", "heat", "volume")),
+            (nodes, t.nodes, joined.nodes, ("x", "v", "f", "p", "energy", "J")),
         ):
             for name in fields:
-                expected = getattr(t, name)
+                expected = vars(own)[name]
                 least = 1e-12 * abs(expected).max()  # kernels are compiled for the laws of a domain: another rounding
-                assert getattr(joined, name)[of_kind] == pytest.approx(expected, rel=1e-12, abs=least), name
-    assert all(t.eps_p.max() > 0.01 for t in alone)
+                assert vars(whole)[name][of_kind] == pytest.approx(expected, rel=1e-12, abs=least), name
+    assert all(t.elements.eps_p.max() > 0.01 for t in alone)
     for what in ("kinetic", "elastic"):
         assert getattr(joined, what)() == pytest.approx(sum(getattr(t, what)() for t in alone), rel=1e-11)
     assert joined.sums == pytest.approx(sum(t.sums for t in alone), rel=1e-11)

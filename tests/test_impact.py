@@ -146,7 +146,7 @@ def test_points_that_the_contact_has_lost_are_no_result(tmp_path: Path) -> None:
         def probe(impact: Impact) -> None:
             impact.check_contact()
             x = impact.particle.x
-            x[: round(share * len(x))] = impact.target.x.mean(axis=0)
+            x[: round(share * len(x))] = impact.target.nodes.x.mean(axis=0)
             impact.check_contact()
             raise KeyboardInterrupt
 

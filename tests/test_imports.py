@@ -17,7 +17,7 @@ ALLOWED: dict[str, set[str]] = {
     "report": {"files", "geometry"},
     "impact": {"sph", "fe", "contact", "ranks", "files", "plan", "physics", "geometry"},
     "ranks": {"sph"},
-    "splat": {"geometry"},
+    "splat": {"physics", "geometry"},
     "sph": {"physics", "geometry"},
     "fe": {"physics", "geometry"},
     "contact": {"geometry"},

@@ -36,11 +36,15 @@ def test_the_yielded_zone_is_found_in_a_block() -> None:
     middle = mesh.points[mesh.conn].mean(axis=1)
     radius, depth = 12e-6, 9e-6
     inside = (middle[:, 0] / radius) ** 2 + (middle[:, 1] / radius) ** 2 + (middle[:, 2] / depth) ** 2 < 1
-    target = SimpleNamespace(mesh=mesh, x=mesh.points, eps_p=np.where(inside, 2 * YIELDED, 0.5 * YIELDED))
+    nodes, elements = (
+        SimpleNamespace(x=mesh.points),
+        SimpleNamespace(eps_p=np.where(inside, 2 * YIELDED, 0.5 * YIELDED)),
+    )
+    target = SimpleNamespace(mesh=mesh, nodes=nodes, elements=elements)
     found = plastic_zone(target)
     assert found[0] == pytest.approx(radius, rel=0.05)
     assert found[1] == pytest.approx(depth, abs=1e-6)
-    target.eps_p[:] = 0.0
+    elements.eps_p[:] = 0.0
     assert plastic_zone(target) == (0.0, 0.0)
 
 

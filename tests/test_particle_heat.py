@@ -79,21 +79,23 @@ def test_heat_put_into_points_raises_temperature_pressure_and_softens_and_the_le
     law = law_record(metal)
     p = ENGINES[engine](X, volume, law, (0.0, 0.0, 0.0), 400.0)
     try:
-        sigma = p.sigma_y.copy()
+        sigma = p.points.sigma_y.copy()
         p.warm(np.full(p.n, heat * volume))
         slope = (metal.cp[1][1] - metal.cp[0][1]) / (metal.cp[1][0] - metal.cp[0][0])
-        rise = float(p.T[0]) - 400.0
+        rise = float(p.points.T[0]) - 400.0
         assert metal.rho * (metal.cp_at(400.0) * rise + 0.5 * slope * rise**2) == pytest.approx(heat, rel=1e-12)
         theta = (np.array([400.0, 400.0 + rise]) - metal.T_ref) / (metal.T_m - metal.T_ref)
-        assert p.sigma_y / sigma == pytest.approx(np.divide(*(1 - theta ** metal.strength["m"])[::-1]), rel=1e-12)
+        assert p.points.sigma_y / sigma == pytest.approx(
+            np.divide(*(1 - theta ** metal.strength["m"])[::-1]), rel=1e-12
+        )
         assert p.elastic() == pytest.approx(0.0, abs=1e-9 * heat * volume * p.n)
         p.run(1, 1e-14, lambda: None)
-        assert p.p == pytest.approx(metal.Gamma0 * heat, rel=1e-6)
-        assert p.eps_p.max() == 0.0
+        assert p.points.p == pytest.approx(metal.Gamma0 * heat, rel=1e-6)
+        assert p.points.eps_p.max() == 0.0
         swings, total = [], []
         for _ in range(40):
             p.run(10, 0.5 * p.stable_dt(), lambda: None)
-            swings.append(float(np.mean(p.J)) - 1.0)
+            swings.append(float(np.mean(p.points.J)) - 1.0)
             numerical = p.internal_work - p.elastic() - p.sums[0]
             total.append(p.kinetic() + p.elastic() + p.sums[0] + numerical)
         assert np.abs(total).max() < 1e-3 * p.sums[1]
@@ -113,8 +115,8 @@ def test_without_expansion_heat_makes_no_pressure(engine: str) -> None:
     try:
         p.warm(np.full(p.n, 3e8 * volume))
         p.run(20, 0.5 * p.stable_dt(), lambda: None)
-        assert p.T.min() > 450.0
-        assert np.abs(p.p).max() < 1e-6 * 3e8
+        assert p.points.T.min() > 450.0
+        assert np.abs(p.points.p).max() < 1e-6 * 3e8
         assert p.sums[1] == 0.0
     finally:
         p.close()
@@ -143,8 +145,9 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     top = m.sets["top"]
     middle = m.points[m.facets[top]].mean(axis=1)
     under = top[np.argmin(np.linalg.norm(vertices[foot, None, :2] - middle[None, :, :2], axis=2), axis=1)]
-    p = SimpleNamespace(x=X, T=np.full(len(X), 600.0), law=upper, spacing=body.spacing)
-    p.warm = lambda heat: p.T.__iadd__(heat / (RHO * CP * body.volume))
+    T = np.full(len(X), 600.0)
+    p = SimpleNamespace(x=X, points=SimpleNamespace(T=T), law=upper, spacing=body.spacing)
+    p.warm = lambda heat: T.__iadd__(heat / (RHO * CP * body.volume))
     contact = SimpleNamespace(touching=lambda first: (foot, under))
     inside = PointConduction(X, body.spacing, np.full(len(X), body.volume), upper)
     paths = HeatPaths(p, t, surface, contact, True, inside, True)
@@ -152,14 +155,14 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     for _ in range(steps):
         paths.flow(time / steps)
         t.conduction.conduct(time / steps, t)
-    gained = 15600.0 * CP * float(m.V0 @ (t.T - 300.0))
-    lost = RHO * CP * body.volume * float(np.sum(600.0 - p.T))
+    gained = 15600.0 * CP * float(m.V0 @ (t.elements.T - 300.0))
+    lost = RHO * CP * body.volume * float(np.sum(600.0 - T))
     assert gained == pytest.approx(lost, rel=1e-9)
     e_a, e_b = sqrt(K * RHO * CP), sqrt(K * 15600.0 * CP)
     between = (600.0 * e_a + 300.0 * e_b) / (e_a + e_b)
     exact = between + (600.0 - between) * np.vectorize(erf)(X[:, 2] / (2 * sqrt(ALPHA * time)))
     inner = np.linalg.norm(X[:, :2], axis=1) < 0.3
-    assert np.sqrt(np.mean((p.T - exact)[inner] ** 2)) < 0.02 * 300.0
+    assert np.sqrt(np.mean((T - exact)[inner] ** 2)) < 0.02 * 300.0
     # what has crossed, of one dimension; the wider block takes a little more at the rim
     through = (600.0 - between) * 2 * K * sqrt(time / (pi * ALPHA)) * pi / 4
     assert lost == pytest.approx(through, rel=0.1)

@@ -54,9 +54,9 @@ def coated(metal: Material, base: Material, kind: str, high: float = 0.0) -> Bod
     heat = metal.rho * metal.cp_at(0.5 * (CAME + WARM)) * (WARM - CAME)  # J/m3, since it was without stress
     law = law_record(metal, rate_filter=1e-9)
     plate = BodyState(
-        points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, WARM), np.full(m, 1.0 + metal.Gamma0 * heat / metal.K),
+        points, tets, np.zeros((m, 6)), np.full(m, 1.0 + metal.Gamma0 * heat / metal.K),
         np.zeros((n, 3)), np.full(n, heat), metal.rho * float(volumes(points, tets).sum()), law,
-        np.zeros((m, 3)),
+        eps_p=np.zeros(m), T=np.full(m, WARM), eps_gradient=np.zeros((m, 3)),
     )  # fmt: skip
     return bodies.joined([plate], Adhesion(kind=cast(Any, kind)), 3e-6, ORIGIN, None, 1)
 
@@ -79,17 +79,17 @@ def test_a_free_body_contracts_by_its_alpha_and_is_without_stress(alpha: float) 
     metal = stiff(NI, alpha)
     bodies = coated(metal, STEEL, "none", high=8e-6)
     own = np.unique(bodies.target.mesh.conn[bodies.body == 1])
-    before = np.ptp(bodies.target.x[own], axis=0)
+    before = np.ptp(bodies.target.nodes.x[own], axis=0)
     bodies, report = cool_to_ambient(planned(metal, STEEL), bodies, 1e-6)
     t = bodies.target
-    np.testing.assert_allclose(t.T, AMBIENT, atol=1e-5)
+    np.testing.assert_allclose(t.elements.T, AMBIENT, atol=1e-5)
     # it arrives as long as WARM has made it, so that the length it came with is that less its expansion since
     by_heat = metal.Gamma0 * metal.rho * metal.cp_at(450.0) / (3 * metal.K)
     since = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
-    strain = np.ptp(t.x[own], axis=0) / before - 1.0
+    strain = np.ptp(t.nodes.x[own], axis=0) / before - 1.0
     assert strain[:2] == pytest.approx((alpha or by_heat) * (AMBIENT - CAME) - since, rel=0.03)
     own = bodies.body == 1
-    stress = np.average(t.stress()[own, :2].mean(axis=1), weights=t.volume[own])
+    stress = np.average(t.stress()[own, :2].mean(axis=1), weights=t.elements.volume[own])
     assert abs(stress) < 4e6  # of a pressure of 2.5 GPa that the heat alone would leave
     assert report["T_max_before_K"] == pytest.approx(WARM)
 
@@ -103,13 +103,13 @@ def test_a_bonded_plate_keeps_the_stress_of_its_contraction() -> None:
     started = bodies.target.stress()
     cool_to_ambient(planned(metal, base), bodies, 1e-6)
     t = bodies.target
-    x = t.x[t.mesh.conn].mean(axis=1)
+    x = t.nodes.x[t.mesh.conn].mean(axis=1)
     middle = (bodies.body == 1) & (np.hypot(x[:, 0], x[:, 1]) < 6e-6)
-    sigma = float(np.average(t.stress()[middle, :2].mean(axis=1), weights=t.volume[middle]))
+    sigma = float(np.average(t.stress()[middle, :2].mean(axis=1), weights=t.elements.volume[middle]))
     heat = metal.Gamma0 * metal.rho * metal.cp_at(650.0) * (WARM - CAME) / (3 * metal.K)
     full = metal.E / (1 - metal.nu) * (13e-6 * (CAME - AMBIENT) + heat)
     assert 0.75 * full < sigma < 1.02 * full
-    np.testing.assert_allclose(t.stress() - t.thermal_stress, started, atol=1e-5 * full)
+    np.testing.assert_allclose(t.stress() - t.elements.thermal_stress, started, atol=1e-5 * full)
 
 
 def test_bodies_yield_as_in_slower_cooling() -> None:
@@ -121,7 +121,7 @@ def test_bodies_yield_as_in_slower_cooling() -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(relaxation, "RAMP", ramp)
             cool_to_ambient(planned(metal, base), bodies, 1e-6)
-        plastic.append(float(bodies.target.eps_p @ bodies.target.volume))
+        plastic.append(float(bodies.target.elements.eps_p @ bodies.target.elements.volume))
     assert plastic[0] == pytest.approx(plastic[1], rel=0.15)
 
 
@@ -136,7 +136,7 @@ def test_what_yields_as_it_cools_ends_at_ambient_too(monkeypatch: pytest.MonkeyP
         monkeypatch.setattr(closing_stage, "COOLINGS", most)
         bodies = coated(metal, base, "tied")
         _, report = cool_to_ambient(planned(metal, base), bodies, 1e-6)
-        assert report["off_ambient_K"] == np.abs(bodies.target.T - AMBIENT).max()
+        assert report["off_ambient_K"] == np.abs(bodies.target.elements.T - AMBIENT).max()
         assert coldest < report["off_ambient_K"] < warmest
         assert bool(unsettled(report)) == (most == 1)
 

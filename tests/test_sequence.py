@@ -56,8 +56,8 @@ def block(corner: tuple[float, float, float], stress: float, J: float, law: np.n
     deviator = np.tile([stress, -stress, 0.0, 0.0, 0.0, 0.0], (m, 1))
     mass = float(law["rho"][0]) * 8e-15 / J
     return BodyState(
-        points + np.array(corner), tets, deviator, np.full(m, 0.3), np.full(m, 400.0), np.full(m, J), np.zeros((n, 3)),
-        np.zeros(n), mass, law, np.zeros((m, 3)),
+        points + np.array(corner), tets, deviator, np.full(m, J), np.zeros((n, 3)), np.zeros(n), mass, law,
+        eps_p=np.full(m, 0.3), T=np.full(m, 400.0), eps_gradient=np.zeros((m, 3)),
     )  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
     target = Target(mesh, law, domain.elements.T, fixed=(), track_wave=False)
     target.take(domain.nodes, domain.elements, target)
     target.advance(1e-15)
-    np.testing.assert_allclose(target.p, hugoniot, rtol=1e-9)
+    np.testing.assert_allclose(target.nodes.p, hugoniot, rtol=1e-9)
     heavier = domain_of(replace(body, mass=1.01 * body.mass), "splat1")
     np.testing.assert_allclose(heavier.nodes.p, domain.nodes.p, rtol=1e-12)
     assert heavier.laws["rho"][0] == pytest.approx(1.01 * domain.laws["rho"][0])
@@ -95,8 +95,8 @@ def test_a_body_keeps_its_state_as_it_joins() -> None:
 def test_numbering_anew_changes_nothing(shell: float) -> None:
     bodies = substrate()
     rng = np.random.default_rng(3)
-    bodies.target.x += 1e-7 * rng.standard_normal(bodies.target.x.shape)
-    bodies.target.s[:] = 1e7 * rng.standard_normal(bodies.target.s.shape)
+    bodies.target.nodes.x[:] += 1e-7 * rng.standard_normal(bodies.target.nodes.x.shape)
+    bodies.target.elements.s[:] = 1e7 * rng.standard_normal(bodies.target.elements.s.shape)
     before = domain_now(bodies.target, bodies.body)
     after, rank = merge([before], (20e-6, -10e-6, 0.0), shell=shell)
     np.testing.assert_array_equal(after.nodes.x[rank], before.nodes.x)
@@ -132,16 +132,16 @@ def test_what_was_in_a_splat_is_there_after(kind: str) -> None:
     new = substrate().joined([body], Adhesion(kind=kind), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
     own = new.body == 1
     nodes = np.unique(new.target.mesh.conn[own])
-    assert new.target.x[nodes, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert new.target.nodes.x[nodes, 2].min() == pytest.approx(0.0, abs=1e-12)
     assert (new.bond is not None) == (kind == "tied")
     report = settle(new, 1e-5)
     assert report["released"] < 1e-6
-    np.testing.assert_allclose(new.target.eps_p[own], 0.3, rtol=1e-6)
-    np.testing.assert_allclose(new.target.T[own], 400.0, rtol=1e-4)
+    np.testing.assert_allclose(new.target.elements.eps_p[own], 0.3, rtol=1e-6)
+    np.testing.assert_allclose(new.target.elements.T[own], 400.0, rtol=1e-4)
     assert new.target.mass[nodes].sum() == pytest.approx(body.mass, rel=1e-12)
     # the facets between them can no longer be hit
     reachable = new.target.mesh.facets[new.reachable()]
-    low = new.target.x[reachable].mean(axis=1)
+    low = new.target.nodes.x[reachable].mean(axis=1)
     under = (np.abs(low[:, :2]) < 3e-6).all(axis=1) & (low[:, 2] < 1e-6)  # a ring inside the rim stays
     assert not under.any()
 
@@ -155,11 +155,13 @@ def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch
 
     def joined() -> tuple[Bodies, float]:
         new = substrate().joined([body], Adhesion(kind="none"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
-        return new, float(overlaps(new.surfaces, new.target.x, [1]).max())
+        return new, float(overlaps(new.surfaces, new.target.nodes.x, [1]).max())
 
     new, deepest = joined()
     assert deepest < 0.1e-6
-    assert new.target.volume[new.body == 1].sum() == pytest.approx(volumes(body.points, body.tets).sum(), rel=0.05)
+    assert new.target.elements.volume[new.body == 1].sum() == pytest.approx(
+        volumes(body.points, body.tets).sum(), rel=0.05
+    )
     monkeypatch.setattr("coupler.impact.placing.ROUNDS", 0)
     assert joined()[1] > 3e-6
 
@@ -167,9 +169,9 @@ def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch
 def test_overlap_is_that_of_the_deepest_node() -> None:
     """A cube 0.3 into another: its four corners lie 0.3 deep, the other's nodes in it count too."""
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((0.5,) * 3, 0.25, (0.25, 0.25, 0.7)))
-    depth = overlaps(b.surfaces, b.target.x, [1])
+    depth = overlaps(b.surfaces, b.target.nodes.x, [1])
     assert depth.max() == pytest.approx(0.3, rel=1e-3)
-    way = ways_out(b.surfaces, b.target.x, 1)
+    way = ways_out(b.surfaces, b.target.nodes.x, 1)
     assert not way[b.nodes(0)].any()
     assert np.linalg.norm(way, axis=1).max() == pytest.approx(0.3, rel=1e-3)
 
@@ -182,12 +184,12 @@ def test_no_heat_flows_while_bodies_come_to_rest() -> None:
     target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), T, track_wave=False, conduction=True)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
     settle(bodies, 1e-9)
-    np.testing.assert_array_equal(bodies.target.T, T)
+    np.testing.assert_array_equal(bodies.target.elements.T, T)
     for _ in range(2 * EVERY):
         bodies.target.advance(1e-11)
         bodies.target.finish()
-    assert np.ptp(bodies.target.T) == pytest.approx(10.0, abs=0.5)
-    assert np.any(bodies.target.T != T)
+    assert np.ptp(bodies.target.elements.T) == pytest.approx(10.0, abs=0.5)
+    assert np.any(bodies.target.elements.T != T)
 
 
 def test_released_energy_is_watched_for_as_long_as_a_wave_takes() -> None:
@@ -204,9 +206,9 @@ def test_a_residual_stress_stays() -> None:
     body = block((-10e-6, -10e-6, 0.0), 0.0, 0.999, law)
     new = substrate().joined([body], Adhesion(kind="tied"), 5e-6, (0.0, 0.0, 0.0), 1.0, 1)
     own = new.body == 1
-    before = new.target.p[new.target.mesh.conn[own]].mean()
+    before = new.target.nodes.p[new.target.mesh.conn[own]].mean()
     report = settle(new, 1e-9)
-    after = new.target.p[new.target.mesh.conn[own]].mean()
+    after = new.target.nodes.p[new.target.mesh.conn[own]].mean()
     assert before == pytest.approx(0.001 * law["K"][0], rel=0.01)
     assert abs(after) < 0.5 * before  # free faces let pressure go: it is not frozen in
     assert report["taken_J"] > 0
@@ -356,12 +358,12 @@ def test_a_whole_sequence_goes_on_to_the_same_end(double: Result, tmp_path: Path
 def test_a_hollow_particle_keeps_its_cavity_when_it_is_meshed() -> None:
     """The surface of its cloud encloses the metal alone: the first strategy makes the body, with its cavity."""
     body = shapes.shape("hollow_sphere", 25e-6, 1000)
-    state = {"eps_p": 0.0, "T": 300.0, "J": 1.0, "energy": 0.0}
+    state = {"J": 1.0, "energy": 0.0}
     particle = SimpleNamespace(
         x=body.points, v=np.zeros_like(body.points), stress=lambda: np.zeros((len(body.points), 6)), spacing=body.spacing,
         law=law_record(material("Ni"), rate_filter=1e-9), whole=lambda _: np.full(len(body.points), body.volume),
-        **{name: np.full(len(body.points), value) for name, value in state.items()},
-        spatial_gradient=lambda: np.zeros(body.points.shape),
+        points=SimpleNamespace(**{name: np.full(len(body.points), value) for name, value in state.items()}),
+        carried=lambda: {"eps_p": np.zeros(len(body.points)), "T": np.full(len(body.points), 300.0)},
     )  # fmt: skip
     surface = CarriedSurface(body.points, body.vertices, body.triangles, body.spacing)
     cloud = cloud_of(cast(Any, SimpleNamespace(particle=particle, body=body, surface=surface)))

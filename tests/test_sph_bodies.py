@@ -94,7 +94,7 @@ def swing(body: Particle, mode: np.ndarray, on_step: Any, end: float) -> tuple[n
     while body.time < end:
         body.run(20, body.stable_dt(), on_step)
         times.append(body.time)
-        amplitudes.append(float(weight @ (body.x - body.X)[:, 2]))
+        amplitudes.append(float(weight @ (body.points.x - body.X)[:, 2]))
     return np.array(times), np.array(amplitudes)
 
 
@@ -114,9 +114,9 @@ def free_beam(points: int, **numerics: float) -> tuple[float, float]:
     s = k * (body.X[:, 0] + 0.5 * L)
     mode = np.cosh(s) + np.cos(s) - sigma * (np.sinh(s) + np.sin(s))
     slope = k * (np.sinh(s) - np.sin(s) - sigma * (np.cosh(s) + np.cos(s)))
-    body.v[:, 2] = 0.002 * body.wave_speed * mode
-    body.v[:, 0] = -0.002 * body.wave_speed * slope * body.X[:, 2]
-    body._vest[:] = body.v
+    body.points.v[:, 2] = 0.002 * body.wave_speed * mode
+    body.points.v[:, 0] = -0.002 * body.wave_speed * slope * body.X[:, 2]
+    body.points.vest[:] = body.points.v
     kinetic = body.kinetic()
     # Pickett (1945), as in ASTM E1876: with shear and rotary inertia, within 0.1 %
     q = t / L
@@ -180,8 +180,8 @@ class Pair:
 
     def touch(self) -> None:
         p, (a, b) = self.particle, self.halves
-        x = [s.positions(p.x[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
-        v = [s.positions(p.v[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
+        x = [s.positions(p.points.x[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
+        v = [s.positions(p.points.v[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
         f = [np.zeros_like(x[0]), np.zeros_like(x[1])]
         for point, facet in ((0, 1), (1, 0)):
             q = self.contacts[point].points
@@ -195,8 +195,8 @@ class Pair:
         p = self.particle
         while p.time < end:
             dt = p.stable_dt()
-            fastest = 2.0 * float(np.abs(p.v).max())
-            x = [s.positions(p.x[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
+            fastest = 2.0 * float(np.abs(p.points.v).max())
+            x = [s.positions(p.points.x[h]) for s, h in zip(self.surfaces, self.halves, strict=True)]
             for point, facet in ((0, 1), (1, 0)):
                 lightest = 1.0 / self.surfaces[facet].softness(p.mass[self.halves[facet]])
                 soft = self.surfaces[point].softness(p.mass[self.halves[point]])
@@ -218,8 +218,8 @@ class Pair:
         assert np.abs(p.momentum()).max() < 1e-12 * self.momentum_of_one
         assert self.energies()["total"] == pytest.approx(1.0, abs=2e-3)
         a, b = self.halves
-        assert np.abs(p.x[a] - p.x[b] * TURN).max() < symmetry * D
-        assert p.v[a, 2].mean() > 0.0  # they have bounced
+        assert np.abs(p.points.x[a] - p.points.x[b] * TURN).max() < symmetry * D
+        assert p.points.v[a, 2].mean() > 0.0  # they have bounced
 
 
 def test_two_nickel_spheres_collide() -> None:
@@ -240,7 +240,7 @@ def test_two_elastic_spheres_bounce() -> None:
     pair = Pair(shapes.shape("sphere", D, 300, tilt=0.2), constitutive.law_record(steel), 100.0, steel.K)
     pair.run(70e-9)
     pair.check(1e-8)
-    speed = float(pair.particle.v[: pair.n, 2].mean())
+    speed = float(pair.particle.points.v[: pair.n, 2].mean())
     assert 0.9 < speed / 100.0 < 1.0
     pair.particle.close()
 

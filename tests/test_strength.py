@@ -151,12 +151,14 @@ def test_radial_return_follows_the_law(name: str, which: str) -> None:
     shear = np.array([[0.0, 0.0, rate * math.sqrt(3.0)], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     dt = 0.2 * t.stable_dt()[0]
     for _ in range(400):
-        t.v[:] = t.x @ shear.T
+        t.nodes.v[:] = t.nodes.x @ shear.T
         t.advance(dt)
         t.finish()
-    q = law.von_mises(np.asarray(t.s))
-    expected = [metal.flow_stress(*state) for state in zip(t.eps_p, t.rate, t.T, strict=True)]
-    assert t.eps_p.min() > 0.0
+    q = law.von_mises(np.asarray(t.elements.s))
+    expected = [
+        metal.flow_stress(*state) for state in zip(t.elements.eps_p, t.elements.rate, t.elements.T, strict=True)
+    ]
+    assert t.elements.eps_p.min() > 0.0
     assert q == pytest.approx(expected, rel=2e-3)  # the flow stress of the step before
 
 
@@ -168,11 +170,11 @@ def test_laws_may_stand_side_by_side() -> None:
 
     def sheared(laws: np.ndarray, law_of: np.ndarray | None) -> np.ndarray:
         t = Target(m, laws, 300.0, law_of=law_of, fixed=(), track_wave=False)
-        t.v[:, 0] = 1e7 * t.x[:, 2]
+        t.nodes.v[:, 0] = 1e7 * t.nodes.x[:, 2]
         for _ in range(60):
             t.advance(0.2 * 1e-10)
             t.finish()
-        return np.asarray(t.sigma_y)
+        return np.asarray(t.elements.sigma_y)
 
     for i in (0, 1):
         alone = sheared(both[i : i + 1], None)
@@ -188,12 +190,13 @@ def test_a_particle_takes_every_law(engine: str) -> None:
     squeeze = np.stack([body.points[:, 0], body.points[:, 1], -2.0 * body.points[:, 2]], axis=1) * 1e7
     p = ENGINES[engine](body.points, body.volume, law.law_record(metal, rate_filter=5e-10), squeeze, 300.0)
     p.run(40, 0.3 * p.stable_dt(), lambda: None)
-    flowing = p.eps_p > 1e-3
+    flowing = p.points.eps_p > 1e-3
     assert flowing.mean() > 0.5
     expected = [
-        metal.flow_stress(*state) for state in zip(p.eps_p[flowing], p.rate[flowing], p.T[flowing], strict=True)
+        metal.flow_stress(*state)
+        for state in zip(p.points.eps_p[flowing], p.points.rate[flowing], p.points.T[flowing], strict=True)
     ]
-    assert p.sigma_y[flowing] == pytest.approx(expected, rel=1e-12)
+    assert p.points.sigma_y[flowing] == pytest.approx(expected, rel=1e-12)
     p.close()
 
 

@@ -209,10 +209,10 @@ def test_the_energy_of_the_half_space_is_that_of_its_springs() -> None:
     bodies = build_target(plan(scene))
     t = bodies.target
     data = {"body": bodies.body, "impact": np.zeros(len(bodies.body), int)}
-    before = Fields(0.0, t.x.copy(), t.mesh.conn.astype(np.int64), data)
-    t.x += 1e-9 * np.array([1.0, 2.0, 3.0]) + 1e-5 * t.x
-    after = Fields(0.0, t.x, before.cells, data)
-    way = t.x[t.spring_nodes] - t.spring_rest
+    before = Fields(0.0, t.nodes.x.copy(), t.mesh.conn.astype(np.int64), data)
+    t.nodes.x[:] += 1e-9 * np.array([1.0, 2.0, 3.0]) + 1e-5 * t.nodes.x
+    after = Fields(0.0, t.nodes.x, before.cells, data)
+    way = t.nodes.x[t.spring_nodes] - t.spring_rest
     springs = 0.5 * float(np.einsum("ai,aij,aj->", way, t.springs, way))
     assert verify.half_space_energy(scene, before, after) == pytest.approx(springs, rel=1e-3)
     assert verify.half_space_energy(scene, before, before) == 0.0

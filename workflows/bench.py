@@ -49,7 +49,7 @@ def block(size: float, plastic: bool) -> Target:
     target = Target(m, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=(), track_wave=False)
     x = m.points / 1e-4 - 0.5
     speed = 800.0 if plastic else 0.01
-    target.v[:] = speed * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0.3 * np.sin(3 * x[:, 0])], axis=1)
+    target.nodes.v[:] = speed * np.stack([-x[:, 1] * x[:, 2], x[:, 0] * x[:, 2], 0.3 * np.sin(3 * x[:, 0])], axis=1)
     dt = 0.5 * target.stable_dt()[0]
     for _ in range(60 if plastic else 1):
         step(target, dt)
@@ -78,7 +78,7 @@ def elements(rows: list[tuple[str, float, str]]) -> None:
         with second_thread(2):
             rows.append((f"{name}, one thread over two", one / wall(), "of wall time"))
         if plastic:
-            rows.append(("share of elements that flow", float(np.mean(target.rate > 0)), ""))
+            rows.append(("share of elements that flow", float(np.mean(target.elements.rate > 0)), ""))
     rows.append(("scikit-fem forms for the same forces", forms(block(4.2e-6, False)), "us per element and step"))
 
 
@@ -108,8 +108,8 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
     law = law_record(material("Ni"), rate_filter=5e-10)
     particles = {name: engine(cloud, volume, law, (0.0, 0.0, 0.0), 300.0) for name, engine in ENGINES.items()}
     for p in particles.values():
-        p.v[:] = p.X * np.array([4e7, 3e7, -7e7])
-        p._vest[:] = p.v
+        p.points.v[:] = p.X * np.array([4e7, 3e7, -7e7])
+        p.points.vest[:] = p.points.v
         p.run(80, 1e-11, free)
     steps = max(STEPS, 40_000 // len(cloud))
     times = {name: np.inf for name in particles}

@@ -83,20 +83,20 @@ class ElementImpact:
         law = law_record(p.material, plan.effects.switches, p.rate_filter)
         mass = p.material.rho * np.pi / 6.0 * p.diameter**3
         body = BodyState(
-            points, tets, np.zeros((m, 6)), np.zeros(m), np.full(m, p.temperature), np.ones(m), np.tile(p.velocity, (n, 1)),
-            np.zeros(n), mass, law, np.zeros((m, 3)),
+            points, tets, np.zeros((m, 6)), np.ones(m), np.tile(p.velocity, (n, 1)), np.zeros(n), mass, law,
+            eps_p=np.zeros(m), T=np.full(m, p.temperature), eps_gradient=np.zeros((m, 3)),
         )  # fmt: skip
         substrate = build_target(plan)
         parts = [domain_now(substrate.target, substrate.body), domain_of(body, "splat1")]
         domain, _ = merge(parts, (0.0, 0.0, 0.0))
         self.bodies = substrate.remade(domain)
         self.target = t = self.bodies.target
-        self.bodies.contact = self.bodies._new_contact(t.x.copy())
+        self.bodies.contact = self.bodies._new_contact(t.nodes.x.copy())
         self.elements = self.bodies.body == BODY
         self.nodes = np.unique(t.mesh.conn[self.elements])
         self.top = np.unique(t.mesh.facets[t.mesh.sets["top"]])
         self.volume = t.mesh.V0[self.elements]
-        t.reach = max(t.reach, float(np.linalg.norm(t.x[self.nodes], axis=1).max()) * 1.01)  # the particle moves
+        t.reach = max(t.reach, float(np.linalg.norm(t.nodes.x[self.nodes], axis=1).max()) * 1.01)  # the particle moves
         t._activate(0.0)
         self.dt, self.steps, self.plastic_work = 0.0, 0, 0.0
         self.kinetic_0 = t.kinetic()
@@ -116,29 +116,31 @@ class ElementImpact:
     def advance(self) -> float:
         """WINDOW steps with one time step and one contact search. Returns the contact force on the particle, upwards, N."""
         t, bodies, own = self.target, self.bodies, self.elements
-        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v))))
+        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.nodes.v, t.nodes.v))))
         bodies.search(3.0 * fastest * WINDOW * (self.dt or bodies.stable_dt(0.0)))
         self.dt = bodies.stable_dt(np.inf, WINDOW * self.dt)
-        force, eps_p, sigma_y = 0.0, t.eps_p[own], t.sigma_y[own]
+        force, eps_p, sigma_y = 0.0, t.elements.eps_p[own], t.elements.sigma_y[own]
         for _ in range(WINDOW):
             t.advance(self.dt)
             bodies.forces(self.dt)
             force = float(t.f_ext[self.nodes, 2].sum())
             t.finish()
         self.steps += WINDOW
-        self.plastic_work += float(self.volume @ (0.5 * (sigma_y + t.sigma_y[own]) * (t.eps_p[own] - eps_p)))
+        self.plastic_work += float(
+            self.volume @ (0.5 * (sigma_y + t.elements.sigma_y[own]) * (t.elements.eps_p[own] - eps_p))
+        )
         return force
 
     def measures(self) -> dict[str, float]:
         """Measures of this instant, as `impact.measure` has them for points."""
         t, own = self.target, self.elements
         facets = t.mesh.facets[self.bodies.body[t.mesh.facet_element] == BODY]
-        m = shape_measures(t.x, facets, self.plan.impact.diameter)
-        m["crater_depth_m"] = crater_depth(t.x[self.top])
-        m["eps_p_mean"] = float(np.average(t.eps_p[own], weights=self.volume))
-        m["eps_p_p99"] = float(np.percentile(t.eps_p[own], 99))
-        m["eps_p_max"] = float(t.eps_p[own].max())
-        m["T_mean_K"] = float(np.average(t.T[own], weights=self.volume))
+        m = shape_measures(t.nodes.x, facets, self.plan.impact.diameter)
+        m["crater_depth_m"] = crater_depth(t.nodes.x[self.top])
+        m["eps_p_mean"] = float(np.average(t.elements.eps_p[own], weights=self.volume))
+        m["eps_p_p99"] = float(np.percentile(t.elements.eps_p[own], 99))
+        m["eps_p_max"] = float(t.elements.eps_p[own].max())
+        m["T_mean_K"] = float(np.average(t.elements.T[own], weights=self.volume))
         return m
 
 

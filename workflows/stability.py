@@ -283,18 +283,18 @@ def flying(folder: Path) -> Judged:
     m, n = len(body.tets), len(body.points)
     # free of stress: what is left to see is what the motion itself does
     state = BodyState(
-        body.points, body.tets, np.zeros((m, 6)), np.asarray(body.eps_p), np.full(m, 300.0), np.ones(m), np.zeros((n, 3)), np.zeros(n),
-        float(domains.particle.mass.sum()), domains.particle.law, np.zeros((m, 3)),
+        body.points, body.tets, np.zeros((m, 6)), np.ones(m), np.zeros((n, 3)), np.zeros(n), float(domains.particle.mass.sum()),
+        domains.particle.law, eps_p=body.eps_p, T=np.full(m, 300.0), eps_gradient=np.zeros((m, 3)),
     )  # fmt: skip
     domain = domain_of(state, "splat1")
     splat = Target(domain.mesh, domain.laws, domain.elements.T, fixed=(), track_wave=False)
     splat.take(domain.nodes, domain.elements, splat)
-    arm = splat.x - splat.mass @ splat.x / splat.mass.sum()
+    arm = splat.nodes.x - splat.mass @ splat.nodes.x / splat.mass.sum()
     omega = np.array([0.0, 2.0 * np.pi / TURN, 0.0])
-    splat.v[:] = np.array([0.0, 0.0, -500.0]) + np.cross(omega, arm)
+    splat.nodes.v[:] = np.array([0.0, 0.0, -500.0]) + np.cross(omega, arm)
     rim = omega[1] * float(np.max(np.hypot(arm[:, 0], arm[:, 2])))
     centrifugal = float(domain.laws["rho"][0]) * rim**2
-    kinetic, momentum, strain = splat.kinetic(), splat.momentum(), splat.eps_p.copy()
+    kinetic, momentum, strain = splat.kinetic(), splat.momentum(), splat.elements.eps_p.copy()
     elastic, spin, steps = splat.elastic(), spin_of(splat), 0
     while splat.time < TURN:
         dt = min(splat.stable_dt(1.0)[0], 0.1 * (TURN - splat.time) + 1e-15)
@@ -312,9 +312,9 @@ def flying(folder: Path) -> Judged:
         wrong.append(f"momentum off by {error:.1e}")
     if (turn := float(np.linalg.norm(spin_of(splat) - spin) / np.linalg.norm(spin))) > 1e-9:
         wrong.append(f"angular momentum off by {turn:.1e}")
-    if (grown := float(np.max(splat.eps_p - strain))) > 0.0:
+    if (grown := float(np.max(splat.elements.eps_p - strain))) > 0.0:
         wrong.append(f"plastic strain grew by {grown:.1e}")
-    now = splat.x - splat.mass @ splat.x / splat.mass.sum()
+    now = splat.nodes.x - splat.mass @ splat.nodes.x / splat.mass.sum()
     young = float(9.0 * domain.laws["K"][0] / (3.0 * domain.laws["K"][0] / domain.laws["G"][0] + 1.0))
     if (bent := radius_change(now, arm)) > centrifugal / young:
         wrong.append(f"shape off by {bent:.1e} of its radius")
@@ -333,8 +333,8 @@ def radius_change(now: np.ndarray, before: np.ndarray) -> float:
 
 def spin_of(splat: Target) -> np.ndarray:
     """Angular momentum (3,) about the centre of mass, kg m2/s."""
-    centre = splat.mass @ splat.x / splat.mass.sum()
-    return splat.mass @ np.cross(splat.x - centre, splat.velocity())
+    centre = splat.mass @ splat.nodes.x / splat.mass.sum()
+    return splat.mass @ np.cross(splat.nodes.x - centre, splat.velocity())
 
 
 SPECIAL: dict[str, Callable[[Path], Judged]] = {

@@ -63,24 +63,24 @@ def bar(case: str, size: float) -> dict[str, float]:
     t = Target(mesh, record, known["temperature"], fixed=(), track_wave=False)
     face = np.unique(mesh.facets[mesh.sets["bottom"]])
     planes = [np.flatnonzero(np.abs(mesh.points[:, i]) < 1e-6 * radius) for i in (0, 1)]
-    t.v[:, 2] = -speed
-    t.v[face, 2] = 0.0
+    t.nodes.v[:, 2] = -speed
+    t.nodes.v[face, 2] = 0.0
     start, steps, dt, began = t.kinetic(), 0, 0.0, clock.perf_counter()
     while t.time < known["time"]:
         if steps % 10 == 0:
             dt = t.stable_dt()[0]
         t.advance(min(dt, known["time"] - t.time))
         t.finish()
-        t.total[face, 2] = 0.0  # the wall
+        t.nodes.total[face, 2] = 0.0  # the wall
         for axis, nodes in enumerate(planes):
-            t.total[nodes, axis] = 0.0
+            t.nodes.total[nodes, axis] = 0.0
         steps += 1
     energy = t.kinetic() + t.elastic() + float(t.sums[0] + t.sums[1])
     return {
         "size": size, "elements": len(mesh.conn), "nodes": len(mesh.points), "steps": steps,
-        "length": float(np.ptp(t.x[:, 2])) * 1e3, "diameter": 2e3 * float(np.hypot(t.x[face, 0], t.x[face, 1]).max()),
-        "T_max": float(_at_nodes(t, t.T).max()) - 273.15, "eps_p_max": float(_at_nodes(t, t.eps_p).max()),
-        "T_max_element": float(t.T.max()) - 273.15, "eps_p_max_element": float(t.eps_p.max()),
+        "length": float(np.ptp(t.nodes.x[:, 2])) * 1e3, "diameter": 2e3 * float(np.hypot(t.nodes.x[face, 0], t.nodes.x[face, 1]).max()),
+        "T_max": float(_at_nodes(t, t.elements.T).max()) - 273.15, "eps_p_max": float(_at_nodes(t, t.elements.eps_p).max()),
+        "T_max_element": float(t.elements.T.max()) - 273.15, "eps_p_max_element": float(t.elements.eps_p.max()),
         "viscous_share": float(t.sums[1]) / start, "energy_drift": energy / start - 1.0, "wall_s": clock.perf_counter() - began,
     }  # fmt: skip
 
@@ -139,7 +139,7 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
 
     def wall() -> None:
         nonlocal stored
-        depth = np.maximum(-skin.positions(bar.x)[:, 2], 0.0)
+        depth = np.maximum(-skin.positions(bar.points.x)[:, 2], 0.0)
         stored = 0.5 * stiffness * float(depth @ depth)
         force[:, 2] = stiffness * depth
         bar.f_ext += skin.weights.T @ force  # on the vertices alone: a flat wall needs no more
@@ -152,15 +152,15 @@ def taylor_bar(points: int, numerics: Numerics = NUMERICS, engine: str = "enrich
             steps = int(np.ceil((END - bar.time) / dt))
             dt = (END - bar.time) / steps
         bar.run(steps, dt, wall)
-    surface, plastic = skin.positions(bar.x), float(bar.sums[0])
+    surface, plastic = skin.positions(bar.points.x), float(bar.sums[0])
     numerical = float(bar.internal_work - bar.elastic() - plastic)
     total = bar.kinetic() + bar.elastic() + plastic + numerical + stored
     result = Bar(
         engine=engine, points=bar.n, spacing_mm=bar.spacing * 1e3, length_mm=float(np.ptp(surface[:, 2])) * 1e3,
         diameter_mm=2e3 * float(np.sqrt(ConvexHull(surface[:, :2]).volume / np.pi)),
         diameter_largest_mm=2e3 * float(np.hypot(surface[:, 0], surface[:, 1]).max()),
-        T_max_C=float(bar.T.max()) - 273.15, eps_p_max=float(bar.eps_p.max()),
-        eps_p_p99=float(np.percentile(bar.eps_p, 99)), plastic=plastic / kinetic, numerical=numerical / kinetic,
+        T_max_C=float(bar.points.T.max()) - 273.15, eps_p_max=float(bar.points.eps_p.max()),
+        eps_p_p99=float(np.percentile(bar.points.eps_p, 99)), plastic=plastic / kinetic, numerical=numerical / kinetic,
         drift=float(total) / kinetic - 1.0, steps=bar.steps, wall_s=clock.perf_counter() - started,
     )  # fmt: skip
     bar.close()

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import SplatError
 from ..units import UnitError, parse, rounded
@@ -21,7 +21,6 @@ SIZE_OVER_SPACING = 1.7  # as the target's elements
 SUFFIXES = (".vtu", ".vtk", ".msh", ".xdmf", ".inp")  # those that meshio writes as one file
 _MOST_SPACING = 1e-3  # m: more is a file in another unit
 _MEMORY_EACH = 3000.0  # bytes for each point: 2000 measured from 5000 to 40 000 points, at the default size
-_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 1, "T": 1, "J": 1, "energy": 1, "volume": 1}
 _SI = {"T": "K", "energy": "J", "volume": "m3"}
 _SWAP = [0, 1, 2, 4, 5, 3]  # stress between ours, xx yy zz yz xz xy, and VTK's order, xx yy zz xy yz xz
 _SWAP_BACK = [0, 1, 2, 5, 3, 4]
@@ -80,9 +79,11 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     import numpy as np
 
     from ..files.result import Result
+    from ..physics.metal import MetalState
     from ..physics.shapes import sphere_volume
     from ..plan.record import read_plan
     from ..splat.cloud import Cloud
+    from ..state.records import rows_of
 
     result = Result(folder)
     try:
@@ -102,8 +103,8 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     data = {name: values.astype(float) for name, values in fields.data.items()}
     cloud = Cloud(
         fields.points, np.full(len(fields.points), spacing**3), spacing, impact.material.rho, velocity=data.get("velocity"),
-        stress=data["stress"][:, _SWAP] if "stress" in data else None, eps_p=data.get("eps_p"), T=data.get("T"),
-        surface=surface, wave_speed=impact.material.wave_speed,
+        stress=data["stress"][:, _SWAP] if "stress" in data else None, surface=surface, wave_speed=impact.material.wave_speed,
+        **{name: data[name] for name in rows_of(MetalState) if name in data},
     )  # fmt: skip
     return cloud, notes
 
@@ -129,18 +130,20 @@ def of_file(
     from ..files.clouds import read_points
     from ..geometry.points import cleaned, is_shell
     from ..splat.cloud import Cloud
+    from ..state.records import rows_of
 
     names = None if columns is None else columns.replace(",", " ").split()
-    points = read_points(path, tuple(name.lower() for name in _COLUMNS), names)
-    fields, notes = {}, [*points.notes]
+    shapes = {name: spec.shape[1:] for name, spec in rows_of(Cloud).items() if name != "x"}
+    points = read_points(path, tuple(name.lower() for name in shapes), names)
+    fields: dict[str, Any] = {}
+    notes = [*points.notes]
     x = points.x * _unit(points.units.get("x", ""), unit, notes)
     for name, values in points.fields.items():
-        known = next((own for own in _COLUMNS if own.lower() == name.lower()), None)
+        known = next((own for own in shapes if own.lower() == name.lower()), None)
         values = np.asarray(values)
         values = values[:, 0] if values.ndim == 2 and values.shape[1] == 1 else values
-        shape = (3, 3) if known is None else (_COLUMNS[known],)
-        if known is None or values.shape != ((len(x),) if shape == (1,) else (len(x), *shape)):
-            notes.append(f"field {name!r} left out: not one of {', '.join(_COLUMNS)}, or of another shape")
+        if known is None or values.shape != (len(x), *shapes[known]):
+            notes.append(f"field {name!r} left out: not one of {', '.join(shapes)}, or of another shape")
         elif (in_si := _in_si(known, values.astype(float), points.units.get(name, ""))) is None:
             notes.append(f"field {name!r} left out: its unit {points.units[name]!r} is not understood")
         else:
@@ -159,10 +162,7 @@ def of_file(
     if volume is None:
         volume = np.full(len(x), spacing**3)
     index, left_out = cleaned(x, spacing)
-    cloud = Cloud(
-        x, volume, spacing, 1.0, velocity=fields.get("velocity"), stress=fields.get("stress"), eps_p=fields.get("eps_p"),
-        T=fields.get("T"), J=fields.get("J"), energy=fields.get("energy"),
-    )  # fmt: skip
+    cloud = Cloud(x, volume, spacing, 1.0, **fields)
     cloud = cloud.part(index) if left_out else cloud
     cloud.check()
     if is_shell(cloud.x):
@@ -227,6 +227,8 @@ def write(path: Path, splat: "Splat") -> None:
     import numpy as np
 
     from ..files.outputs import MARK, replacing
+    from ..physics.metal import MetalState
+    from ..state.records import rows_of
 
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])
@@ -236,10 +238,10 @@ def write(path: Path, splat: "Splat") -> None:
     }
     nodes: dict[str, np.ndarray] = {}
     gmsh = path.suffix.lower() == ".msh"
-    for into, names in ((cells, ("stress", "eps_p", "T", "J")), (nodes, ("velocity", "energy"))):
+    for into, names in ((cells, ("stress", *rows_of(MetalState), "J")), (nodes, ("velocity", "energy"))):
         for name in names:
-            if getattr(splat.bodies[0], name) is not None:
-                into[name] = np.concatenate([getattr(body, name) for body in splat.bodies])
+            if vars(splat.bodies[0])[name] is not None:
+                into[name] = np.concatenate([vars(body)[name] for body in splat.bodies])
     if "stress" in cells:  # gmsh knows whole tensors only, row by row
         cells["stress"] = cells["stress"][:, [0, 5, 4, 5, 1, 3, 4, 3, 2] if gmsh else _SWAP_BACK]
     mesh = meshio.Mesh(points, [("tetra", tets)], nodes, {name: [values] for name, values in cells.items()})

@@ -7,7 +7,7 @@ bodies, number by number. Nothing outside the radius changes; cuts whose spheres
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,16 +15,15 @@ from ..contact.bodies import ContactPast
 from ..contact.bond import Bond, BondRows, BondState
 from ..contact.model import new_history
 from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
-from ..fe.explicit import Target
-from ..fe.state import ElementState, NodeState
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
 from ..impact.bodies import Bodies
 from ..state.arrays import occurring
-from ..state.records import collect, concatenate, rows_of, take
+from ..state.records import arrays_of, collect, concatenate, take
 
 ROUNDS = 20  # at most, to make the surface of a cut sound
 Ledgers = dict[str, Any]
+R = TypeVar("R")
 # ledgers of target, contact and bonds
 _SUMS = ("sums", "impulse", "internal_work", "absorbed", "time")
 _OF_CONTACT = ("lost", "friction_heat", "dropped_energy", "dropped")
@@ -47,7 +46,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     for the heat of friction that its elements get."""
     t = whole.target
     whole.release_heat()
-    conn, x = t.mesh.conn, t.x
+    conn, x = t.mesh.conn, t.nodes.x
     distance = np.linalg.norm(x - np.asarray(place), axis=1)
     reach = least_at_corners(distance, conn)
     inside = reach < radius
@@ -73,7 +72,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     number = np.full(len(x), -1)
     number[selected.nodes] = rank
     if (past := whole.past()) is not None and part.count > 1:
-        part.touch(past.on(number, len(part.target.x)))
+        part.touch(past.on(number, len(part.target.nodes.x)))
     if whole.bond is not None:
         state = whole.bond.state()
         held = ((number[state.rows.nodes] >= 0) & (number[state.rows.triangles] >= 0).all(axis=1)).nonzero()[0]
@@ -122,8 +121,8 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
         places.append((node, facet))
     domain = merge(domains)[0]
     for (cut, part), (node, _) in zip(parts, places, strict=True):
-        _replace(domain.nodes, part.target, cut.nodes, node)
-        _replace(domain.elements, part.target, cut.elements, part.target.element_number)
+        _replace(domain.nodes, part.target.nodes, cut.nodes, node)
+        _replace(domain.elements, part.target.elements, cut.elements, part.target.elements.element_number)
     new = whole.remade(domain)
     new.impact = np.concatenate([whole.impact, *(part.impact[len(cut.part.bodies) :] for cut, part in parts)])
     buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, places, strict=True)])
@@ -133,16 +132,16 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
         setattr(new.target, name, getattr(new.target, name) + gain[name])
     own = []  # masks of each part's nodes: those that its impact can change
     for (cut, _), (node, _) in zip(parts, places, strict=True):
-        changed = np.zeros(len(new.target.x), bool)
-        changed[cut.nodes] = changed[len(whole.target.x) :] = True
+        changed = np.zeros(len(new.target.nodes.x), bool)
+        changed[cut.nodes] = changed[len(whole.target.nodes.x) :] = True
         own.append(changed[node])
     new.bond = _bonds(
         whole, [(*part, node, mine) for part, (node, _), mine in zip(parts, places, own, strict=True)], gain
     )
     if new.count > 1:
-        past = ContactPast(new_history(len(new.target.x)))
+        past = ContactPast(new_history(len(new.target.nodes.x)))
         if (before := whole.past()) is not None:
-            past = before.on(np.arange(len(whole.target.x)), len(new.target.x))
+            past = before.on(np.arange(len(whole.target.nodes.x)), len(new.target.nodes.x))
         for (_, part), (node, _), mine in zip(parts, places, own, strict=True):
             if (of_part := part.past()) is not None:
                 past.nodes[node[mine]] = of_part.nodes[mine]
@@ -187,14 +186,15 @@ def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndar
     return which[nodes] | which[triangles].any(axis=1)
 
 
-def _replace(record: NodeState | ElementState, target: Target, ids: np.ndarray, number: np.ndarray) -> None:
-    """Put into the rows `ids` of a record those rows of a target that have these numbers."""
+def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
+    """Put into the rows `ids` of a record those rows of that of a part that have these numbers."""
     row = np.full(int(number.max()) + 1, -1)
     kept = np.flatnonzero(number >= 0)
     row[number[kept]] = kept
     rows = row[ids]
-    for name in rows_of(record):
-        getattr(record, name)[ids] = np.take(getattr(target, name), rows, axis=0)
+    values = arrays_of(part)
+    for name, array in arrays_of(record).items():
+        array[ids] = np.take(values[name], rows, axis=0)
 
 
 def _ledgers(bodies: Bodies) -> Ledgers:

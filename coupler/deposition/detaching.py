@@ -30,7 +30,7 @@ def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tup
         return bodies, []
     t = bodies.target
     mass = t.laws["rho"][t.law_of] * t.mesh.V0
-    upwards = t.v[t.mesh.conn, 2].mean(axis=1)
+    upwards = t.nodes.v[t.mesh.conn, 2].mean(axis=1)
     records = []
     for splat in np.unique(bodies.impact[~held]):
         gone = ~held & (bodies.impact == splat)

@@ -15,6 +15,7 @@ from ..impact.bodies import Bodies, heights_at
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
 from ..physics.constitutive import sound_speed, von_mises
+from ..physics.metal import carried
 from ..plan.batches import Batch
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -25,7 +26,6 @@ from .detaching import held_at_rest, release_time, without_detached
 from .equilibrium import RELAXED, settle
 from .pause import pause
 
-_CARRIED = ("stress", "eps_p", "T", "J", "velocity", "energy", "eps_gradient")
 REST = 2.25  # cuts round an impact in which equilibrium is found after it
 SHELLS = (
     8  # of the numbering within REST: following a curve in each makes a step of the elements a quarter faster or more
@@ -90,7 +90,7 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
     states = [
         BodyState(
             points=b.points, tets=b.tets, mass=float(cloud.mass[b.cloud_index].sum()), law=particle.law,
-            **{name: np.asarray(getattr(b, name)) for name in _CARRIED},
+            stress=np.asarray(b.stress), J=np.asarray(b.J), velocity=np.asarray(b.velocity), energy=np.asarray(b.energy), **carried(b),
         )
         for b in splat.bodies
     ]  # fmt: skip
@@ -129,11 +129,11 @@ def _way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | No
     they were at rest: what lies beyond the edge has not moved."""
     if before.edge is None:
         return None
-    number, place = now.node_number, np.full(1 + int(before.node_number.max()), -1)
+    number, place = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
     known = np.flatnonzero(number >= 0)
     place[number[known]] = known
-    nodes = place[before.node_number[before.edge.nodes]]
-    return nodes, before.edge.rest - now.x[nodes]
+    nodes = place[before.nodes.node_number[before.edge.nodes]]
+    return nodes, before.edge.rest - now.nodes.x[nodes]
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:
@@ -159,7 +159,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
 
 def _near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
     """Bodies whose boxes come within a radius of one of the places, m."""
-    low, high = bodies.surfaces.boxes(bodies.target.x)
+    low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
     at = np.array(places)[:, None]
     away = np.maximum(np.maximum(low - at, at - high), 0.0)
     return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
@@ -176,8 +176,7 @@ def cloud_of(domains: Domains) -> Cloud:
     return Cloud(
         x=np.array(particle.x), volume=particle.whole("volume"), spacing=particle.spacing, rho=float(law["rho"]),
         velocity=np.array(particle.v),
-        stress=particle.stress(), eps_p=np.array(particle.eps_p), T=np.array(particle.T), J=np.array(particle.J),
-        energy=np.array(particle.energy), eps_gradient=particle.spatial_gradient(),
+        stress=particle.stress(), J=np.array(particle.points.J), energy=np.array(particle.points.energy), **particle.carried(),
         surface=(vertices, triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip
@@ -187,9 +186,14 @@ def _held(bodies: Bodies) -> dict[str, float]:
     """What the last body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
     t = bodies.target
     own = bodies.body == bodies.count - 1
-    weight = t.volume[own]
-    pressure = t.p[t.mesh.conn[own]].mean(axis=1)
-    values = {"von_mises_Pa": von_mises(t.s[own]), "pressure_Pa": pressure, "eps_p": t.eps_p[own], "T_K": t.T[own]}
+    weight = t.elements.volume[own]
+    pressure = t.nodes.p[t.mesh.conn[own]].mean(axis=1)
+    values = {
+        "von_mises_Pa": von_mises(t.elements.s[own]),
+        "pressure_Pa": pressure,
+        "eps_p": t.elements.eps_p[own],
+        "T_K": t.elements.T[own],
+    }
     return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
 
 
@@ -202,6 +206,6 @@ def splats_at_end(plan: Plan, levels: Sequence[float], joined: int, bodies: Bodi
     impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
     for number, (impact, level) in enumerate(zip(plan.impacts[:joined], levels, strict=False), 1):
         facets = mesh.facets[impact_of_facet == number]
-        away = bodies.target.x - np.array([0.0, 0.0, level])
+        away = bodies.target.nodes.x - np.array([0.0, 0.0, level])
         standing.append(shape_measures(away, facets, impact.diameter) if len(facets) else None)
     return standing

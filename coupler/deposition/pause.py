@@ -45,14 +45,14 @@ def pause(plan: Plan, time: float, bodies: Bodies, kinetic_0: float, radius: flo
     started, t = clock.perf_counter(), bodies.target
     facets = np.concatenate([t.mesh.facets[t.mesh.sets[name]].ravel() for name in ("bottom", "sides")])
     links = _links(bodies, plan.splat_element_size)
-    before = t.T.copy()
+    before = t.elements.T.copy()
     cooling = cool(t, time, np.unique(facets), plan.target.temperature, links, _film(bodies, plan.surface_heat))
-    changed = t.mesh.reach_element[np.abs(t.T - before) > COOLER]
-    heat = t.heat.copy()
-    t.heat[:] = 0.0
+    changed = t.mesh.reach_element[np.abs(t.elements.T - before) > COOLER]
+    heat = t.elements.heat.copy()
+    t.elements.heat[:] = 0.0
     known = Known()
     balanced = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
-    t.heat += heat
+    t.elements.heat[:] += heat
     beyond = float(
         np.nextafter(changed.max(initial=0.0), np.inf)
     )  # all of a shell of the numbering has the same distance
@@ -77,13 +77,16 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
     settle(bodies, kinetic_0, 0.0, ramp=True, known=known)
     came = [(plan.target.material, plan.target.temperature)]
     came += [(plan.impacts[i - 1].material, plan.impacts[i - 1].temperature) for i in bodies.impact[1:]]
-    before = {"T_max_before_K": float(t.T.max()), "T_mean_before_K": float(np.average(t.T, weights=t.mesh.V0))}
+    before = {
+        "T_max_before_K": float(t.elements.T.max()),
+        "T_mean_before_K": float(np.average(t.elements.T, weights=t.mesh.V0)),
+    }
     missing = np.array([_missing_energy(metal, T, ambient) for metal, T in came])[t.law_of] * t.mesh.V0
     missing *= t.laws["expansion"][t.law_of]
-    t.heat += missing
+    t.elements.heat[:] += missing
     t.sums[2] += float(missing.sum())
     shrunk = 1.0 + _contraction(*came[0], ambient)
-    t.x *= shrunk
+    t.nodes.x[:] *= shrunk
     t.rest_scale *= shrunk
     report: Values = {**before, "ambient_K": ambient, "detached": []}
     for number in range(1, COOLINGS + 1):
@@ -92,10 +95,10 @@ def cool_to_ambient(plan: Plan, bodies: Bodies, kinetic_0: float) -> tuple[Bodie
         bodies, detached = held_at_rest(plan, bodies, len(plan.impacts), "cooling", kinetic_0)
         report["detached"] += detached
         t, known = bodies.target, Known() if detached else known
-        report |= {"coolings": number, "off_ambient_K": float(np.abs(t.T - ambient).max())}
+        report |= {"coolings": number, "off_ambient_K": float(np.abs(t.elements.T - ambient).max())}
         if report["off_ambient_K"] <= AT_AMBIENT:
             break
-    report["overlap_m"] = float(overlaps(bodies.surfaces, t.x, range(bodies.count)).max())
+    report["overlap_m"] = float(overlaps(bodies.surfaces, t.nodes.x, range(bodies.count)).max())
     return bodies, report | {"wall_s": clock.perf_counter() - started}
 
 
@@ -105,19 +108,21 @@ def _settled(bodies: Bodies, kinetic_0: float, radius: float, known: Known) -> V
     before = t.stress()
     # within COOLED of equilibrium: nothing to watch
     settled = settle(bodies, kinetic_0, 0.0, ramp=True, radius=radius, known=known)
-    t.thermal_stress += t.stress() - before
+    t.elements.thermal_stress[:] += t.stress() - before
     return {f"then_{name}": settled[name] for name in ("settle_steps", "left_J", "taken_J")}
 
 
 def _take_heat_away(t: Target, ambient: float) -> None:
     """Set all elements to ambient, K, by taking the heat for it; more than once where c_p(T) bends on the way."""
-    m, rho = len(t.T), t.laws["rho"][t.law_of]
+    m, rho = len(t.elements.T), t.laws["rho"][t.law_of]
     for _ in range(20):
-        if np.abs(t.T - ambient).max() < _EXACT:
+        if np.abs(t.elements.T - ambient).max() < _EXACT:
             return
-        c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.T + ambient))
-        gain = rho * t.mesh.V0 * c_p * (ambient - t.T)
-        t.sums[2] += take_heat(0, m, gain, t.mesh.V0, t.laws, t.law_of, t.T, t.heat, t.sigma_y, t.eps_p)
+        c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.elements.T + ambient))
+        gain = rho * t.mesh.V0 * c_p * (ambient - t.elements.T)
+        t.sums[2] += take_heat(
+            0, m, gain, t.mesh.V0, t.laws, t.law_of, t.elements.T, t.elements.heat, t.elements.sigma_y, t.elements.eps_p
+        )
 
 
 def _contraction(metal: Material, T: float, ambient: float) -> float:
@@ -140,7 +145,7 @@ def _missing_energy(metal: Material, T: float, ambient: float) -> float:
 
 def _links(bodies: Bodies, size: float) -> list[Links]:
     """Where splats lie on each other or on the substrate. size: of their elements, m."""
-    surfaces, x = bodies.surfaces, bodies.target.x
+    surfaces, x = bodies.surfaces, bodies.target.nodes.x
     reach = NEAR * size
     near = earlier_neighbours(surfaces, x, reach)
     contacts = [interface(surfaces, x, body, reach, near[body]) for body in range(1, bodies.count) if near[body]]
@@ -153,4 +158,4 @@ def _film(bodies: Bodies, heat: tuple[float, float] | None) -> Film | None:
         return None
     t = bodies.target
     facets = t.mesh.facets[np.setdiff1d(bodies.reachable(), t.mesh.sets["sides"])]
-    return Film(facets.ravel(), np.repeat(areas(t.x, facets) / 3.0, 3), *heat)
+    return Film(facets.ravel(), np.repeat(areas(t.nodes.x, facets) / 3.0, 3), *heat)

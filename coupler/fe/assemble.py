@@ -13,8 +13,9 @@ import numpy as np
 from ..geometry.points import morton
 from ..geometry.tetrahedra import boundary_faces, least_at_corners, lumped
 from ..physics.constitutive import pressures, yield_stresses
+from ..physics.metal import MetalState, carried
 from ..state.arrays import occurring
-from ..state.records import concatenate, new_rows, shared, take
+from ..state.records import concatenate, new_rows, take
 from .explicit import Target
 from .mesh import TetMesh, prepare_ordered
 from .state import ElementState, NodeState
@@ -24,21 +25,18 @@ SPLAT = "splat"  # name of the facets of body b: SPLATb
 
 
 @dataclass(frozen=True)
-class BodyState:
-    """A body that is to join: points (n,3) m and tets (m,4); stress (m,6) Pa Voigt xx yy zz yz xz xy, eps_p, T, J (m,), eps_gradient
-    (m,3) 1/m; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
+class BodyState(MetalState):
+    """A body that is to join: points (n,3) m and tets (m,4); in elements stress (m,6) Pa Voigt xx yy zz yz xz xy, J (m,) and the state
+    of the metal; velocity (n,3) m/s, energy (n,) J per reference m3; mass kg; law: its LAW record (1,)."""
 
     points: np.ndarray
     tets: np.ndarray
     stress: np.ndarray
-    eps_p: np.ndarray
-    T: np.ndarray
     J: np.ndarray
     velocity: np.ndarray
     energy: np.ndarray
     mass: float
     law: np.ndarray
-    eps_gradient: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -74,11 +72,9 @@ def domain_of(body: BodyState, name: str) -> Domain:
     nodes = new_rows(
         NodeState, n, x=mesh.points.copy(), v=body.velocity[node], J=J, energy=energy, p=pressures(law, J, energy)
     )
-    eps_p, T, gradient = body.eps_p[element], body.T[element], body.eps_gradient[element]
-    sigma_y = yield_stresses(law, np.zeros(m, np.int32), eps_p, T, gradient)
-    elements = new_rows(
-        ElementState, m, s=deviator, eps_p=eps_p, T=T, volume=V.copy(), sigma_y=sigma_y, eps_gradient=gradient
-    )  # fmt: skip
+    metal = MetalState(**{name: values[element] for name, values in carried(body).items()})
+    sigma_y = yield_stresses(law, np.zeros(m, np.int32), metal.eps_p, metal.T, metal.eps_gradient)
+    elements = new_rows(ElementState, m, s=deviator, volume=V.copy(), sigma_y=sigma_y, **carried(metal))
     return Domain(mesh, nodes, elements, np.zeros(m, np.int32), law)
 
 
@@ -153,7 +149,7 @@ def _new_numbers(kept: np.ndarray, n: int) -> np.ndarray:
 
 def domain_now(target: Target, body: np.ndarray) -> Domain:
     """A running target as a domain, to be read before it goes on: it shares its arrays. body (m,) of each element."""
-    return Domain(target.mesh, shared(NodeState, target), shared(ElementState, target), body, target.laws)
+    return Domain(target.mesh, target.nodes, target.elements, body, target.laws)
 
 
 @dataclass(frozen=True)

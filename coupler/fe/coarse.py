@@ -90,7 +90,7 @@ class CoarseGrid:
     def __init__(self, t: Target, free: np.ndarray, mass: np.ndarray, dt: float, links: Sequence[SpringTable] = ()):
         """free (n,) bool: nodes that can move; mass (n,) kg; dt s: the step, which these masses bear; links: springs between bodies."""
         n, m = t.active_nodes, t.active_elements
-        points, weights = _interpolation(t.x[:n])
+        points, weights = _interpolation(t.nodes.x[:n])
         weights[~free[:n]] = 0.0
         used, points = np.unique(points, return_inverse=True)
         points = points.reshape(n, CORNERS)
@@ -101,7 +101,7 @@ class CoarseGrid:
         A = np.zeros((len(used), len(used), 3, 3))
 
         def add(low: int, high: int) -> None:
-            _stiffness(low, high, m, t.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
+            _stiffness(low, high, m, t.nodes.x, t.mesh.conn, t.laws, t.law_of, points, weights, A)
 
         share(add, len(used), max(len(used) // 2, 1))  # halves: each range looks at all elements
         stiff = sparse.csr_array(A.transpose(0, 2, 1, 3).reshape(3 * len(used), -1))

@@ -64,17 +64,17 @@ def cool(
     come to an end.
     """
     t = target
-    n, m = len(t.x), len(t.mesh.conn)
+    n, m = len(t.nodes.x), len(t.mesh.conn)
     carried, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
     heat, laws, law_of, V0 = np.zeros(m), t.laws, t.law_of, t.mesh.V0
 
     def nodal(values: np.ndarray) -> np.ndarray:
-        shares(0, m, V0, laws, law_of, t.T, carried)
+        shares(0, m, V0, laws, law_of, t.elements.T, carried)
         means(0, n, t.start, t.table, carried, values, capacity, mean)
         return mean.copy()
 
     before = _extremes(t)
-    T = nodal(t.T)
+    T = nodal(t.elements.T)
     from_gas = np.zeros(n)  # W/K
     if film is not None:
         from_gas += np.bincount(film.nodes, film.coefficient * film.area, n)
@@ -94,7 +94,7 @@ def cool(
         rate = k * matrix.grad2 / (4.0 * carried / V0)
         dt = min(left, STEP_GROWTH * dt if steps else FIRST_STEP / float(rate.max()))
         dt = left if left < 1.5 * dt else dt
-        own[:] = (t.T - T_mean) * -np.expm1(-dt * rate)
+        own[:] = (t.elements.T - T_mean) * -np.expm1(-dt * rate)
         source = capacity * nodal(own)
         # held nodes: their rows and columns leave the system, what they give the others goes to the right-hand side
         fixed = np.where(free == 0.0, held_T - T, 0.0)
@@ -117,13 +117,13 @@ def cool(
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
         gains(0, m, t.mesh.conn, carried, change, own, gain)
-        take_heat(0, m, gain, V0, laws, law_of, t.T, heat, t.sigma_y, t.eps_p)
+        take_heat(0, m, gain, V0, laws, law_of, t.elements.T, heat, t.elements.sigma_y, t.elements.eps_p)
         taken -= float(gain.sum())
         T += change
-        nodal(t.T)
+        nodal(t.elements.T)
         left = left - dt if dt < left else 0.0
         steps += 1
-    t.heat += heat
+    t.elements.heat[:] += heat
     t.sums[2] += float(heat.sum())
     after = _extremes(t)
     return {
@@ -155,8 +155,8 @@ class _Conduction:
     @classmethod
     def of(cls, t: Target, links: Sequence[Links], from_gas: np.ndarray) -> "_Conduction":
         """The matrix of a target where its nodes are now; from_gas (n,) W/K."""
-        n, m, conn = len(t.x), len(t.mesh.conn), t.mesh.conn.astype(np.int64)
-        mesh = MeshTet(np.ascontiguousarray(t.x.T), np.ascontiguousarray(conn.T), sort_t=False)
+        n, m, conn = len(t.nodes.x), len(t.mesh.conn), t.mesh.conn.astype(np.int64)
+        mesh = MeshTet(np.ascontiguousarray(t.nodes.x.T), np.ascontiguousarray(conn.T), sort_t=False)
         basis = Basis(mesh, ElementTetP1(), intorder=1, disable_doflocs=True)
         g = [b[0].grad[:, :, 0] for b in basis.basis]  # (3,m) each
         first, second = np.array(list(combinations(range(4), 2))).T
@@ -195,4 +195,4 @@ class _Conduction:
 
 
 def _extremes(t: Target) -> tuple[float, float]:
-    return float(t.T.max()), float(np.average(t.T, weights=t.mesh.V0))
+    return float(t.elements.T.max()), float(np.average(t.elements.T, weights=t.mesh.V0))

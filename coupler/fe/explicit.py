@@ -7,6 +7,9 @@ The step is that of LAMMPS (kick half, drift, forces, kick half), cut where cont
     target.finish()             boundary forces, work of all forces over the step
 """
 
+from dataclasses import dataclass, replace
+from typing import Annotated
+
 import numpy as np
 
 from ..errors import CheckpointError, SolverError
@@ -14,15 +17,15 @@ from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
 from ..state.arrays import occurring
 from ..state.loops import PARTS
-from ..state.records import assign, check_indices, collect, fill_rows
+from ..state.records import Shape, assign, check_indices, collect, copied, new_rows, put
 from ..state.threads import share, together
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
-from .heat import Conduction, take_heat
-from .inertia import ElementInertia, step_for
+from .heat import Conduction, ConductionState, take_heat
+from .inertia import ElementInertia, InertiaState, step_for
 from .mesh import TetMesh, inverted
-from .stability import HighestFrequency, Springs
-from .state import ElementState, NodeState, TargetState
+from .stability import FrequencyState, HighestFrequency, Springs
+from .state import EdgeState, ElementState, NodeState
 from .window import LAYER, Edge, layer, outside
 
 LINEAR_VISCOSITY = 0.06
@@ -32,14 +35,45 @@ AHEAD = 1.5  # speed of the front of what is computed over that of sound
 LEAST_ELEMENTS = 1000  # in a range of a shared loop
 
 
+@dataclass(frozen=True)
+class TargetState:
+    """Everything that makes a target go on as if nothing had happened; the mesh is not in it.
+
+    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above at the time they became inactive; drag (d,3) N: of
+    the dashpots; support (3,) N, impulse (3,) N s: from outside; sums: plastic work, work of the bulk viscosity with what the inertia
+    of scaled elements has taken, heat put into the nodes' energy, J; internal_work, absorbed J; time, dt_last s; reach, horizon m;
+    least_mass kg; active_nodes, active_elements: how many are computed. edge: of a window, where that is elastic.
+    """
+
+    nodes: NodeState
+    elements: ElementState
+    conduction: ConductionState | None
+    highest: FrequencyState | None
+    edge: EdgeState | None
+    inertia: InertiaState
+    internal_work: float
+    absorbed: float
+    dt_last: float
+    time: float
+    reach: float
+    horizon: float
+    least_mass: float
+    active_nodes: int
+    active_elements: int
+    force_suffix_sum: Annotated[np.ndarray, Shape(-1, 3)]
+    drag: Annotated[np.ndarray, Shape(-1, 3)]
+    support: Annotated[np.ndarray, Shape(3)]
+    impulse: Annotated[np.ndarray, Shape(3)]
+    sums: Annotated[np.ndarray, Shape(3)]
+
+
 class Target:
     """State and motion of one finite-element domain.
 
-    Arrays (n nodes, m elements): x, v, f, f_ext (n,3); J, p, energy (n,); s (m,6) Cauchy deviator in Voigt order xx yy zz yz xz xy;
-    sigma_y, eps_p, rate, T, heat (m,). SI units. Nodes and elements are numbered outwards from the point of impact, or from the
-    nearest of several, and only the first `active_nodes`, `active_elements` of them, those a wave can have reached, are computed; none
-    beyond the `horizon` (m, see `window`) or the `limit` (m, see `activate_all`). inertia: of the elements that are scaled
-    (`fe.inertia`); least_mass kg: see `weigh_surface`. force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above
+    nodes, elements: its state (`fe.state`), whose arrays kernels change in place. f_ext (n,3) N. SI units. Nodes and elements are
+    numbered outwards from the point of impact, or from the nearest of several, and only the first `active_nodes`, `active_elements` of
+    them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `window`) or the `limit` (m, see
+    `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`. force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above
     when they became inactive. rest_scale: how much the half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
@@ -47,27 +81,6 @@ class Target:
     not expand, nor do laws without `expansion`. Bodies of different materials do not share nodes: a nodal pressure belongs to one
     material.
     """
-
-    x: np.ndarray
-    v: np.ndarray
-    f: np.ndarray
-    f_old: np.ndarray
-    total: np.ndarray
-    J: np.ndarray
-    p: np.ndarray
-    energy: np.ndarray
-    s: np.ndarray
-    eps_p: np.ndarray
-    rate: np.ndarray
-    heat: np.ndarray
-    volume: np.ndarray
-    T: np.ndarray
-    sigma_y: np.ndarray
-    fe: np.ndarray
-    thermal_stress: np.ndarray
-    eps_gradient: np.ndarray
-    node_number: np.ndarray
-    element_number: np.ndarray
 
     def __init__(
         self,
@@ -94,13 +107,11 @@ class Target:
         self.law_of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
         if np.any(self.law_of_node[mesh.conn] != self.law_of[:, None]):
             raise SolverError("elements of different materials share nodes of the target: join meshes of one body each")
-        self.x, self.v = mesh.points.copy(), np.zeros((n, 3))
-        self.f_ext, self.volume = np.zeros((n, 3)), mesh.V0.copy()
-        self.T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
-        fill_rows(self, NodeState, n)
-        fill_rows(self, ElementState, m)
-        self.sigma_y = yield_stresses(self.laws, self.law_of, self.eps_p, self.T, self.eps_gradient)
-        self.dt_of = np.zeros(m)
+        T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
+        sigma_y = yield_stresses(self.laws, self.law_of, np.zeros(m), T, np.zeros((m, 3)))
+        self.nodes = new_rows(NodeState, n, x=mesh.points.copy())
+        self.elements = new_rows(ElementState, m, volume=mesh.V0.copy(), T=T, sigma_y=sigma_y)
+        self.f_ext, self.dt_of = np.zeros((n, 3)), np.zeros(m)
         self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(n, m) if conduction else None
         self.inertia = ElementInertia()
@@ -137,7 +148,7 @@ class Target:
 
     def foundation_load(self) -> np.ndarray:
         """What the springs of the half-space add to each node (n,) in the bound on omega^2, N/m."""
-        load = np.zeros(len(self.x))
+        load = np.zeros(len(self.nodes.x))
         load[self.spring_nodes] = np.abs(self.springs).sum(axis=2).max(axis=1, initial=0.0)
         return load
 
@@ -223,7 +234,9 @@ class Target:
         bounds: list[tuple[float, int]] = []
 
         def bound_of(lo: int, hi: int) -> None:
-            bounds.append(k.stable_dt(lo, hi, self.x, self.mesh.conn, self.J, self.laws, self.law_of, self.dt_of))
+            bounds.append(
+                k.stable_dt(lo, hi, self.nodes.x, self.mesh.conn, self.nodes.J, self.laws, self.law_of, self.dt_of)
+            )
 
         share(bound_of, e, LEAST_ELEMENTS)
         bound, where = min(bounds)
@@ -232,12 +245,12 @@ class Target:
             where = int(np.argmin(self.dt_of[:e]))
             bound = float(self.dt_of[where])
         if springs is not None:
-            load = springs.load(len(self.x))[:n]
+            load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
         dt = COURANT * bound
         if dt < enough * (1.0 + LINEAR_VISCOSITY):
             if self._highest is None:
-                self._highest = HighestFrequency(len(self.x), len(self.mesh.conn))
+                self._highest = HighestFrequency(len(self.nodes.x), len(self.mesh.conn))
             dt = max(dt, self._highest.longest_step(self, bound, n, e, springs, self.inertia))
         return dt / (1.0 + LINEAR_VISCOSITY), where
 
@@ -263,18 +276,17 @@ class Target:
 
         Raises SolverError when a tetrahedron inverts.
         """
-        mesh = self.mesh
-        self.f, self.f_old = self.f_old, self.f
+        mesh, e = self.mesh, self.elements
+        self.nodes = n = replace(self.nodes, f=self.nodes.f_old, f_old=self.nodes.f)
         smallest, sums = np.full(PARTS, np.inf), np.zeros((PARTS, 3))
         together(
             k.advance, kicked, self.active_nodes, self.active_elements, kick, dt,
-            (self.total, inv_mass, self.v, self.x, self.f_ext),
-            (self.x, mesh.conn, self.volume),
-            (self.start, self.table, self.volume, self.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, self.J, self.p,
-             self.energy),
-            (dt, *viscosity, self.x, self.v, mesh.conn, mesh.B, mesh.V0, self.volume, self.p, self.J, self._laws_of_flow, self.law_of,
-             self.s, self.sigma_y, self.eps_p, self.rate, self.T, self.heat, self.fe, self.eps_gradient),
-            (self.start, self.table, self.fe, self.f),
+            (n.total, inv_mass, n.v, n.x, self.f_ext),
+            (n.x, mesh.conn, e.volume),
+            (self.start, self.table, e.volume, e.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, n.J, n.p, n.energy),
+            (dt, *viscosity, n.x, n.v, mesh.conn, mesh.B, mesh.V0, e.volume, n.p, n.J, self._laws_of_flow, self.law_of,
+             e.s, e.sigma_y, e.eps_p, e.rate, e.T, e.heat, e.fe, e.eps_gradient),
+            (self.start, self.table, e.fe, n.f),
             smallest, sums,
         )  # fmt: skip
         if smallest.min() <= 0.0:
@@ -307,14 +319,14 @@ class Target:
     def pull(self) -> None:
         """Add the forces of the springs at the window's edge and of the half-space."""
         if self.edge is not None:
-            pull = self.edge.pull(self.x)
-            self.total[self.edge.nodes] += pull
+            pull = self.edge.pull(self.nodes.x)
+            self.nodes.total[self.edge.nodes] += pull
             self.support += pull.sum(axis=0)
         if len(self.spring_nodes):
             active = self.spring_nodes < self.active_nodes  # what is inactive is in balance with its springs
             nodes = self.spring_nodes[active]
-            pull = -np.einsum("aij,aj->ai", self.springs[active], self.x[nodes] - self.spring_rest[active])
-            self.total[nodes] += pull
+            pull = -np.einsum("aij,aj->ai", self.springs[active], self.nodes.x[nodes] - self.spring_rest[active])
+            self.nodes.total[nodes] += pull
             self.support += pull.sum(axis=0)
 
     def external_impulse(self) -> np.ndarray:
@@ -323,7 +335,7 @@ class Target:
 
     def state(self) -> TargetState:
         """Everything that makes the target go on as if nothing had happened. The mesh is not in it."""
-        nodes, elements = collect(NodeState, self), collect(ElementState, self)
+        nodes, elements = copied(self.nodes), copied(self.elements)
         return collect(
             TargetState, self, nodes=nodes, elements=elements, highest=self._highest and self._highest.state(),
             edge=self.edge and self.edge.state(),
@@ -331,7 +343,7 @@ class Target:
 
     def restore(self, state: TargetState) -> None:
         """Put a `state` into a target of the same mesh. Raises CheckpointError where it does not fit."""
-        n, m = len(self.x), len(self.mesh.conn)
+        n, m = len(self.nodes.x), len(self.mesh.conn)
         if not (0 <= state.active_nodes <= n and 0 <= state.active_elements <= m):
             raise CheckpointError("a state does not fit: the target has another number of nodes or elements")
         self.least_mass = state.least_mass
@@ -340,8 +352,9 @@ class Target:
             self.window(state.horizon, *((state.edge.origin, state.edge.rest) if state.edge is not None else ()))
         if len(state.force_suffix_sum) != n + 1 or len(state.drag) != len(self.drag):
             raise CheckpointError("a state does not fit: the target has other boundaries")
-        for record in (state, state.nodes, state.elements):
-            assign(self, record)
+        assign(self, state)
+        put(state.nodes, self.nodes)
+        put(state.elements, self.elements)
         check_indices(state.inertia, nodes=n)
         self.inertia.restore(state.inertia)
         if self.edge is not None:
@@ -356,8 +369,7 @@ class Target:
 
     def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
         """Begin with the state of nodes and elements (`fe.assemble`), the ledger going on from that of `before`."""
-        assign(self, nodes)
-        assign(self, elements)
+        self.nodes, self.elements = nodes, elements
         for name in ("sums", "impulse"):
             setattr(self, name, getattr(before, name).copy())
         for name in ("internal_work", "absorbed", "time", "rest_scale"):
@@ -366,9 +378,9 @@ class Target:
 
     def rest(self) -> float:
         """Take all velocity away; returns the kinetic energy that was there, J."""
-        kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.v, self.v))
-        self.impulse = self.external_impulse() - self.mass @ self.v  # what stopped it came from outside
-        self.v[:], self.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
+        kinetic = 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.nodes.v, self.nodes.v))
+        self.impulse = self.external_impulse() - self.mass @ self.nodes.v  # what stopped it came from outside
+        self.nodes.v[:], self.nodes.total[:], self.support, self.drag[:] = 0.0, 0.0, np.zeros(3), 0.0
         self.inertia = ElementInertia()
         if self.least_mass > 0.0:
             self.least_mass = 0.0
@@ -389,17 +401,17 @@ class Target:
 
     def _store_inactive_forces(self) -> None:
         forces = np.zeros_like(self.force_suffix_sum)
-        k.gather_forces(0, len(self.x), self.start, self.table, self.fe, forces)
+        k.gather_forces(0, len(self.nodes.x), self.start, self.table, self.elements.fe, forces)
         self.force_suffix_sum = np.cumsum(forces[::-1], axis=0)[::-1]
 
     def velocity(self) -> np.ndarray:
         """Velocities at the same instant as the positions, (n,3) m/s."""
-        return self.v + (0.5 * self.dt_last) * self.total * self.inv_mass[:, None]
+        return self.nodes.v + (0.5 * self.dt_last) * self.nodes.total * self.inv_mass[:, None]
 
     def kinetic(self) -> float:
         """Kinetic energy in J: sum of m v(n-1/2).v(n+1/2) / 2, the one that central differences conserve together with the work."""
-        next_v = self.v + self.dt_last * self.total * self.inv_mass[:, None]
-        return 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.v, next_v))
+        next_v = self.nodes.v + self.dt_last * self.nodes.total * self.inv_mass[:, None]
+        return 0.5 * float(self.mass @ np.einsum("ai,ai->a", self.nodes.v, next_v))
 
     def momentum(self) -> np.ndarray:
         """Linear momentum (3,) in kg m/s."""
@@ -408,13 +420,15 @@ class Target:
     def elastic(self) -> float:
         """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of half-space and edge."""
         m = len(self.mesh.conn)  # inactive elements may be under stress
-        shear = k.elastic_shear_energy(0, m, self.volume, self.mesh.V0, self.laws, self.law_of, self.s)
-        way = self.x[self.spring_nodes] - self.spring_rest
+        shear = k.elastic_shear_energy(
+            0, m, self.elements.volume, self.mesh.V0, self.laws, self.law_of, self.elements.s
+        )
+        way = self.nodes.x[self.spring_nodes] - self.spring_rest
         shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
         if self.edge is not None:
-            shear += self.edge.energy(self.x)
-        pending = float(np.sum(self.heat))  # reaches the nodes in the next step
-        return shear + float(self.mesh.node_volume @ self.energy) - (float(self.sums[2]) - pending)
+            shear += self.edge.energy(self.nodes.x)
+        pending = float(np.sum(self.elements.heat))  # reaches the nodes in the next step
+        return shear + float(self.mesh.node_volume @ self.nodes.energy) - (float(self.sums[2]) - pending)
 
     def warm(self, elements: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (J, one for each of `elements`, repeats allowed) into elements, which become active.
@@ -427,23 +441,32 @@ class Target:
         if reached >= self.reach:
             self.reach = float(np.nextafter(reached, np.inf))
             self._activate(0.0)
-        gain = np.asarray(np.bincount(elements, heat, len(self.T)), float)
+        gain = np.asarray(np.bincount(elements, heat, len(self.elements.T)), float)
         mesh, m = self.mesh, self.active_elements
         self.sums[2] += take_heat(
-            0, m, gain, mesh.V0, self.laws, self.law_of, self.T, self.heat, self.sigma_y, self.eps_p
+            0,
+            m,
+            gain,
+            mesh.V0,
+            self.laws,
+            self.law_of,
+            self.elements.T,
+            self.elements.heat,
+            self.elements.sigma_y,
+            self.elements.eps_p,
         )
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""
         conn = self.mesh.conn
-        around = np.bincount(conn.ravel(), minlength=len(self.x))
-        of_node = np.bincount(nodes.ravel(), heat.ravel(), len(self.x)) / np.maximum(around, 1)
+        around = np.bincount(conn.ravel(), minlength=len(self.nodes.x))
+        of_node = np.bincount(nodes.ravel(), heself.nodes.ravel(), len(self.nodes.x)) / np.maximum(around, 1)
         of_element = of_node[conn].sum(axis=1)
         elements = np.flatnonzero(of_element)
         self.warm(elements, of_element[elements])
 
     def stress(self) -> np.ndarray:
         """Cauchy stress (m,6) Pa, Voigt xx yy zz yz xz xy, deviator and mean nodal pressure."""
-        sigma = self.s.copy()
-        sigma[:, :3] -= self.p[self.mesh.conn].mean(axis=1)[:, None]
+        sigma = self.elements.s.copy()
+        sigma[:, :3] -= self.nodes.p[self.mesh.conn].mean(axis=1)[:, None]
         return sigma

@@ -18,12 +18,22 @@ def growing(target: Target) -> Iterator[None]:
     if not target.laws["gradient_length"].any():
         yield
         return
-    before = target.eps_p.copy()
+    before = target.elements.eps_p.copy()
     yield
     mesh, hardens = target.mesh, target.laws["gradient_length"][target.law_of] > 0.0
-    grown = np.where(hardens, target.eps_p - before, 0.0)
-    at_node, share = np.empty((2, len(target.x)))
-    _grow(target.active_elements, grown, target.x, mesh.conn, mesh.B, mesh.V0, at_node, share, target.eps_gradient)
+    grown = np.where(hardens, target.elements.eps_p - before, 0.0)
+    at_node, share = np.empty((2, len(target.nodes.x)))
+    _grow(
+        target.active_elements,
+        grown,
+        target.nodes.x,
+        mesh.conn,
+        mesh.B,
+        mesh.V0,
+        at_node,
+        share,
+        target.elements.eps_gradient,
+    )
 
 
 @njit(cache=True, nogil=True)

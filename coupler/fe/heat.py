@@ -92,7 +92,7 @@ class Conduction:
             left = left - dt if left > 1.5 * dt else 0.0
 
     def _lose_excess(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
-        excesses(lo, hi, dt, t.mesh.conn, self.T, t.T, self.rate, self.own)
+        excesses(lo, hi, dt, t.mesh.conn, self.T, t.elements.T, self.rate, self.own)
 
     def _change_nodes(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
         changes(lo, hi, dt, t.start, t.table, self.flow, self.capacity, self.mean, self.change)
@@ -100,18 +100,29 @@ class Conduction:
 
     def _change_elements(self, t: FiniteElements, lo: int, hi: int) -> None:
         gains(lo, hi, t.mesh.conn, self.share, self.change, self.own, self.gain)
-        take_heat(lo, hi, self.gain, t.mesh.V0, t.laws, t.law_of, t.T, t.heat, t.sigma_y, t.eps_p)
-        self.last[lo:hi] = t.T[lo:hi]
+        take_heat(
+            lo,
+            hi,
+            self.gain,
+            t.mesh.V0,
+            t.laws,
+            t.law_of,
+            t.elements.T,
+            t.elements.heat,
+            t.elements.sigma_y,
+            t.elements.eps_p,
+        )
+        self.last[lo:hi] = t.elements.T[lo:hi]
 
     def _sync_nodes(self, t: FiniteElements) -> None:
         """Add to the nodes the rise of temperature of their elements since the last call."""
         n, m, known = t.active_nodes, t.active_elements, self.known_elements
-        self.own[:known] = t.T[:known] - self.last[:known]
+        self.own[:known] = t.elements.T[:known] - self.last[:known]
         self.own[known:m] = 0.0
         self._means(t, self.own)
         self.T[:n] += self.mean[:n]
         if m > known:
-            self._means(t, t.T)
+            self._means(t, t.elements.T)
             fresh = (self.capacity > 0.0) & ~self.known
             self.T[fresh] = self.mean[fresh]
             self.known |= fresh
@@ -120,7 +131,7 @@ class Conduction:
     def _means(self, t: FiniteElements, value: np.ndarray) -> None:
 
         def carried(lo: int, hi: int) -> None:
-            shares(lo, hi, t.mesh.V0, t.laws, t.law_of, t.T, self.share)
+            shares(lo, hi, t.mesh.V0, t.laws, t.law_of, t.elements.T, self.share)
 
         def averaged(lo: int, hi: int) -> None:
             means(lo, hi, t.start, t.table, self.share, value, self.capacity, self.mean)
@@ -134,7 +145,19 @@ class Conduction:
 
         def flow(lo: int, hi: int) -> None:
             fastest.append(
-                flows(lo, hi, t.x, t.mesh.conn, t.volume, t.laws, t.law_of, self.T, self.share, self.rate, self.flow)
+                flows(
+                    lo,
+                    hi,
+                    t.nodes.x,
+                    t.mesh.conn,
+                    t.elements.volume,
+                    t.laws,
+                    t.law_of,
+                    self.T,
+                    self.share,
+                    self.rate,
+                    self.flow,
+                )
             )
 
         share(flow, t.active_elements, LEAST)

@@ -99,14 +99,14 @@ class ElementInertia:
     def advance(self, t: FiniteElements, total: np.ndarray, n: int, dt: float) -> tuple[float, np.ndarray]:
         """`slow` the forces total (n,3) N of all that acts on the first n nodes, which move, at the end of a step of dt s. Returns what
         it took from their work in the step, J, and from their sum, (3,) N: nodes that are held have it."""
-        work = float(np.einsum("ij,ij->", self.taken, t.v[self._last]))
+        work = float(np.einsum("ij,ij->", self.taken, t.nodes.v[self._last]))
         before = total[self.nodes]
         moving = self.nodes < n
         before[~moving] = 0.0
         after = np.where(moving[:, None], self._share @ before, 0.0) if len(before) else before
         total[self.nodes[moving]] = after[moving]
         self.taken, self._last = before - after, self.nodes
-        work += float(np.einsum("ij,ij->", self.taken, t.v[self._last]))
+        work += float(np.einsum("ij,ij->", self.taken, t.nodes.v[self._last]))
         return 0.5 * dt * work, self.taken.sum(axis=0)
 
     def twice_kinetic(self, v: np.ndarray) -> float:

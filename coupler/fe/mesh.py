@@ -10,6 +10,7 @@ from ..errors import SolverError
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
 from ..state.records import Shape
+from .state import ElementState, NodeState
 
 
 @dataclass(frozen=True)
@@ -44,15 +45,8 @@ class FiniteElements(Protocol):
     law_of_node: np.ndarray
     start: np.ndarray
     table: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    J: np.ndarray
-    volume: np.ndarray
-    fe: np.ndarray
-    T: np.ndarray
-    heat: np.ndarray
-    sigma_y: np.ndarray
-    eps_p: np.ndarray
+    nodes: NodeState
+    elements: ElementState
     mass: np.ndarray
     inv_mass: np.ndarray
     dt_of: np.ndarray
@@ -121,8 +115,8 @@ def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]
 
 def inverted(t: FiniteElements) -> str:
     """What is said of the most inverted element of a target."""
-    e = int(np.argmin(t.volume[: t.active_elements]))
-    x, y, z = t.x[t.mesh.conn[e]].mean(axis=0) * 1e6
+    e = int(np.argmin(t.elements.volume[: t.active_elements]))
+    x, y, z = t.nodes.x[t.mesh.conn[e]].mean(axis=0) * 1e6
     body = int(t.law_of[e])  # each has a law of its own; those after the first are splats
     within = f", in splat{body}," if body else ""
     remedy = "another [splat] method, a finer preset" if body else "a coarser substrate element_size"

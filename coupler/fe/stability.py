@@ -113,9 +113,9 @@ def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
     together, each of them times (dt / its own step)^2."""
     conn = t.mesh.conn
-    stable_dt(0, len(conn), t.x, conn, t.J, t.laws, t.law_of, t.dt_of)
+    stable_dt(0, len(conn), t.nodes.x, conn, t.nodes.J, t.laws, t.law_of, t.dt_of)
     mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
-    return lumped(conn, mass, len(t.x))
+    return lumped(conn, mass, len(t.nodes.x))
 
 
 @dataclass(frozen=True)
@@ -215,8 +215,8 @@ class HighestFrequency:
         """Elastic forces of the motion of the first n nodes, by the first m elements."""
         mesh = t.mesh
         together(
-            _resist, n, m, (t.x, self._w, mesh.conn, self._dv),
-            (t.start, t.table, self._dv, mesh.node_volume, t.J, t.laws, t.law_of_node, self._dp),
-            (t.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe),
+            _resist, n, m, (t.nodes.x, self._w, mesh.conn, self._dv),
+            (t.start, t.table, self._dv, mesh.node_volume, t.nodes.J, t.laws, t.law_of_node, self._dp),
+            (t.nodes.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe),
             (t.start, t.table, self._fe, self._f),
         )  # fmt: skip

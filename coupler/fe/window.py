@@ -57,13 +57,13 @@ class Edge:
     ) -> "Edge":
         """The edge of the first `elements` of a target, at those nodes `among` (a,) that have a facet there. rest (k,3) m: where its
         nodes are at rest, if that is not where they are."""
-        n = len(t.x)
+        n = len(t.nodes.x)
         chosen = np.zeros(n, bool)
         chosen[among] = True
         faces, behind = boundary_faces(t.mesh.conn[:elements])
         cut = chosen[faces].all(axis=1) & ~np.isin(_keys(faces, n), _keys(t.mesh.facets, n))
         faces, law = faces[cut], t.laws[t.law_of[behind[cut]]]
-        nodes, x = np.unique(faces), t.x
+        nodes, x = np.unique(faces), t.nodes.x
         if rest is not None:
             x = x.copy()
             x[nodes] = rest
@@ -84,8 +84,8 @@ class Edge:
 
     def loaded(self, t: FiniteElements, elements: int) -> "Edge":
         """The same with the forces of what lies beyond the first `elements` now."""
-        load = np.zeros((len(t.x), 3))
-        np.add.at(load, t.mesh.conn[elements:].ravel(), t.fe[elements:].reshape(-1, 3))
+        load = np.zeros((len(t.nodes.x), 3))
+        np.add.at(load, t.mesh.conn[elements:].ravel(), t.elements.fe[elements:].reshape(-1, 3))
         return replace(self, load=load[self.nodes])
 
     def state(self) -> EdgeState:

@@ -23,7 +23,7 @@ import numpy as np
 from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape, rows_of, shapes_of
 
-FORMAT = 21
+FORMAT = 22
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
 _HEADER = 65536  # bytes at most of the first line

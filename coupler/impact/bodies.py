@@ -17,9 +17,8 @@ from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
 from ..errors import CheckpointError
 from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
-from ..fe.explicit import Target
+from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
-from ..fe.state import TargetState
 from ..geometry.raycast import RaySurface
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
@@ -113,8 +112,8 @@ class Bodies:
         in `time` s; give the heat of friction and fracture to the elements."""
         self.release_heat()
         if self.contact is not None:
-            v = self.target.v if by_speed else None
-            self.contact.search(self.target.x, travel, self.bond, self.target.active_after(time), v)
+            v = self.target.nodes.v if by_speed else None
+            self.contact.search(self.target.nodes.x, travel, self.bond, self.target.active_after(time), v)
 
     def release_heat(self) -> None:
         """Give the heat of friction and fracture since the last call to the elements."""
@@ -130,9 +129,9 @@ class Bodies:
         """Add what bodies do to each other at this instant to the target's outer forces."""
         t = self.target
         if self.contact is not None:
-            self.contact.forces(dt, t.x, t.v, t.f_ext, t.active_nodes)
+            self.contact.forces(dt, t.nodes.x, t.nodes.v, t.f_ext, t.active_nodes)
         if self.bond is not None:
-            self.bond.forces(t.x, t.f_ext, active=t.active_nodes)
+            self.bond.forces(t.nodes.x, t.f_ext, active=t.active_nodes)
 
     def stable_dt(self, enough: float, ahead: float = 0.0) -> float:
         """Stable step (s) of the target and of the springs between its bodies; enough, ahead: see `Target.stable_dt`."""
@@ -194,7 +193,7 @@ class Bodies:
         """
         if self.contact is None:
             return
-        surfaces, x, bond = self.surfaces, self.target.x, self.bond
+        surfaces, x, bond = self.surfaces, self.target.nodes.x, self.bond
         depth = np.zeros(len(x))
         if bond is not None:  # bodies on both sides of the bonds: to be moved does not change them
             node_of, triangle_of = (surfaces.body_of_node[ends] for ends in (bond.nodes, bond.triangles[:, 0]))
@@ -254,7 +253,7 @@ class Bodies:
         if self.bond is not None:
             self.bond.renumber(rank)
             bonds.append(self.bond)
-        surfaces, x, reach = new.surfaces, new.target.x, NEAR * size
+        surfaces, x, reach = new.surfaces, new.target.nodes.x, NEAR * size
         buried, near = [self.buried], earlier_neighbours(surfaces, x, reach)
         for body in range(self.count, new.count):
             contact_pairs = interface(surfaces, x, body, reach, near[body])
@@ -272,7 +271,7 @@ class Bodies:
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         past = self.past()
-        new.touch(past and past.on(rank[: len(self.target.x)], len(new.target.x)))
+        new.touch(past and past.on(rank[: len(self.target.nodes.x)], len(new.target.nodes.x)))
         return new
 
     def renumbered(self, *origins: Point, shell: float = 0.0) -> "Bodies":
@@ -290,7 +289,7 @@ class Bodies:
             self.bond.renumber(rank)
         new.bond, new.buried = self.bond, buried
         if (past := self.past()) is not None:
-            new.touch(past.on(rank, len(new.target.x)))
+            new.touch(past.on(rank, len(new.target.nodes.x)))
         return new
 
     def held(self) -> np.ndarray:
@@ -300,7 +299,7 @@ class Bodies:
         """
         pairs = np.zeros((2, 0), np.int64)
         if self.bond is not None:
-            owner = np.zeros(len(self.target.x), np.int64)
+            owner = np.zeros(len(self.target.nodes.x), np.int64)
             owner[self.target.mesh.conn] = self.body[:, None]
             pairs = owner[np.stack([self.bond.nodes, self.bond.triangles[:, 0]])[:, ~self.bond.broken]]
         graph = coo_matrix((np.ones(pairs.shape[1]), tuple(pairs)), shape=(self.count, self.count))
@@ -321,7 +320,7 @@ class Bodies:
         buried = facet[self.buried]
         new = self.on(domain, node, buried[buried >= 0])
         new.impact = self.impact[~gone]
-        surfaces, x = new.surfaces, new.target.x
+        surfaces, x = new.surfaces, new.target.nodes.x
         covered = [
             _covered(interface(surfaces, x, body, reach, near), surfaces, x, body, near, reach)
             for body, near in enumerate(earlier_neighbours(surfaces, x, reach, is_near[~gone])) if near
@@ -333,12 +332,12 @@ class Bodies:
     def _around(self, gone: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
         """Mask (bodies,) of those that may cover what the bodies `gone` (g,) may touch, within reach m of them, and ids of the buried
         facets there."""
-        low, high = self.surfaces.boxes(self.target.x)
+        low, high = self.surfaces.boxes(self.target.nodes.x)
         is_near, facets = np.zeros(self.count, bool), [self.buried[:0]]
         for body in gone:
             is_near[list(neighbours(low, high, body, 2.0 * reach))] = True
             box = low[body] - reach, high[body] + reach
-            facets.append(broad.facets_within(self.target.x, self.surfaces.facets, self.buried, *box))
+            facets.append(broad.facets_within(self.target.nodes.x, self.surfaces.facets, self.buried, *box))
         return is_near, np.unique(np.concatenate(facets))
 
     def remade(self, domain: Domain) -> "Bodies":
@@ -352,7 +351,7 @@ class Bodies:
 
     def touch(self, past: ContactPast | None = None) -> None:
         """Let the contact between bodies begin where they are now; it goes on from the `past` of another, for the nodes of these."""
-        self.placed = self.target.x.copy()
+        self.placed = self.target.nodes.x.copy()
         self._contact, self._past = None, past or ContactPast(new_history(len(self.placed)))
 
 
@@ -399,8 +398,8 @@ def _bonded(
     n = len(contact_pairs.nodes)
     if adhesion.kind == "none" or n == 0:
         return np.zeros(n, bool)
-    strain = np.maximum(*contact_pairs.behind(surfaces, target.eps_p))
-    pressure = np.maximum(*contact_pairs.behind(surfaces, target.p[target.mesh.conn].mean(axis=1)))
+    strain = np.maximum(*contact_pairs.behind(surfaces, target.elements.eps_p))
+    pressure = np.maximum(*contact_pairs.behind(surfaces, target.nodes.p[target.mesh.conn].mean(axis=1)))
     return adhesion.bonded(n, strain, pressure, ratio)
 
 

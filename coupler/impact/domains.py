@@ -97,7 +97,7 @@ def build_domains(
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)
     impact_plan, t = plan.impacts[i], plan.target
     body = body_of(plan, i)
-    mesh, x = bodies.target.mesh, bodies.target.x
+    mesh, x = bodies.target.mesh, bodies.target.nodes.x
     facets = bodies.reachable()
     offset = np.array([*impact_plan.offset, 0.0])
     if level is None:

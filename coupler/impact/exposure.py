@@ -34,7 +34,10 @@ class Exposure:
     def __init__(self, domains: Domains):
         surface, mesh = domains.surface, domains.target.mesh
         skin = surface.positions(domains.particle.x)
-        self.area_0, self.facet_area_0 = vertex_areas(skin, surface.triangles), areas(domains.target.x, mesh.facets)
+        self.area_0, self.facet_area_0 = (
+            vertex_areas(skin, surface.triangles),
+            areas(domains.target.nodes.x, mesh.facets),
+        )
         self.clean, self.sound = np.zeros((len(skin), 2)), np.zeros(len(skin))
         self.extruding = np.zeros(len(skin), bool)
         start, ring = rings(surface.triangles, np.arange(len(skin)))
@@ -49,7 +52,7 @@ class Exposure:
             return
         area, force, strength = touching.area, touching.force, touching.strength
         own = 1.0 - self.area_0[rows] / area[rows]
-        other = 1.0 - self.facet_area_0[facets] / areas(target.x, target.mesh.facets[facets])
+        other = 1.0 - self.facet_area_0[facets] / areas(target.nodes.x, target.mesh.facets[facets])
         cracked = threshold[target.law_of[touching.element]]
         clean = np.sort(np.stack([clean_share(own, cracked), clean_share(other, cracked)], axis=1), axis=1)
         self.clean[rows] = np.where((clean > self.clean[rows])[:, :1], clean, self.clean[rows])

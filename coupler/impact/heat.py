@@ -33,7 +33,7 @@ class HeatPaths:
     def flow(self, time: float) -> None:
         """Let heat flow for `time` s among the points of the particle and across the contact."""
         if self.points is not None:
-            self.particle.warm(self.points.share(time, self.particle.x, self.particle.T))
+            self.particle.warm(self.points.share(time, self.particle.x, self.particle.points.T))
         if self.interface:
             rows, elements, heat = self.crossing(time)
             if len(rows):
@@ -85,15 +85,15 @@ class HeatPaths:
         touching[rows] = True
         skin, inside = surface.positions(particle.x), surface.values(particle.x)[rows]
         area = vertex_areas(skin, surface.triangles[touching[surface.triangles].any(axis=1)])[rows]
-        T_a, T_b = surface.values(particle.T)[rows], target.T[elements]
+        T_a, T_b = surface.values(particle.points.T)[rows], target.elements.T[elements]
         deep_a = np.linalg.norm(skin[rows] - inside, axis=1)
         deep_b = (
-            0.75 * target.volume[elements] / areas(target.x, target.mesh.facets[facets])
+            0.75 * target.elements.volume[elements] / areas(target.nodes.x, target.mesh.facets[facets])
         )  # of a tetrahedron's centre
         a, b = particle.law[0], target.laws[target.law_of[elements]]
         resistance = deep_a / conductivities(a, T_a) + deep_b / conductivities(b, T_b)
         C_a = a["rho"] * heat_capacities(a, T_a) * area * particle.spacing
-        sharing = np.bincount(elements, minlength=len(target.T))[elements]
+        sharing = np.bincount(elements, minlength=len(target.elements.T))[elements]
         C_b = b["rho"] * heat_capacities(b, T_b) * target.mesh.V0[elements] / sharing
         together = C_a * C_b / (C_a + C_b)
         return rows, elements, together * (T_a - T_b) * -np.expm1(-area / resistance * time / together)

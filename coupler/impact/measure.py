@@ -55,13 +55,13 @@ def plastic_zone(target: Target) -> tuple[float, float]:
     The radius is that of the circle whose area the yielded part of the surface fills, seen from above; the depth, below z = 0, that
     of the lowest centroid of a yielded element 0 where nothing has yielded.
     """
-    mesh, yielded = target.mesh, target.eps_p >= YIELDED
+    mesh, yielded = target.mesh, target.elements.eps_p >= YIELDED
     top = mesh.sets["top"]
     top = top[yielded[mesh.facet_element[top]]]
-    corners = target.x[mesh.facets[top], :2]
+    corners = target.nodes.x[mesh.facets[top], :2]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     area = 0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
-    depth = -target.x[mesh.conn[yielded], 2].mean(axis=1).min() if yielded.any() else 0.0
+    depth = -target.nodes.x[mesh.conn[yielded], 2].mean(axis=1).min() if yielded.any() else 0.0
     return float(np.sqrt(area / np.pi)), max(float(depth), 0.0)
 
 
@@ -80,18 +80,20 @@ def measure(
     vertices = surface.positions(particle.x)
     skin = vertices - [0.0, 0.0, level]
     m = shape_measures(skin, surface.triangles, diameter)
-    m["surface_volume_error"] = enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.J) - 1.0
+    m["surface_volume_error"] = (
+        enclosed_volume(skin, surface.triangles) * rho / float(particle.mass @ particle.points.J) - 1.0
+    )
     away = cKDTree(particle.x).query(vertices)[0]
     m["unresolved_share"] = float(np.mean(away > FAR * particle.spacing))
-    m["eps_p_mean"] = float(np.average(particle.eps_p, weights=particle.mass))
-    m["eps_p_p99"] = float(np.percentile(particle.eps_p, 99))
-    m["eps_p_max"] = float(particle.eps_p.max())
-    m["T_mean_K"] = float(np.average(particle.T, weights=particle.mass))
-    m["T_p99_K"] = float(np.percentile(particle.T, 99))
-    m["T_max_K"] = float(particle.T.max())
+    m["eps_p_mean"] = float(np.average(particle.points.eps_p, weights=particle.mass))
+    m["eps_p_p99"] = float(np.percentile(particle.points.eps_p, 99))
+    m["eps_p_max"] = float(particle.points.eps_p.max())
+    m["T_mean_K"] = float(np.average(particle.points.T, weights=particle.mass))
+    m["T_p99_K"] = float(np.percentile(particle.points.T, 99))
+    m["T_max_K"] = float(particle.points.T.max())
     m["von_mises_max_Pa"] = float(von_mises(particle.stress()).max())
-    m["target_eps_p_max"] = float(target.eps_p.max())
-    m["target_T_max_K"] = float(target.T.max())
+    m["target_eps_p_max"] = float(target.elements.eps_p.max())
+    m["target_T_max_K"] = float(target.elements.T.max())
     m["target_von_mises_max_Pa"] = float(von_mises(target.stress()).max())
     m["plastic_radius_m"], m["plastic_depth_m"] = plastic_zone(target)
     m["velocity_z_m_s"] = float(particle.totals.momentum[2] / particle.mass.sum())

@@ -30,11 +30,11 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
     body (m,): of each element of the target; size: of the splat's elements, m. Raises SolverError where it has no elements, or its
     volume cannot be kept.
     """
-    n, new = len(target.x), int(body.max()) + 1
+    n, new = len(target.nodes.x), int(body.max()) + 1
     if len(splat.tets) == 0:
         raise SolverError("a splat without elements cannot join the target")
     facets, element = boundary_faces(splat.tets)
-    x, mesh = np.concatenate([target.x, splat.points]), target.mesh
+    x, mesh = np.concatenate([target.nodes.x, splat.points]), target.mesh
     surfaces = Surfaces(
         np.concatenate([mesh.facets, facets + n]).astype(np.int64),
         np.concatenate([body[mesh.facet_element], np.full(len(facets), new)]).astype(np.int64),
@@ -44,11 +44,11 @@ def placed_on(splat: BodyState, target: Target, body: np.ndarray, size: float) -
     points = _as_far_as_possible(splat, splat.points, contact_pairs.fitted(x, surfaces)[n:])
     placed = contact_pairs.nodes - n
     try:
-        cleared = _cleared(splat, points, placed, target.x, surfaces, new, size)
+        cleared = _cleared(splat, points, placed, target.nodes.x, surfaces, new, size)
     except SolverError:  # nodes that are moved out cannot give the volume back: before, more of them are free
         points = _of_volume(points, splat, placed, size)
         try:
-            cleared = _cleared(splat, points, placed, target.x, surfaces, new, size)
+            cleared = _cleared(splat, points, placed, target.nodes.x, surfaces, new, size)
         except SolverError:  # what it would lose of its volume is worse than the overlap
             cleared = points
     return replace(splat, points=cleared)

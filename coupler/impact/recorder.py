@@ -43,7 +43,12 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
     """The fields of all tetrahedra as they are written. body: 0 the substrate, then the splats in the order they joined;
     impact: with which each has come, 0 of the substrate."""
     t, stress = bodies.target, bodies.target.stress()
-    cells = {"stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": t.eps_p, "T": t.T}
+    cells = {
+        "stress": stress[:, VTK_ORDER],
+        "von_mises": von_mises(stress),
+        "eps_p": t.elements.eps_p,
+        "T": t.elements.T,
+    }
     return {**cells, "body": bodies.body, "impact": bodies.impact[bodies.body].astype(np.int32)}
 
 
@@ -72,7 +77,7 @@ class Recorder:
         """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
         where not their end alone is written."""
         if self.next_output == 0.0:
-            self.met = impact.target.x[_surface_nodes(impact), 2]
+            self.met = impact.target.nodes.x[_surface_nodes(impact), 2]
             self.touched_at = float(impact.particle.x[:, 2].mean())
             if self.i == 0 or np.isfinite(self.impact_plan.output_every):
                 self.write_fields(impact)
@@ -113,8 +118,8 @@ class Recorder:
         row["crater_depth"] = self._crater(impact)
         row["velocity_z"] = -impact.sinking
         row["contact_force"] = float(impact.force[2])
-        row["T_max"] = float(particle.T.max())
-        row["eps_p_mean"] = float(particle.eps_p.mean())
+        row["T_max"] = float(particle.points.T.max())
+        row["eps_p_mean"] = float(particle.points.eps_p.mean())
         row["stretch_min"] = particle.totals.stretch_min
         self.store.record(row)
         self._notice(impact, skin)
@@ -145,15 +150,15 @@ class Recorder:
         p, s, t = impact.particle, impact.surface, impact.target
         stress = p.stress()
         fields = {
-            "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": p.eps_p,
-            "eps_p_rate": p.rate, "T": p.T,
+            "velocity": p.v, "stress": stress[:, VTK_ORDER], "von_mises": von_mises(stress), "eps_p": p.points.eps_p,
+            "eps_p_rate": p.points.rate, "T": p.points.T,
         }  # fmt: skip
         self.store.write("particle", time, p.x, np.arange(p.n)[:, None], fields)
         skin = {name: s.values(field) for name, field in fields.items()}
         vertices = s.positions(p.x)
         skin["from_points"] = cKDTree(p.x).query(vertices)[0]
         self.store.write("surface", time, vertices, s.triangles, skin)
-        self.store.write("target", time, t.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
+        self.store.write("target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
         self._written, self.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
@@ -172,7 +177,7 @@ class Recorder:
         `crater_depth` fits the substrate's nodes; of a crater in splats, whose nodes are sparse, those in its lower half, and where
         these are too few, the lowest counts.
         """
-        x = impact.target.x[_surface_nodes(impact)]
+        x = impact.target.nodes.x[_surface_nodes(impact)]
         lowered = self.met - x[:, 2]
         inner = lowered > (0.5 * lowered.max(initial=0.0) if impact.bodies.count > 1 else -np.inf)
         if impact.bodies.count > 1 and inner.sum() < FITTED:

@@ -78,7 +78,7 @@ def summarise(
         "dissipation_of_plastic": ledger.dissipation_of_plastic,
         "points": particle.n,
         "elements": len(impact.target.mesh.conn),
-        "nodes": len(impact.target.x),
+        "nodes": len(impact.target.nodes.x),
         "spacing_m": particle.spacing,
         "steps": particle.steps,
         "dt_mean_s": impact.time / particle.steps,
@@ -164,8 +164,13 @@ def _molten(impact: Impact, recorder: Recorder) -> list[str]:
     sphere = np.pi / 6.0 * recorder.impact_plan.diameter**3
     warnings = []
     for name, T, T_m, share in (
-        ("particle", particle.T, np.full(particle.n, particle.law["T_m"][0]), particle.mass / particle.mass.sum()),
-        ("target", target.T, melting, target.mesh.V0 / sphere),
+        (
+            "particle",
+            particle.points.T,
+            np.full(particle.n, particle.law["T_m"][0]),
+            particle.mass / particle.mass.sum(),
+        ),
+        ("target", target.elements.T, melting, target.mesh.V0 / sphere),
     ):
         molten = T > T_m
         if molten.any():

@@ -54,10 +54,15 @@ def softer_strength(domains: Domains, rows: np.ndarray, facets: np.ndarray) -> n
     element = target.mesh.facet_element[facets]
     first = np.zeros(len(rows), np.int32)
     eps_p, T, gradient = (
-        surface.values(values)[rows] for values in (particle.eps_p, particle.T, particle.eps_gradient)
+        surface.values(values)[rows]
+        for values in (particle.points.eps_p, particle.points.T, particle.points.eps_gradient)
     )
     own = yield_stresses(particle.law, first, eps_p, T, gradient)
     other = yield_stresses(
-        target.laws, target.law_of[element], target.eps_p[element], target.T[element], target.eps_gradient[element]
+        target.laws,
+        target.law_of[element],
+        target.elements.eps_p[element],
+        target.elements.T[element],
+        target.elements.eps_gradient[element],
     )
     return np.minimum(own, other)

@@ -33,9 +33,15 @@ class Extremes:
     def note(self, particle: DistributedParticle, target: Target) -> None:
         """Look at the particle and the active part of the target."""
         n, m = target.active_nodes, target.active_elements
-        self._keep("particle", particle.rate, particle.T / particle.law["T_m"][0], particle.eps_p, particle.J)
-        melting = target.T[:m] / target.laws["T_m"][target.law_of[:m]]
-        self._keep("target", target.rate[:m], melting, target.eps_p[:m], target.J[:n])
+        self._keep(
+            "particle",
+            particle.points.rate,
+            particle.points.T / particle.law["T_m"][0],
+            particle.points.eps_p,
+            particle.points.J,
+        )
+        melting = target.elements.T[:m] / target.laws["T_m"][target.law_of[:m]]
+        self._keep("target", target.elements.rate[:m], melting, target.elements.eps_p[:m], target.nodes.J[:n])
 
     def _keep(self, body: str, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
         flows = rate[rate > 0.0]

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..sph.particle import LocalState, Particle, PointTotals
+from ..sph.particle import LocalState, Particle, PointState, PointTotals
 from ..state.records import scatter
 from .ranks import STEP, Ranks, RemoteFailure, caught
 
@@ -34,10 +34,10 @@ class DistributedParticle:
         self.ranks, self.local, self.n, self.spacing = ranks, local, points, spacing
         self.time, self.steps, self.dt, self.waited = 0.0, 0, 0.0, 0.0
         self._alone = ranks.size == 1
-        self._fields: dict[str, np.ndarray] = {}
+        self._forget()
         self.failure: BaseException | None = None
         if self._alone:
-            self.x, self.v, self.f_ext = self._points.x, self._points.v, self._points.f_ext
+            self.x, self.v, self.f_ext = self._part.points.x, self._part.points.v, self._part.f_ext
             self._owner = [np.arange(self.n)]
         else:
             self.f_ext = np.zeros((self.n, 3))
@@ -49,8 +49,8 @@ class DistributedParticle:
         self.totals = self._sum_up()
 
     @property
-    def _points(self) -> Particle:
-        """The points, in one process."""
+    def _part(self) -> Particle:
+        """The particle, in one process."""
         assert self.local is not None, "this rank has no points"
         return self.local
 
@@ -80,7 +80,10 @@ class DistributedParticle:
 
     def whole(self, name: str) -> np.ndarray:
         """A field of all points (n, ...), by its name in `sph.particle.Particle`."""
-        parts: list[np.ndarray] = self.ask("get", name)
+        return self._joined(self.ask("get", name))
+
+    def _joined(self, parts: list[np.ndarray]) -> np.ndarray:
+        """An array of all points (n, ...) from those of the ranks."""
         if self._alone:
             return parts[0]
         whole = np.empty((self.n, *parts[0].shape[1:]), parts[0].dtype)
@@ -88,14 +91,24 @@ class DistributedParticle:
             whole[ids] = part
         return whole
 
+    def _forget(self) -> None:
+        """Forget what has been gathered from the points."""
+        self._fields: dict[str, np.ndarray] = {}
+        self._points: PointState | None = None
+
     def _sum_up(self) -> PointTotals:
-        self._fields = {}
+        self._forget()
         return PointTotals.over(self.ask("totals"))
 
-    def __getattr__(self, name: str) -> np.ndarray:
-        if name not in ("eps_p", "rate", "T", "J", "energy", "eps_gradient"):
-            raise AttributeError(name)
-        return getattr(self.local, name) if self._alone else self._field(name)
+    @property
+    def points(self) -> PointState:
+        """State of all points between two windows of steps, in the order they were given: to be read."""
+        if self._alone:
+            return self._part.points
+        if self._points is None:
+            parts: list[LocalState] = self.ask("state")
+            self._points = scatter([part.points for part in parts], self._owner, self.n)
+        return self._points
 
     def _field(self, name: str) -> np.ndarray:
         """A field of all points, gathered when it is asked for, once between two windows of steps."""
@@ -107,14 +120,15 @@ class DistributedParticle:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
         return self._field("stress")
 
-    def spatial_gradient(self) -> np.ndarray:
-        """Gradient (n,3) of the plastic strain as the points lie now, 1/m."""
-        return self._field("spatial_gradient")
+    def carried(self) -> dict[str, np.ndarray]:
+        """State of the metal that goes on to a mesh of the points as they lie now, by name (`physics.metal`)."""
+        parts: list[dict[str, np.ndarray]] = self.ask("carried")
+        return {name: self._joined([part[name] for part in parts]) for name in parts[0]}
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into the temperature of the points."""
         self.ask("warm", each=[heat[ids] for ids in self._owner])
-        self._fields = {}
+        self._forget()
 
     def state(self) -> ParticleState:
         """The state of the whole particle, points in the order they were given."""
@@ -128,7 +142,7 @@ class DistributedParticle:
         self.ask("restore", state.whole, each=[i == 0 for i in range(len(self._owner))])
         self.time, self.steps, self.dt = state.whole.time, state.whole.steps, state.whole.dt
         self.totals = state.totals  # LAMMPS knows its strains again only after the next step
-        self._fields = {}
+        self._forget()
         if not self._alone:
             self.x, self.v = self.whole("x"), self.whole("v")
 
@@ -149,7 +163,7 @@ class DistributedParticle:
                 begin()
                 meet()
 
-            self._points.run(steps, dt, on_step)
+            self._part.run(steps, dt, on_step)
         else:
             self._run(steps, dt, begin, meet, np.arange(self.n) if needed is None else needed)
         self.time += steps * dt

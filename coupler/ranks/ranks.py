@@ -166,8 +166,8 @@ class _Worker:
             nonlocal done
             done += 1
             outbox[0] = float(p.failure is not None)
-            outbox[1 : 1 + k] = p.x[rows].ravel()
-            outbox[1 + k :] = p.v[rows].ravel()
+            outbox[1 : 1 + k] = p.points.x[rows].ravel()
+            outbox[1 + k :] = p.points.v[rows].ravel()
             comm.Send(outbox, dest=root, tag=STEP)
             started = clock.perf_counter()
             comm.Recv(inbox, source=root, tag=STEP)

@@ -6,7 +6,7 @@ F, Q and the plastic strain of those points over fixed lists. No sum depends on 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, ClassVar
 
@@ -28,20 +28,18 @@ RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it 
 
 @dataclass(frozen=True)
 class CompiledPoints(PointState):
-    """R (n,9): rotation of the deformation gradient, row by row."""
+    """F, R (n,9): deformation gradient and its rotation, row by row."""
 
+    F: Annotated[np.ndarray, Rows(9)]
     R: Annotated[np.ndarray, Rows(9)]
 
 
 class CompiledParticle(Particle):
-    """Deformation, stress and internal forces by compiled passes within LAMMPS's step (`pair_style zero`).
-
-    F, R (n,9): deformation gradient and its rotation, row by row.
-    """
+    """Deformation, stress and internal forces by compiled passes within LAMMPS's step (`pair_style zero`)."""
 
     PAIR = "pair_compiled.lmp"
     POINTS: ClassVar[type[PointState]] = CompiledPoints
-    R: np.ndarray
+    points: CompiledPoints
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -53,7 +51,7 @@ class CompiledParticle(Particle):
         self._all_F, self._all_Q = np.zeros((everyone, 9)), np.zeros((everyone, 9))
         self._all_F[:] = np.eye(3).ravel()
         self._effective = np.ones(everyone)
-        self.F, self.R = self._all_F[: self.n], self._all_F[: self.n].copy()
+        self.points = replace(self.points, F=self._all_F[: self.n], R=self._all_F[: self.n].copy())
         self._h = 2.0 * self.numerics.kernel_radius * self.spacing
         law = self.law[0]
         self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
@@ -125,14 +123,13 @@ class CompiledParticle(Particle):
                     lists.append((rank, rows))
 
     def _update_stress(self) -> None:
-        failed, num = np.full(PARTS, -1), self.numerics
+        failed, num, p = np.full(PARTS, -1), self.numerics, self.points
         try:
             together(
                 k.stress_of_all, self.n, failed,
                 (self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
-                 self._K_inverse, self._X, self._all_x, self._all_v, self.R, self._all_F, self._all_Q, self._stress, self._effective,
-                 self.sigma_y, self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.work,
-                 self.eps_gradient, *self._of_points),
+                 self._K_inverse, self._X, self._all_x, self._all_v, p.R, self._all_F, self._all_Q, p.smd_stress, self._effective,
+                 p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient, *self._of_points),
             )  # fmt: skip
         finally:
             self._skip_step()
@@ -143,9 +140,9 @@ class CompiledParticle(Particle):
             (self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
              self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
              self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force, *self._of_pairs),
-            (self._first, self._signed, self._force, self.f),
+            (self._first, self._signed, self._force, p.f),
         )  # fmt: skip
-        plastic = self.volume_of_point * float(self.work.sum())
+        plastic = self.volume_of_point * float(p.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
 
@@ -154,15 +151,22 @@ class CompiledParticle(Particle):
         if not self.law[0]["gradient_length"]:
             super().run(steps, dt, on_step)
             return
-        before = self.eps_p.copy()
+        before = self.points.eps_p.copy()
         try:
             super().run(steps, dt, on_step)
         finally:  # other ranks count on this one
             grown = np.zeros(len(self._all_F))
-            grown[: self.n] = self.eps_p - before
+            grown[: self.n] = self.points.eps_p - before
             self._swap(self._sends, self._receives, grown[:, None])
             k.grow_gradients(
-                self.n, grown, self._first, self._neighbour, self._gradient, self._all_F, self.R, self.eps_gradient
+                self.n,
+                grown,
+                self._first,
+                self._neighbour,
+                self._gradient,
+                self._all_F,
+                self.points.R,
+                self.points.eps_gradient,
             )
 
     @cached_property
@@ -202,7 +206,7 @@ class CompiledParticle(Particle):
                 array[rows] = box[:, widths[i] : widths[i + 1]]
 
     def _refuse(self, point: int) -> None:
-        if np.isfinite(self.J[point]):
+        if np.isfinite(self.points.J[point]):
             text = f"point {self.ids[point]} was distorted beyond what the kernel can follow"
         else:
             text = f"the stress at point {self.ids[point]} is no longer a number"
@@ -210,15 +214,15 @@ class CompiledParticle(Particle):
 
     def _strain(self) -> np.ndarray:
         strain = np.empty((self.n, 6))
-        k.green_lagrange(self.F, strain)
+        k.green_lagrange(self.points.F, strain)
         return strain
 
-    @property
-    def spatial_gradient(self) -> np.ndarray:
-        return np.einsum("nij,nj->ni", self.R.reshape(-1, 3, 3), self.eps_gradient)
+    def carried(self) -> dict[str, np.ndarray]:
+        turned = np.einsum("nij,nj->ni", self.points.R.reshape(-1, 3, 3), self.points.eps_gradient)
+        return super().carried() | {"eps_gradient": turned}
 
     def stress(self) -> np.ndarray:
-        s = self._stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        R = self.R.reshape(-1, 3, 3)
+        s = self.points.smd_stress[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        R = self.points.R.reshape(-1, 3, 3)
         T = (R @ s @ R.transpose(0, 2, 1)).reshape(-1, 9)
         return T[:, [0, 4, 8, 5, 2, 1]]

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SolverError
-from ..state.records import Rows, take
+from ..state.records import Rows
 from .compiled import CompiledParticle, CompiledPoints
 from .frequency import LONGEST, PointFrequency, Sides
 from .inertia import CellInertia
@@ -38,11 +38,9 @@ SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is th
 
 @dataclass(frozen=True)
 class EnrichedPoints(CompiledPoints):
-    """F (n,9): deformation gradient, row by row. unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their
-    plastic parts, neighbours in the order of their numbers. mode (n,3) s: motion of the highest frequency, as long as the
-    step at which it is unstable."""
+    """unseen (n,) J/m3: elastic energy of the residuals. bend (n, 3 MOST_SIDES) m: their plastic parts, neighbours in the order of
+    their numbers, written by `state`. mode (n,3) s: motion of the highest frequency, as long as the step at which it is unstable."""
 
-    F: Annotated[np.ndarray, Rows(9)]
     unseen: Annotated[np.ndarray, Rows()]
     bend: Annotated[np.ndarray, Rows(3 * MOST_SIDES)]
     mode: Annotated[np.ndarray, Rows(3)]
@@ -52,9 +50,7 @@ class EnrichedParticle(CompiledParticle):
     """Points with residuals, and quadratic gradients at the rim; see the module."""
 
     POINTS = EnrichedPoints
-    unseen: np.ndarray
-    bend: np.ndarray
-    mode: np.ndarray
+    points: EnrichedPoints
 
     def _start_engine(self) -> None:
         super()._start_engine()
@@ -76,7 +72,7 @@ class EnrichedParticle(CompiledParticle):
         gradient = np.zeros((sides + foreign, 3))
         gradient[:sides] = self._gradient
         self._swap(self._side_sends, self._side_receives, gradient)
-        self._of_points = gradient[:sides], self._plastic, self._residual, self.unseen
+        self._of_points = gradient[:sides], self._plastic, self._residual, self.points.unseen
         self._of_pairs = gradient[pair_rows].reshape(-1, 6), self._residual, pair_rows.astype(np.uint32)
         lists = Sides(
             self._first, self._neighbour, self._w_of, self._of_points[0], self._X, self._pairs, self._signed,
@@ -144,9 +140,9 @@ class EnrichedParticle(CompiledParticle):
 
     def _add_inertia(self) -> None:
         if self._inertia.cells:
-            total = self.f + self.f_ext
+            total = self.points.f + self.f_ext
             self._inertia.slow(total)
-            self.f[:] = total - self.f_ext
+            self.points.f[:] = total - self.f_ext
 
     def stable_dt(self) -> float:
         """Largest stable time step in s, by the highest frequency of the points (`sph.frequency`).
@@ -155,24 +151,23 @@ class EnrichedParticle(CompiledParticle):
         """
         # of all ranks together, before one of them raises
         if self.numerics.inertia > 0.0:
-            self._inertia.weigh(self._all_x, self.J)
-        longest = self._frequency.longest_step(self._all_F, self.J, self.mode)
+            self._inertia.weigh(self._all_x, self.points.J)
+        longest = self._frequency.longest_step(self._all_F, self.points.J, self.points.mode)
         bound = super().stable_dt()
         return min(LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
 
     def elastic(self) -> float:
-        return super().elastic() + self.volume_of_point * float(self.unseen.sum())
+        return super().elastic() + self.volume_of_point * float(self.points.unseen.sum())
 
-    def _points(self) -> dict[str, np.ndarray]:
-        self.bend[self._point[:, None], self._slot] = self._plastic
-        return super()._points()
+    def state(self) -> LocalState:
+        self.points.bend[self._point[:, None], self._slot] = self._plastic
+        return super().state()
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         super().restore(state, first)
-        bend = take(state.points, self.ids).bend  # type: ignore[attr-defined]
-        self._plastic[:] = bend[self._point[:, None], self._slot]
+        self._plastic[:] = self.points.bend[self._point[:, None], self._slot]
         if self.numerics.inertia > 0.0:
-            self._inertia.weigh(state.points.x[self._tag - 1], self.J)
+            self._inertia.weigh(state.points.x[self._tag - 1], self.points.J)
 
 
 class ControlledParticle(CompiledParticle):

@@ -24,15 +24,16 @@ class MachdynParticle(Particle):
 
     PAIR = "pair_machdyn.lmp"
     POINTS = MachdynPoints
-    set_e: np.ndarray
+    points: MachdynPoints
 
     def _update_stress(self) -> None:
+        p = self.points
         k.apply_law(
-            self._special, self.dt, H, self.volume, self._mass, self._stress, self._eps, self._e, self._de, self.sigma_y,
-            self.eps_p, self.rate, self.T, self.J, self.p, self.energy, self.set_e, self.work, self.sums,
+            self._special, self.dt, H, self.volume, self._mass, p.smd_stress, p.eff_plastic_strain, p.esph, p.desph, p.sigma_y, p.eps_p,
+            p.rate, p.T, p.J, p.p, p.energy, p.set_e, p.work, self.sums,
         )  # fmt: skip
         if not np.isfinite(self.sums[0]):
-            bad = int(np.argmin(np.isfinite(self.work)))
+            bad = int(np.argmin(np.isfinite(self.points.work)))
             raise SolverError(self._failure(f"the stress at point {self.ids[bad]} is no longer a number", bad))
 
     def _strain(self) -> np.ndarray:

@@ -17,7 +17,8 @@ from mpi4py import MPI
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
-from ..state.records import Rows, Shape, collect, rows_of, take
+from ..physics.metal import MetalState, carried
+from ..state.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
 from . import law as k
 from .start import H, silence, start
 
@@ -45,13 +46,12 @@ class Numerics:
 
 
 @dataclass(frozen=True)
-class PointState:
+class PointState(MetalState):
     """Of n points, in any engine. lammps=True: arrays that LAMMPS keeps and integrates, by its names: x m, v and vest m/s,
     f N, esph J/kg ...
 
-    Put into a fresh particle they make it go on to the last bit. The others are the state of the law: eps_p, rate 1/s, T K, sigma_y Pa,
-    J volume ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step; eps_gradient 1/m: gradient of
-    eps_p in the unrotated frame, zero in metals that it does not harden. An engine adds its own.
+    Put into a fresh particle they make it go on to the last bit. The others are the state of the law: rate 1/s, sigma_y Pa, J volume
+    ratio, p Pa, energy J per reference m3, work J; f_old N: internal forces of the last step. An engine adds its own.
     """
 
     x: Annotated[np.ndarray, Rows(3, lammps=True)]
@@ -67,16 +67,13 @@ class PointState:
     molecule: Annotated[np.ndarray, Rows(lammps=True, dtype=np.int32)]
     smd_stress: Annotated[np.ndarray, Rows(6, lammps=True)]
     smd_data_9: Annotated[np.ndarray, Rows(9, lammps=True)]
-    eps_p: Annotated[np.ndarray, Rows()]
     rate: Annotated[np.ndarray, Rows()]
-    T: Annotated[np.ndarray, Rows()]
     sigma_y: Annotated[np.ndarray, Rows()]
     J: Annotated[np.ndarray, Rows(fill=1.0)]
     p: Annotated[np.ndarray, Rows()]
     energy: Annotated[np.ndarray, Rows()]
     work: Annotated[np.ndarray, Rows()]
     f_old: Annotated[np.ndarray, Rows(3)]
-    eps_gradient: Annotated[np.ndarray, Rows(3)]
 
 
 @dataclass(frozen=True)
@@ -125,24 +122,14 @@ _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not te
 class Particle(ABC):
     """State and motion of one SPH particle, or of this rank's n points of it; an engine adds stress and internal forces.
 
-    x, v, f (n,3) are LAMMPS's own arrays. f_ext (n,3): forces from outside, filled in by the callback. eps_p, rate,
-    T, sigma_y, J, p, energy, work (n,): the state of the law. X (n,3): reference positions; ids (n,): which of the points
-    given these are (they stay: neighbours are those of the reference configuration). second: a thread that an engine may share its
-    work with. SI units.
+    points: its state, of which LAMMPS keeps some arrays itself. f_ext (n,3) N: forces from outside, filled in by the callback.
+    X (n,3): reference positions; ids (n,): which of the points given these are (they stay: neighbours are those of the reference
+    configuration). SI units.
     """
 
     PAIR: ClassVar[str]  # LAMMPS input of the engine's pair style
     POINTS: ClassVar[type[PointState]]  # the record of the engine's points
-    eps_p: np.ndarray
-    rate: np.ndarray
-    T: np.ndarray
-    sigma_y: np.ndarray
-    J: np.ndarray
-    p: np.ndarray
-    energy: np.ndarray
-    work: np.ndarray
-    f_old: np.ndarray
-    eps_gradient: np.ndarray
+    points: PointState
 
     def __init__(
         self,
@@ -183,16 +170,13 @@ class Particle(ABC):
                 raise SolverError(f"LAMMPS cannot build this particle ({text}): try fewer points") from problem
 
     def _own(self, temperature: float) -> None:
-        """Arrays of the law for the points of this rank."""
-        r = self.law[0]
+        """State of the points of this rank at the start."""
         self.volume = np.full(self.n, self.volume_of_point)
         self.f_ext = np.zeros((self.n, 3))
-        self.T = np.full(self.n, temperature)
-        self.eps_p = np.full(self.n, self.initial_strain)
-        self.sigma_y = np.full(self.n, yield_stress(r, self.initial_strain, 0.0, temperature))
-        for name in self._own_fields():
-            if not hasattr(self, name):
-                setattr(self, name, rows_of(self.POINTS)[name].new(self.n))
+        kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
+        self.points, self._mass = new_rows(self.POINTS, self.n, **kept), self._lammps("rmass")
+        self.points.T[:], self.points.eps_p[:] = temperature, self.initial_strain
+        self.points.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
         self.sums = np.zeros(4)  # see LocalState
         self.internal_work = 0.0
 
@@ -210,21 +194,13 @@ class Particle(ABC):
         self.ids = self.lmp.numpy.extract_atom("id")[: self.n].astype(np.int64) - 1
         self._whole, self.X = self.X, self.X[self.ids]
         self._own(temperature)
-        self._views()
         velocity = np.asarray(velocity, float)
         velocity = velocity[self.ids] if velocity.ndim == 2 else velocity
-        self.v[:] = velocity
-        self._vest[:] = velocity
-        self._eps[:] = self.sigma_y / H
+        self.points.v[:] = velocity
+        self.points.vest[:] = velocity
+        self.points.eff_plastic_strain[:] = self.points.sigma_y / H
         self._start_engine()
         self.mass = self._mass.copy()
-
-    def _views(self) -> None:
-        array = self._lammps
-        self.x, self.v, self.f = array("x"), array("v"), array("f")
-        self._vest, self._mass = array("vest"), array("rmass")
-        self._eps, self._e, self._de = array("eff_plastic_strain"), array("esph"), array("desph")
-        self._stress, self._molecule = array("smd_stress"), array("molecule")
 
     def _lammps(self, name: str) -> np.ndarray:
         """LAMMPS's own array of the points of this rank, without those of its neighbours."""
@@ -250,8 +226,8 @@ class Particle(ABC):
             self._on_step = None
         if self.failure is not None:
             raise self.failure
-        if self._molecule.min(initial=1) < 0:
-            lost = int(np.argmin(self._molecule))
+        if self.points.molecule.min(initial=1) < 0:
+            lost = int(np.argmin(self.points.molecule))
             raise SolverError(
                 self._failure(f"point {self.ids[lost]} was distorted beyond what the kernel can follow", lost)
             )
@@ -281,8 +257,10 @@ class Particle(ABC):
         try:
             self._add_inertia()
             if self.failure is None:
-                self.internal_work -= motion.work_of(0, self.n, self.dt, self.f_old, self.f, self.v)
-                self.f_old[:] = self.f
+                self.internal_work -= motion.work_of(
+                    0, self.n, self.dt, self.points.f_old, self.points.f, self.points.v
+                )
+                self.points.f_old[:] = self.points.f
                 f_out[:] = self.f_ext
         except BaseException as problem:
             self.failure = self.failure or problem
@@ -334,65 +312,59 @@ class Particle(ABC):
     def _failure(self, reason: str, point: int | None = None) -> str:
         place = ""
         if point is not None and point >= 0:
-            at = self.x[point] * 1e6
+            at = self.points.x[point] * 1e6
             place = f" near ({at[0]:.2f}, {at[1]:.2f}, {at[2]:.2f}) um"
         return f"the particle failed at t = {self.time * 1e9:.3f} ns{place}: {reason}. Try more points, or a smaller time step"
 
     def kinetic(self) -> float:
         """Kinetic energy in J (between runs): sum of m v(n-1/2).v(n+1/2) / 2, which the integrator conserves with the work."""
-        half_kick = (0.5 * self.dt / self.mass)[:, None] * (self.f)  # LAMMPS has added f_ext to f
+        half_kick = (0.5 * self.dt / self.mass)[:, None] * (self.points.f)  # LAMMPS has added f_ext to f
         return 0.5 * float(
-            self.mass @ (np.einsum("ai,ai->a", self.v, self.v) - np.einsum("ai,ai->a", half_kick, half_kick))
+            self.mass
+            @ (np.einsum("ai,ai->a", self.points.v, self.points.v) - np.einsum("ai,ai->a", half_kick, half_kick))
         )
 
     def momentum(self) -> np.ndarray:
         """Linear momentum (3,), kg m/s."""
-        return self.mass @ self.v
+        return self.mass @ self.points.v
 
     def elastic(self) -> float:
         """Recoverable energy in J."""
-        stored = k.stored_energy(self.law, self.volume, self._stress, self.J, self.energy)
+        stored = k.stored_energy(self.law, self.volume, self.points.smd_stress, self.points.J, self.points.energy)
         return float(stored - self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
+        p = self.points
         k.warm_points(
-            self.law, H, self.volume, np.ascontiguousarray(heat, float), self._eps, self.sigma_y, self.eps_p, self.T, self.energy,
+            self.law, H, self.volume, np.ascontiguousarray(heat, float), p.eff_plastic_strain, p.sigma_y, p.eps_p, p.T, p.energy,
             self.sums,
         )  # fmt: skip
 
     def totals(self) -> PointTotals:
         """Sums and extremes over these points; raises as `stable_dt` does."""
         plastic, _, viscosity, hourglass = self.sums.tolist()
-        dt, fastest = self.stable_dt(), float(np.sqrt(np.max(np.einsum("ij,ij->i", self.v, self.v), initial=0.0)))
+        dt, fastest = (
+            self.stable_dt(),
+            float(np.sqrt(np.max(np.einsum("ij,ij->i", self.points.v, self.points.v), initial=0.0))),
+        )
         return PointTotals(
             dt, self.stretch_min, fastest, self.kinetic(), self.elastic(), self.internal_work, plastic, viscosity, hourglass,
             self.momentum(),
         )  # fmt: skip
 
     def get(self, name: str) -> object:
-        """An attribute of these points by name, an array as a copy; or "stress"."""
-        value = self.stress() if name == "stress" else getattr(self, name)
+        """An attribute or a field of these points by name, or "stress"; an array as a copy."""
+        value = self.stress() if name == "stress" else (vars(self) | arrays_of(self.points))[name]
         return np.array(value) if isinstance(value, np.ndarray) else value
 
-    @property
-    def spatial_gradient(self) -> np.ndarray:
-        """Gradient (n,3) of the plastic strain as the points lie now, 1/m."""
-        return self.eps_gradient
-
-    def _own_fields(self) -> set[str]:
-        """The arrays of the points' record that LAMMPS does not keep."""
-        return {name for name, spec in rows_of(self.POINTS).items() if not spec.lammps}
-
-    def _points(self) -> dict[str, np.ndarray]:
-        """The arrays of the points' record as they are here."""
-        own = self._own_fields()
-        return {name: getattr(self, name) if name in own else self._lammps(name) for name in rows_of(self.POINTS)}
+    def carried(self) -> dict[str, np.ndarray]:
+        """State of the metal that goes on to a mesh of the points as they lie now, by name (`physics.metal`)."""
+        return carried(self.points)
 
     def state(self) -> LocalState:
         """State of these points, as a checkpoint holds it."""
-        points = self.POINTS(**{name: values.copy() for name, values in self._points().items()})
-        return collect(LocalState, self, points=points)
+        return LocalState(copied(self.points), self.internal_work, self.time, self.steps, self.dt, self.sums.copy())
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         """Put a `state` of the whole particle (all points in the order given) into a fresh one; what adds up goes to the first rank.
@@ -401,9 +373,7 @@ class Particle(ABC):
         """
         if not isinstance(state.points, self.POINTS) or len(state.points.x) != self.total:
             raise CheckpointError("a state does not fit: the particle has other points or another engine")
-        points = take(state.points, self.ids)
-        for name, values in self._points().items():
-            values[...] = getattr(points, name)
+        put(take(state.points, self.ids), self.points)
         if first:
             self.sums[:], self.internal_work = state.sums, state.internal_work
         self.time, self.steps, self.dt = state.time, state.steps, state.dt

@@ -1,17 +1,17 @@
 """Records of a conversion: the cloud of points that goes in, the bodies of tetrahedra that come out, the reports."""
 
 from dataclasses import dataclass, field, replace
-from typing import TypedDict
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import SplatError
 from ..geometry.triangles import open_or_double
+from ..physics.metal import MetalState
+from ..state.records import Rows, arrays_of, rows_of
 
 MIN_POINTS = 50  # of a body
-# 0: one value a point
-FIELD_COLUMNS = {"velocity": 3, "stress": 6, "eps_p": 0, "T": 0, "J": 0, "energy": 0, "eps_gradient": 3}
 
 
 class Report(TypedDict, total=False):
@@ -51,27 +51,24 @@ LARGEST = 1e30  # of any value, SI: its square is still a number
 
 
 @dataclass(frozen=True)
-class Cloud:
+class Cloud(MetalState):
     """Points of one splat and their state; a field that the cloud does not have is None. SI units.
 
     x (n,3); volume (n,): reference volume of each point; spacing: of the undeformed points, the edge of a cube of that volume;
-    rho: reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; eps_p, T (n,); J (n,): volume
-    ratio; energy (n,): J per reference m3; eps_gradient (n,3): gradient of eps_p, 1/m. surface: vertices (k,3) and
+    rho: reference density, kg/m3. velocity (n,3); stress (n,6): Cauchy, Voigt xx yy zz yz xz xy; J (n,): volume ratio; energy (n,): J
+    per reference m3. surface: vertices (k,3) and
     outward triangles (m,3) of the body's deformed carried surface, cavities included. wave_speed: m/s, for the explicit time step
     in the report.
     """
 
-    x: np.ndarray
-    volume: np.ndarray
+    x: Annotated[np.ndarray, Rows(3)]
+    volume: Annotated[np.ndarray, Rows()]
     spacing: float
     rho: float
-    velocity: np.ndarray | None = None
-    stress: np.ndarray | None = None
-    eps_p: np.ndarray | None = None
-    T: np.ndarray | None = None
-    J: np.ndarray | None = None
-    energy: np.ndarray | None = None
-    eps_gradient: np.ndarray | None = None
+    velocity: Annotated[np.ndarray | None, Rows(3)] = None
+    stress: Annotated[np.ndarray | None, Rows(6)] = None
+    J: Annotated[np.ndarray | None, Rows()] = None
+    energy: Annotated[np.ndarray | None, Rows()] = None
     surface: tuple[np.ndarray, np.ndarray] | None = None
     wave_speed: float | None = None
 
@@ -92,8 +89,11 @@ class Cloud:
 
     def part(self, index: np.ndarray) -> "Cloud":
         """The cloud of the points `index` (p,); the surface stays whole."""
-        kept = {n: getattr(self, n)[index] for n in ("x", "volume", *FIELD_COLUMNS) if getattr(self, n) is not None}
+        kept: dict[str, Any] = {name: array[index] for name, array in self._known().items()}
         return replace(self, **kept)
+
+    def _known(self) -> dict[str, np.ndarray]:
+        return {name: array for name, array in arrays_of(self).items() if array is not None}
 
     def check(self) -> None:
         """Raise SplatError, with the remedy, where the cloud cannot be meshed."""
@@ -103,11 +103,8 @@ class Cloud:
             raise SplatError(f"points must be (n, 3) coordinates, got {x.shape}: give x, y and z of each point")
         if n < MIN_POINTS:
             raise SplatError(f"the cloud has {n} points, {MIN_POINTS} or more are needed: use a finer resolution")
-        for name, columns in {"x": 3, "volume": 0, **FIELD_COLUMNS}.items():
-            values = getattr(self, name)
-            if values is None:
-                continue
-            shape = (n, columns) if columns else (n,)
+        for name, values in self._known().items():
+            shape = (n, *rows_of(self)[name].shape[1:])
             if np.shape(values) != shape:
                 raise SplatError(f"{name} must have the shape {shape}, has {np.shape(values)}")
             bad = np.flatnonzero(~(np.abs(np.asarray(values).reshape(n, -1)) < LARGEST).all(axis=1))
@@ -115,9 +112,9 @@ class Cloud:
                 raise SplatError(
                     f"{name} of {len(bad)} points is not a number, or beyond {LARGEST:g} (first: point {bad[0]}): remove or mend them"
                 )
-        for name in ("spacing", "rho"):
-            if not 1.0 / LARGEST < getattr(self, name) < LARGEST:
-                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {getattr(self, name):g}")
+        for name, value in {"spacing": self.spacing, "rho": self.rho}.items():
+            if not 1.0 / LARGEST < value < LARGEST:
+                raise SplatError(f"{name} must be positive and below {LARGEST:g}, is {value:g}")
         if not np.min(self.volume) > 0.0 or (self.J is not None and not np.min(self.J) > 0.0):
             raise SplatError("volume and J of every point must be positive")
         self._check_places(x)
@@ -152,11 +149,11 @@ class Cloud:
 
 
 @dataclass(frozen=True)
-class Body:
+class Body(MetalState):
     """One body of tetrahedra with its state; a field is None where the cloud has none. SI units.
 
-    points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, eps_p, T, J
-    (m,), eps_gradient (m,3) 1/m. At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor
+    points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, J (m,), and the
+    state of the metal. At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor
     on the sum over elements of rho V / J that gives the mass of the points of this body. cloud_index (k,): those points. report:
     measures of this body.
     """
@@ -168,10 +165,7 @@ class Body:
     velocity: np.ndarray | None = None
     energy: np.ndarray | None = None
     stress: np.ndarray | None = None
-    eps_p: np.ndarray | None = None
-    T: np.ndarray | None = None
     J: np.ndarray | None = None
-    eps_gradient: np.ndarray | None = None
     report: Report = field(default_factory=Report)
 
 

@@ -2,14 +2,19 @@
 
 Linear moving least squares (Lancaster & Salkauskas 1981), then a correction that conserves sums. Velocities get the rigid
 motion a + omega x r that restores linear and angular momentum, and a scaling of the remainder that restores the kinetic energy.
-Temperature, plastic strain and energy get a uniform shift that restores their sum over the mass. No value leaves the range of
+Temperature, plastic strain, every other number that the metal carries, and energy get a uniform shift that restores their sum over the
+mass. No value leaves the range of
 the points it comes from by more than EXTRAPOLATION of that range, and no temperature falls below that of the coldest point.
 """
+
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ..geometry.tetrahedra import lumped, volumes
+from ..physics.metal import carried
+from ..state.records import rows_of
 from .cloud import Cloud
 from .kernels import least_squares_weights
 
@@ -83,10 +88,8 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
     return shifted
 
 
-def transfer(
-    cloud: Cloud, points: np.ndarray, tets: np.ndarray
-) -> tuple[dict[str, np.ndarray | None], float, dict[str, float]]:
-    """Fields of a mesh as in `cloud.Body`, None where the cloud has none; its mass_scale; relative errors.
+def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], float, dict[str, float]]:
+    """Fields of a mesh as in `cloud.Body`, those that the cloud has; its mass_scale; relative errors.
 
     points (n,3) m, tets (m,4). The errors are those of each sum over the mass (temperature, plastic strain, energy, linear and
     angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
@@ -96,9 +99,7 @@ def transfer(
     at_elements = Fit(cloud.x, points[tets].mean(axis=1), cloud.spacing)
     at_nodes = Fit(cloud.x, points, cloud.spacing)
     weights = cloud.mass / cloud.mass.sum()
-    fields: dict[str, np.ndarray | None] = dict.fromkeys(
-        ("velocity", "stress", "eps_p", "T", "J", "energy", "eps_gradient")
-    )
+    fields: dict[str, Any] = {}
     J = None if cloud.J is None else at_elements(cloud.J)
     reference = volume if J is None else volume / J
     scale = float(cloud.volume.sum() / reference.sum())
@@ -107,22 +108,20 @@ def transfer(
     errors: dict[str, float] = {}
     fields["J"] = J
 
-    def add_field(name: str, raw: np.ndarray, over: np.ndarray, floor: float | None = None) -> None:
-        source = getattr(cloud, name)
+    def add_field(name: str, source: np.ndarray, raw: np.ndarray, over: np.ndarray, floor: float | None = None) -> None:
         mean, span = float(weights @ source), float(np.abs(source).max())
         fields[name] = corrected = with_sum(raw, over, mean, floor)
         errors[f"{name}_raw"] = float(over @ raw - mean) / span if span else 0.0
         errors[name] = float(over @ corrected - mean) / span if span else 0.0
 
-    if cloud.T is not None:
-        coldest = float(cloud.T.min())
-        add_field("T", np.maximum(at_elements(cloud.T), coldest), share, floor=coldest)
-    if cloud.eps_p is not None:
-        add_field("eps_p", np.maximum(at_elements(cloud.eps_p), 0.0), share, floor=0.0)
+    for name, source in carried(cloud).items():
+        fields[name] = raw = at_elements(source)
+        if raw.ndim == 1:
+            least = rows_of(cloud)[name].least
+            floor = float(source.min()) if least is None else least
+            add_field(name, source, np.maximum(raw, floor), share, floor)
     if cloud.energy is not None:
-        add_field("energy", at_nodes(cloud.energy), node_share)
-    if cloud.eps_gradient is not None:
-        fields["eps_gradient"] = at_elements(cloud.eps_gradient)
+        add_field("energy", cloud.energy, at_nodes(cloud.energy), node_share)
     if cloud.stress is not None:
         fields["stress"] = stress = at_elements(cloud.stress)
         before = float(cloud.current_volume @ _square(cloud.stress))

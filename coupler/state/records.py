@@ -33,16 +33,22 @@ class Shape:
 class Rows(Shape):
     """Says of an array field that it has a row of this shape for each node, element or point, `fill` to begin with.
 
-    lammps: whether LAMMPS keeps it.
+    lammps: whether LAMMPS keeps it. least: none of its values is smaller on a mesh made of points (None: than that of any point).
     """
 
     per_row = True
 
     def __init__(
-        self, *shape: int, dtype: DTypeLike = np.float64, fill: float = 0.0, index_of: str = "", lammps: bool = False
+        self,
+        *shape: int,
+        dtype: DTypeLike = np.float64,
+        fill: float = 0.0,
+        index_of: str = "",
+        lammps: bool = False,
+        least: float | None = None,
     ):
         super().__init__(-1, *shape, dtype=dtype, index_of=index_of)
-        self.fill, self.lammps = fill, lammps
+        self.fill, self.lammps, self.least = fill, lammps, least
 
     def new(self, n: int) -> np.ndarray:
         """An array of n rows of the fill value."""
@@ -68,13 +74,6 @@ def rows_of(record: object) -> dict[str, Rows]:
     return {name: spec for name, spec in shapes_of(record).items() if isinstance(spec, Rows)}
 
 
-def fill_rows(owner: object, kind: type[object], n: int) -> None:
-    """Give an object all arrays of a record class that it has not, n rows of the fill value each."""
-    for name, spec in rows_of(kind).items():
-        if not hasattr(owner, name):
-            setattr(owner, name, spec.new(n))
-
-
 def new_rows(kind: type[R], n: int, **known: np.ndarray) -> R:
     """A record of n rows: the arrays `known`, all others with their fill value."""
     return kind(**{name: spec.new(n) for name, spec in rows_of(kind).items() if name not in known}, **known)
@@ -89,9 +88,25 @@ def collect(kind: type[R], owner: object, **known: object) -> R:
     return kind(**values, **known)
 
 
-def shared(kind: type[R], owner: object) -> R:
-    """A record of the arrays of an object that have a row for each node, element or point: not copied, to be read only."""
-    return kind(**{name: getattr(owner, name) for name in rows_of(kind)})
+def arrays_of(record: object) -> dict[str, np.ndarray]:
+    """The arrays of a record that have a row for each node, element or point, by name."""
+    return {name: vars(record)[name] for name in rows_of(record)}
+
+
+def copied(record: R) -> R:
+    """A copy of such a record: what is done to its arrays does not change the first."""
+    return type(record)(**{name: array.copy() for name, array in arrays_of(record).items()})
+
+
+def put(record: R, into: R) -> None:
+    """Write the arrays of such a record into those of another. Raises CheckpointError where their shapes differ."""
+    values = arrays_of(record)
+    for name, array in arrays_of(into).items():
+        if values[name].shape != array.shape:
+            raise CheckpointError(
+                f"a state does not fit: {name} has the shape {values[name].shape}, needed {array.shape}"
+            )
+        array[...] = values[name]
 
 
 def _value(value: object) -> object:
@@ -126,30 +141,29 @@ def assign(owner: object, record: object) -> None:
 def take(record: R, index: np.ndarray) -> R:
     """The rows `index` of a record whose fields all have a row for each node, element or point."""
     rows = index.nonzero()[0] if index.dtype == bool else index
-    return type(record)(**{name: np.take(getattr(record, name), rows, axis=0) for name in rows_of(record)})
+    return type(record)(**{name: np.take(array, rows, axis=0) for name, array in arrays_of(record).items()})
 
 
 def concatenate(records: Sequence[R]) -> R:
     """All rows of several such records, in their order; those of a single one are not copied."""
     if len(records) == 1:
         return records[0]
-    kind = type(records[0])
-    return kind(**{name: np.concatenate([getattr(r, name) for r in records]) for name in rows_of(kind)})
+    arrays = [arrays_of(record) for record in records]
+    return type(records[0])(**{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
 
 
 def scatter(parts: Sequence[R], owners: Sequence[np.ndarray], n: int) -> R:
     """One record of n rows out of parts of it: row k of part i is row owners[i][k]."""
-    kind, values = type(parts[0]), {}
-    for name, spec in rows_of(kind).items():
-        values[name] = spec.new(n)
-        for ids, part in zip(owners, parts, strict=True):
-            values[name][ids] = getattr(part, name)
-    return kind(**values)
+    whole = new_rows(type(parts[0]), n)
+    for ids, part in zip(owners, parts, strict=True):
+        for name, array in arrays_of(whole).items():
+            array[ids] = arrays_of(part)[name]
+    return whole
 
 
 def check_indices(record: object, **counts: int) -> None:
     """Raise CheckpointError where an array of indices points at more objects than there are. counts: by `index_of`."""
     for name, spec in shapes_of(record).items():
-        value, count = getattr(record, name), counts.get(spec.index_of)
+        value, count = vars(record)[name], counts.get(spec.index_of)
         if count is not None and value.size and not (value.min() >= 0 and value.max() < count):
             raise CheckpointError(f"a state does not fit: {name} points at {spec.index_of} that are not there")
