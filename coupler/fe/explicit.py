@@ -297,24 +297,24 @@ class Target:
         """Close the step once the contact forces are in `f_ext`: boundary forces, works and impulses."""
         self.add_up(self.dt_last)
         if len(self.dashpot_nodes):
-            power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.v, self.drag, self.total)
+            power = motion.add_drag(self.dashpot_nodes, self.dashpot, self.nodes.v, self.drag, self.nodes.total)
             self.absorbed -= 0.5 * self.dt_last * power
             self.support += motion.sum_over(0, len(self.drag), self.drag)
         self.pull()
         if len(self.fixed):
-            self.support -= motion.sum_at(self.fixed, self.total)
+            self.support -= motion.sum_at(self.fixed, self.nodes.total)
         if self.inertia.most > 0.0:
-            lost, held = self.inertia.advance(self, self.total, self.active_nodes, self.dt_last)
+            lost, held = self.inertia.advance(self, self.nodes.total, self.active_nodes, self.dt_last)
             self.sums[1] += lost
             self.support -= held
 
     def add_up(self, dt: float) -> None:
         """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
-        n = self.active_nodes
-        self.internal_work -= motion.work_of(0, n, dt, self.f_old, self.f, self.v)
-        motion.add_forces(0, n, self.f, self.f_ext, self.total)
+        n, nodes = self.active_nodes, self.nodes
+        self.internal_work -= motion.work_of(0, n, dt, nodes.f_old, nodes.f, nodes.v)
+        motion.add_forces(0, n, nodes.f, self.f_ext, nodes.total)
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
-        self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.x), self.f_ext)
+        self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(nodes.x), self.f_ext)
 
     def pull(self) -> None:
         """Add the forces of the springs at the window's edge and of the half-space."""
