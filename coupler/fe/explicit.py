@@ -460,7 +460,7 @@ class Target:
         """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""
         conn = self.mesh.conn
         around = np.bincount(conn.ravel(), minlength=len(self.nodes.x))
-        of_node = np.bincount(nodes.ravel(), heself.nodes.ravel(), len(self.nodes.x)) / np.maximum(around, 1)
+        of_node = np.bincount(nodes.ravel(), heat.ravel(), len(self.nodes.x)) / np.maximum(around, 1)
         of_element = of_node[conn].sum(axis=1)
         elements = np.flatnonzero(of_element)
         self.warm(elements, of_element[elements])
