@@ -30,7 +30,7 @@ def undamped(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def weight(b: Blocks, body: int, g: float) -> np.ndarray:
     """Dead load (N,3) of a body, N."""
-    mine, load = b.nodes(body), np.zeros_like(b.target.x)
+    mine, load = b.nodes(body), np.zeros_like(b.target.nodes.x)
     load[mine, 2] = -b.target.mass[mine] * g
     return load
 
@@ -59,7 +59,7 @@ def test_a_sliding_block_slows_down_by_coulombs_law() -> None:
     b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
     mu, g, start = 0.3, 3e4, 15.0
     contact, t, up = b.touch(friction=mu), b.target, b.nodes(1)
-    t.v[up, 0] = start
+    t.nodes.v[up, 0] = start
     b.run(1e-3, push=weight(b, 1, g))
     v = b.velocity(1)
     assert start - v[0] == pytest.approx(mu * (g * t.time + v[2]), rel=0.01)
@@ -79,7 +79,7 @@ def test_friction_that_is_not_overcome_holds() -> None:
         push[:] = down * min(1.0, 2 * i / steps)
         push[up, 0] = -0.25 * down[up, 2] * min(max(0.0, 2 * i / steps - 1), 1.0)
         b.run(t.time + 1e-4, push=push)
-        moved.append(float(np.mean(t.x[up, 0] - t.mesh.points[up, 0])))
+        moved.append(float(np.mean(t.nodes.x[up, 0] - t.mesh.points[up, 0])))
     free = 0.5 * 0.25 * g * (steps * 1e-4) ** 2  # how far the push would have led it meanwhile without friction
     assert 0 < moved[steps - 1] < 0.01 * free
     assert moved[-1] == pytest.approx(moved[steps - 1], rel=0.3)
@@ -92,7 +92,7 @@ def test_equal_bars_exchange_their_velocities(turned: bool) -> None:
     bars = ((0.3, 0.3, 1.0), 0.15, (0.0, 0.0, 0.0)), ((0.3, 0.3, 1.0), 0.13, (0.0, 0.0, 1.01))
     b = Blocks(*bars, turn=turn)
     contact, t = b.touch(), b.target
-    t.v[b.nodes(1)] = turn @ [0, 0, -10.0]
+    t.nodes.v[b.nodes(1)] = turn @ [0, 0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
     b.run(1.6e-3, limit=1e-6)
     assert touching(contact) == 0
@@ -107,7 +107,7 @@ def test_equal_bars_exchange_their_velocities(turned: bool) -> None:
 def test_an_oblique_collision_with_friction_closes_its_ledger() -> None:
     b = Blocks(((0.3, 0.3, 1.0), 0.15, (0.0, 0.0, 0.0)), ((0.3, 0.3, 1.0), 0.13, (0.05, 0.02, 1.01)))
     contact, t = b.touch(friction=0.3), b.target
-    t.v[b.nodes(1)] = [3.0, 1.0, -10.0]
+    t.nodes.v[b.nodes(1)] = [3.0, 1.0, -10.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
     b.run(1.6e-3, limit=2.5e-7)
     assert contact.pairs.friction_heat > 5e-4 * start
@@ -122,7 +122,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     contact = b.touch(friction=0.3)
     t = Target(b.target.mesh, law_record(material("OFHC_Cu")), 300.0, fixed=("a.bottom",), track_wave=False)
     b.target = t
-    t.v[b.nodes(1)] = [20.0, 0, -5.0]
+    t.nodes.v[b.nodes(1)] = [20.0, 0, -5.0]
     b.run(1.5e-4)
     made = contact.pairs.friction_heat
     elements, heat = contact.heat()
@@ -130,9 +130,9 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
     assert heat[b.body[elements] == 1].sum() == pytest.approx(0.5 * made, rel=1e-12)
     behind = t.mesh.points[t.mesh.conn[elements]]
     assert np.abs(behind[:, :, 2] - 0.4).min(axis=1).max() < 1e-9  # all of them lie on the interface
-    before = t.T.copy()
+    before = t.elements.T.copy()
     t.warm(elements, heat)
-    assert np.all(t.T[np.unique(elements)] > before[np.unique(elements)])
+    assert np.all(t.elements.T[np.unique(elements)] > before[np.unique(elements)])
     assert contact.heat()[1].size == 0
     assert contact.pairs.friction_heat == made
 
@@ -140,7 +140,7 @@ def test_heat_of_friction_warms_the_elements_of_both_sides() -> None:
 def test_three_bodies_each_against_those_before_it() -> None:
     """A tower: the third lies on the second, which lies on the first; all stand still, pressed together."""
     tower = [((1.0, 1.0, 0.5), 0.3, (0, 0, 0.5 * i)) for i in range(3)]
-    x = Blocks(*tower).target.x
+    x = Blocks(*tower).target.nodes.x
     b = Blocks(*tower)
     contact = b.touch()
     squeezed = x.copy()
@@ -159,7 +159,7 @@ def test_bodies_fitted_together_begin_without_force() -> None:
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
     t, up = b.target, b.nodes(1)
     rng = np.random.default_rng(3)
-    rough = t.x.copy()
+    rough = t.nodes.x.copy()
     rough[up] += 0.01 * rng.standard_normal((len(up), 3))
     fitted = interface(b.surfaces, rough, 1, 0.1).fitted(rough, b.surfaces)
     energies = []
@@ -175,7 +175,7 @@ def test_bodies_fitted_together_begin_without_force() -> None:
 def test_far_bodies_are_not_looked_at_and_held_nodes_are_left_alone() -> None:
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
     contact, t, s = b.touch(), b.target, b.surfaces
-    x = t.x.copy()
+    x = t.nodes.x.copy()
     x[b.nodes(1), 2] -= 1e-4
     contact.search(x, 0.0)
     contact.forces(1e-9, x, np.zeros_like(x), np.zeros_like(x))
@@ -210,10 +210,10 @@ def test_a_body_on_a_wide_plate_keeps_the_facets_near_it_and_has_the_forces_of_a
             contact = b.touch(friction=0.3)
         kept = len(contact.pairs.facing[1])
         assert (kept < 0.2 * len(b.surfaces.facets_of(0))) == near
-        contact.search(t.x, 1e-3)
+        contact.search(t.nodes.x, 1e-3)
         v = np.where(b.body_of_node[:, None] == 1, np.array([20.0, 5.0, -10.0]), 0.0)
-        forces.append(np.zeros_like(t.x))
-        contact.forces(1e-7, t.x, v, forces[-1])
+        forces.append(np.zeros_like(t.nodes.x))
+        contact.forces(1e-7, t.nodes.x, v, forces[-1])
     assert np.abs(forces[0]).max() > 0.0
     assert np.array_equal(*forces)
 
@@ -227,22 +227,22 @@ def test_neither_body_lies_in_the_other(fine: int) -> None:
     )
     t = b.touch() and b.target
     top = np.isclose(t.mesh.points[:, 2], 1.0)
-    load = np.zeros_like(t.x)
+    load = np.zeros_like(t.nodes.x)
     load[top, 2] = -0.01 * b.K / np.count_nonzero(top)
     deepest: list[float] = []
 
     def watch() -> None:
         if round(t.time / t.dt_last) % 20 == 0:
-            deepest.append(float(overlaps(b.surfaces, t.x, (0, 1)).max()))
+            deepest.append(float(overlaps(b.surfaces, t.nodes.x, (0, 1)).max()))
 
     b.run(1e-3, push=load, watch=watch)
-    assert 0.0 < max(deepest) < 0.1 * b.surfaces.spacing(t.x, fine)
+    assert 0.0 < max(deepest) < 0.1 * b.surfaces.spacing(t.nodes.x, fine)
 
 
 def test_between_bodies_that_sleep_all_stays_as_it_was() -> None:
     """Neither their forces nor what their springs hold: the inactive part is in equilibrium with them."""
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((1.0,) * 3, 0.3, (0, 0, 1.0)))
-    contact, x = b.touch(), b.target.x.copy()
+    contact, x = b.touch(), b.target.nodes.x.copy()
     x[b.nodes(1), 2] -= 1e-4
     f, still = np.zeros_like(x), np.zeros_like(x)
     contact.search(x, 0.0)
@@ -263,12 +263,12 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
     """Two blocks that touch, of which the first nodes move: their forces, energy and history are those of a contact that looks at
     all; what begins to move is looked at, too."""
     b = Blocks(((3.0, 1.0, 0.5), 0.25, (-1.5, -0.5, 0)), ((3.0, 1.0, 0.5), 0.22, (-1.5, -0.5, 0.5)))
-    outwards = np.argsort(np.abs(b.target.x[:, 0]), kind="stable")
+    outwards = np.argsort(np.abs(b.target.nodes.x[:, 0]), kind="stable")
     rank = np.empty(len(outwards), int)
     rank[outwards] = np.arange(len(outwards))
     body = b.body_of_node[outwards]
     surfaces = Surfaces(rank[b.surfaces.facets], *(getattr(b.surfaces, f.name) for f in fields(Surfaces)[1:]))
-    x, v = b.target.x[outwards], np.zeros((len(outwards), 3))
+    x, v = b.target.nodes.x[outwards], np.zeros((len(outwards), 3))
     contacts = [BodyContact(surfaces, x, [b.K] * 2, 0.3) for _ in range(2)]
     x[body == 1, 2] -= 2e-3
     for c in contacts:
@@ -301,7 +301,7 @@ def test_what_does_not_move_keeps_its_forces_and_costs_no_search(rng: np.random.
 def test_a_search_that_still_holds_gives_the_forces_of_a_fresh_one() -> None:
     """Pressed and slid in small steps: the search is kept through some of them, done again after others, and misses nothing."""
     b = Blocks(((1.0,) * 3, 0.35, (0, 0, 0)), ((0.7, 0.7, 0.5), 0.3, (0.15, 0.15, 1.0)))
-    kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.x.copy()
+    kept, fresh, x = b.touch(friction=0.0), b.touch(friction=0.0), b.target.nodes.x.copy()
     up, still, done = b.nodes(1), np.zeros_like(x), []
     for step in range(24):
         x[up] += [0.018, 0.004, -0.0005]
@@ -322,7 +322,7 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     def start() -> tuple[Blocks, BodyContact]:
         b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
         contact = b.touch(friction=0.3)
-        b.target.v[b.nodes(1)] = [15.0, 3.0, -5.0]
+        b.target.nodes.v[b.nodes(1)] = [15.0, 3.0, -5.0]
         return b, contact
 
     one, contact = start()
@@ -335,10 +335,10 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
     t = one.target
     forces = []
     for c in (contact, fresh):
-        f = np.zeros_like(t.x)
-        c.search(t.x, 1e-3)
+        f = np.zeros_like(t.nodes.x)
+        c.search(t.nodes.x, 1e-3)
         for _ in range(3):
-            c.forces(1e-6, t.x, t.v, f)
+            c.forces(1e-6, t.nodes.x, t.nodes.v, f)
         forces.append(f)
     assert np.array_equal(*forces)
     assert fresh.pairs.friction_heat == contact.pairs.friction_heat
@@ -347,24 +347,24 @@ def test_a_run_goes_on_from_its_state_to_the_last_bit() -> None:
 def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
     b = Blocks(SLAB, SLIDER, fixed=("a.bottom",))
     contact, t = b.touch(friction=0.3), b.target
-    t.v[b.nodes(1)] = [15.0, 3.0, -5.0]
+    t.nodes.v[b.nodes(1)] = [15.0, 3.0, -5.0]
     b.run(1e-4)
     contact.heat()
     more = Blocks(SLAB, SLIDER, ((0.2, 0.2, 0.2), 0.1, (1.2, 0.4, 0.4)))
-    node = np.empty(len(t.x), int)  # each old node's new number, by the place it had to begin with
+    node = np.empty(len(t.nodes.x), int)  # each old node's new number, by the place it had to begin with
     for body in (0, 1):
         for new in more.nodes(body):
-            gap = np.abs(t.mesh.points - more.target.x[new]).max(axis=1)
+            gap = np.abs(t.mesh.points - more.target.nodes.x[new]).max(axis=1)
             gap[b.body_of_node != body] = 1.0
             node[int(gap.argmin())] = new
     later = more.touch(friction=0.3)
-    later.go_on(contact.past().on(node, len(more.target.x)))
-    x, v = more.target.x.copy(), np.zeros_like(more.target.x)
-    x[node], v[node] = t.x, t.v
-    f, g = np.zeros_like(t.x), np.zeros_like(x)
-    contact.search(t.x, 1e-3)
+    later.go_on(contact.past().on(node, len(more.target.nodes.x)))
+    x, v = more.target.nodes.x.copy(), np.zeros_like(more.target.nodes.x)
+    x[node], v[node] = t.nodes.x, t.nodes.v
+    f, g = np.zeros_like(t.nodes.x), np.zeros_like(x)
+    contact.search(t.nodes.x, 1e-3)
     later.search(x, 1e-3)
-    contact.forces(1e-9, t.x, t.v, f)
+    contact.forces(1e-9, t.nodes.x, t.nodes.v, f)
     later.forces(1e-9, x, v, g)
     assert np.abs(f).max() > 0
     assert g[node] == pytest.approx(f, rel=1e-12, abs=1e-12 * np.abs(f).max())
@@ -374,12 +374,12 @@ def test_a_contact_of_more_bodies_takes_over_what_fewer_remember() -> None:
 def test_each_body_needs_a_bulk_modulus() -> None:
     b = Blocks(SLAB, SLIDER)
     with pytest.raises(SolverError, match="contact of 2 bodies needs"):
-        BodyContact(b.surfaces, b.target.x, [1e11], 0.3)
+        BodyContact(b.surfaces, b.target.nodes.x, [1e11], 0.3)
 
 
 def test_positions_that_are_no_numbers_are_refused() -> None:
     b = Blocks(SLAB, SLIDER)
-    contact, x = b.touch(), b.target.x.copy()
+    contact, x = b.touch(), b.target.nodes.x.copy()
     x[b.surfaces.nodes_of(1)[0]] = np.nan
     with pytest.raises(SolverError, match="no longer numbers"):
         contact.search(x, 0.1)
@@ -391,14 +391,14 @@ def test_an_overlap_that_did_not_come_from_a_motion_sets_no_energy_free() -> Non
     """Nodes that are found deep in another body, as at the folds of splats, meet nothing until they have been outside."""
     b = cubes(1.0)
     contact, t, above = b.touch(), b.target, b.nodes(1)
-    spacing = b.surfaces.spacing(t.x, 1)
-    placed = t.x.copy()
+    spacing = b.surfaces.spacing(t.nodes.x, 1)
+    placed = t.nodes.x.copy()
 
     def energy_at(depth: float) -> float:
-        t.x[:] = placed
-        t.x[above, 2] -= depth * spacing
-        contact.search(t.x, 0.05 * spacing)
-        contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
+        t.nodes.x[:] = placed
+        t.nodes.x[above, 2] -= depth * spacing
+        contact.search(t.nodes.x, 0.05 * spacing)
+        contact.forces(0.0, t.nodes.x, t.nodes.v, np.zeros_like(t.nodes.x))
         return contact.penalty_energy
 
     assert energy_at(0.3) == 0.0
@@ -412,17 +412,17 @@ def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
     """Deeper than a step can bring them: they begin without a force, which grows as less of the depth is ignored."""
     b = cubes(1.0)
     contact, t, above = b.touch(), b.target, b.nodes(1)
-    depth = 0.3 * b.surfaces.spacing(t.x, 1)
-    t.x[above, 2] -= depth
+    depth = 0.3 * b.surfaces.spacing(t.nodes.x, 1)
+    t.nodes.x[above, 2] -= depth
 
     def lift() -> float:
-        f = np.zeros_like(t.x)
-        contact.search(t.x, 0.01)
-        contact.forces(0.0, t.x, t.v, f)
+        f = np.zeros_like(t.nodes.x)
+        contact.search(t.nodes.x, 0.01)
+        contact.forces(0.0, t.nodes.x, t.nodes.v, f)
         return float(f[above, 2].sum())
 
     assert lift() == 0.0
-    contact.meet(overlaps(b.surfaces, t.x, [1]))
+    contact.meet(overlaps(b.surfaces, t.nodes.x, [1]))
     begins = lift()
     lifts = []
     for step in range(10):
@@ -431,7 +431,7 @@ def test_bodies_that_lie_in_each_other_are_pushed_apart() -> None:
     stiffness = float(contact.pairs.points.stiffness[contact.pairs.depth > 0.0].sum())
     np.testing.assert_allclose(lifts, 0.1 * depth * stiffness * np.arange(1, 11), rtol=1e-6)
     assert abs(begins) < 1e-12 * lifts[-1]
-    contact.meet(overlaps(b.surfaces, t.x, [1]))
+    contact.meet(overlaps(b.surfaces, t.nodes.x, [1]))
     assert lift() == pytest.approx(lifts[-1], rel=1e-6), "those that press go on"
 
 
@@ -442,16 +442,16 @@ def test_a_node_between_two_bodies_is_stopped_by_a_third() -> None:
     right = ((0.3, 0.3, 0.2), 0.1, (0.5 + gap, 0.25, 0.4))
     b = Blocks(SLAB, left, right, fixed=("a.bottom",))
     contact, t = b.touch(), b.target
-    assert gap < depth < 0.1 * b.surfaces.spacing(t.x, 1)
+    assert gap < depth < 0.1 * b.surfaces.spacing(t.nodes.x, 1)
     above = np.union1d(b.nodes(1), b.nodes(2))
     for _ in range(4):
-        t.x[above, 2] -= 0.25 * depth
-        contact.search(t.x, 0.01)
-        f = np.zeros_like(t.x)
-        contact.forces(0.0, t.x, t.v, f)
+        t.nodes.x[above, 2] -= 0.25 * depth
+        contact.search(t.nodes.x, 0.01)
+        f = np.zeros_like(t.nodes.x)
+        contact.forces(0.0, t.nodes.x, t.nodes.v, f)
     bottom = above[t.mesh.points[above, 2] < 0.4 + 1e-9]
     np.testing.assert_allclose(contact.past().nodes["depth"][bottom, 0], depth, rtol=1e-6)
-    inner = bottom[np.abs(t.x[bottom, 0] - 0.5) < 2.0 * gap]
+    inner = bottom[np.abs(t.nodes.x[bottom, 0] - 0.5) < 2.0 * gap]
     assert len(inner) >= 8
     assert (f[inner, 2] > 0.0).all()
     np.testing.assert_allclose(f.sum(axis=0), 0.0, atol=1e-9 * np.abs(f).max())
@@ -464,21 +464,21 @@ def test_a_node_that_a_bond_holds_to_one_body_meets_the_others() -> None:
     t = b.target
     b.tie()
     assert b.bond is not None
-    held = np.zeros(len(t.x), bool)
+    held = np.zeros(len(t.nodes.x), bool)
     held[b.bond.held] = True
-    start, depths = t.x.copy(), []
+    start, depths = t.nodes.x.copy(), []
     for bond in (None, b.bond):
         contact = b.touch()
-        t.x[:] = start
+        t.nodes.x[:] = start
         for _ in range(5):
-            contact.search(t.x, 0.01, bond)
-            contact.forces(0.0, t.x, t.v, np.zeros_like(t.x))
-            t.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
-        t.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
+            contact.search(t.nodes.x, 0.01, bond)
+            contact.forces(0.0, t.nodes.x, t.nodes.v, np.zeros_like(t.nodes.x))
+            t.nodes.x[b.nodes(2), 0] -= 0.25 * (depth + 0.001)
+        t.nodes.x[b.nodes(2), 0] += 0.25 * (depth + 0.001)
         depths.append(contact.past().nodes["depth"][:, 0])
     again = b.touch()  # as after another body has joined: what bonded nodes remember of the others stays
     again.go_on(contact.past())
-    again.search(t.x, 0.01, b.bond)
+    again.search(t.nodes.x, 0.01, b.bond)
     np.testing.assert_array_equal(again.past().nodes["depth"][:, 0], depths[1])
     side = b.nodes(1)[np.abs(start[b.nodes(1), 0] - 0.5) < 1e-9]
     inside = side[(np.abs(start[side, 1] - 0.4) < 0.1)]
@@ -493,16 +493,16 @@ def test_a_collision_of_three_bodies_at_one_place_closes_its_ledger() -> None:
     lower, upper = ((0.4, 0.3, 0.3), 0.13, (0.0, 0.0, -0.301)), ((0.4, 0.3, 0.3), 0.12, (0.0, 0.0, 0.001))
     b = Blocks(lower, upper, ((0.3, 0.3, 0.3), 0.15, (0.401, 0.0, -0.15)))
     contact, t, second = b.touch(friction=0.3), b.target, [0.0]
-    t.v[b.nodes(0)] = [0.0, 0.0, 8.0]
-    t.v[b.nodes(1)] = [0.0, 0.0, -8.0]
-    t.v[b.nodes(2)] = [-8.0, 0.5, 0.0]
+    t.nodes.v[b.nodes(0)] = [0.0, 0.0, 8.0]
+    t.nodes.v[b.nodes(1)] = [0.0, 0.0, -8.0]
+    t.nodes.v[b.nodes(2)] = [-8.0, 0.5, 0.0]
     start, momentum, moment = b.energy(), t.momentum(), b.moment()
 
     def watch() -> None:
         second[0] = max(second[0], float(contact.pairs.history["depth"][:, 1].max()))
 
     b.run(1e-3, limit=2.5e-7, watch=watch)
-    assert second[0] > 1e-4 * b.surfaces.spacing(t.x, 1)
+    assert second[0] > 1e-4 * b.surfaces.spacing(t.nodes.x, 1)
     assert b.velocity(2)[0] > 0.0
     assert b.energy() + contact.pairs.dropped_energy == pytest.approx(start, rel=1e-3)
     scale = float(t.mass.sum()) * 10.0

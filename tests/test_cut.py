@@ -65,7 +65,7 @@ def whole() -> Bodies:
 def test_nodes_of_the_mass_for_a_step_bear_it(whole: Bodies) -> None:
     contact = whole.contact
     assert contact is not None
-    mass = np.full(len(whole.target.x), contact.pairs.mass_for(1e-9))
+    mass = np.full(len(whole.target.nodes.x), contact.pairs.mass_for(1e-9))
     assert contact.stable_dt(mass) == pytest.approx(1e-9)
     moving = int(contact.surfaces.facets.max()) // 2
     lighter = np.where(np.arange(len(mass)) < moving, 1.0, 0.01) * mass  # of nodes that never move
@@ -104,17 +104,17 @@ def test_a_cut_holds_all_elements_round_the_nodes_that_move() -> None:
     target = Target(mesh, law_record(material("SS304")), 300.0, fixed=("bottom",), track_wave=False)
     bodies = Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)
     part, cut = cut_out(bodies, (0.0, 0.0, 0.0), 25e-6)
-    distance = np.linalg.norm(target.x, axis=1)
+    distance = np.linalg.norm(target.nodes.x, axis=1)
     moving = distance <= distance[cut.nodes].max()
     needed = np.flatnonzero(moving[mesh.conn].any(axis=1))
-    assert np.isin(needed, part.target.element_number).all()
+    assert np.isin(needed, part.target.elements.element_number).all()
     assert len(part.target.mesh.conn) < 0.8 * len(mesh.conn)
 
 
 def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     """At the rim of a cut what lies opposite is not there: nodes at rest are not looked at, and lose no spring."""
     part, _ = cut_out(whole, (-24e-6, 0.0, 10e-6), 10e-6)
-    contact, x = part.contact, part.target.x
+    contact, x = part.contact, part.target.nodes.x
     assert contact is not None
     moving = int(np.count_nonzero(np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 10e-6))
     springs = contact.past().nodes
@@ -133,14 +133,14 @@ def test_cuts_put_back_together_are_those_put_back_one_after_another(whole: Bodi
     for x in (-24e-6, 24e-6):
         part, cut = cut_out(whole, (x, 0.0, 10e-6), 10e-6)
         own = np.isin(part.state().target.nodes.node_number, cut.nodes)
-        part.target.x[own] += rng.normal(scale=1e-9, size=(int(own.sum()), 3))
+        part.target.nodes.x[own] += rng.normal(scale=1e-9, size=(int(own.sum()), 3))
         part.target.sums[0] += 2.0**-30
         parts.append((cut, part))
     assert not np.intersect1d(parts[0][0].nodes, parts[1][0].nodes).size
     together, turn_by_turn = put_back(whole, parts), whole
     for part in parts:
         turn_by_turn = put_back(turn_by_turn, [part])
-    assert np.abs(together.target.x - whole.target.x).max() > 1e-9
+    assert np.abs(together.target.nodes.x - whole.target.nodes.x).max() > 1e-9
     assert together.target.sums[0] == whole.target.sums[0] + 2.0**-29
     np.testing.assert_equal(asdict(together.state()), asdict(turn_by_turn.state()))
 
@@ -149,7 +149,7 @@ def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: n
     """Of two cubes whose bonds and friction springs are under load one is in the cut: its energy is that of its first step, and the
     whole has its own again once the cut is put back."""
     loaded = Bodies.from_state(whole.state(), whole.fixed, whole.absorbing, whole.friction, conduction=False)
-    loaded.target.x += rng.normal(scale=2e-9, size=loaded.target.x.shape)
+    loaded.target.nodes.x[:] += rng.normal(scale=2e-9, size=loaded.target.nodes.x.shape)
 
     def one_step(bodies: Bodies) -> None:
         bodies.search(1e-8)
@@ -176,8 +176,8 @@ def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: n
 def test_heat_of_friction_is_not_lost_where_bodies_are_made_anew(whole: Bodies, way: str) -> None:
     bodies = Bodies.from_state(whole.state(), whole.fixed, whole.absorbing, whole.friction, conduction=False)
     t = bodies.target
-    t.v[bodies.contact.surfaces.nodes_of(1) if bodies.contact else []] = [300.0, 0.0, -20.0]
-    t.x[np.unique(t.mesh.conn[bodies.body == 1])] -= [0.0, 0.0, 3e-8]
+    t.nodes.v[bodies.contact.surfaces.nodes_of(1) if bodies.contact else []] = [300.0, 0.0, -20.0]
+    t.nodes.x[np.unique(t.mesh.conn[bodies.body == 1])] -= [0.0, 0.0, 3e-8]
     bodies.bond = None
     bodies.search(1e-7)
     assert bodies.contact is not None
@@ -201,7 +201,7 @@ def test_the_step_of_contacts_does_not_depend_on_the_last_search(whole: Bodies) 
     steps = []
     for travel in (1e-9, 2e-6, 2e-5):
         contact.restore(contact.state())
-        contact.search(target.x, travel, whole.bond)
+        contact.search(target.nodes.x, travel, whole.bond)
         steps.append(contact.stable_dt(target.mass * np.linspace(1.0, 2.0, len(target.mass)), 1e-9))
     assert steps[0] < 1e-9
     assert steps[1:] == steps[:1] * 2
@@ -266,7 +266,7 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
             for _ in range(6):
                 advance_window(impact)
             assert impact.force[2] != 0.0
-            positions.append((np.array(domains.particle.x), bodies.target.x[: bodies.target.active_nodes].copy()))
+            positions.append((np.array(domains.particle.x), bodies.target.nodes.x[: bodies.target.active_nodes].copy()))
         finally:
             domains.particle.close()
     for on_whole, on_cut in zip(*positions, strict=True):
@@ -289,9 +289,9 @@ def test_bodies_are_searched_as_far_as_their_surfaces_move_in_a_window_of_steps(
     impact = Impact(domains)
     try:
         while impact.time < 15e-9:
-            before = impact.target.x.copy()
+            before = impact.target.nodes.x.copy()
             advance_window(impact)
-            shares.append(2.0 * float(np.linalg.norm(impact.target.x - before, axis=1).max()) / searched[-1])
+            shares.append(2.0 * float(np.linalg.norm(impact.target.nodes.x - before, axis=1).max()) / searched[-1])
     finally:
         domains.particle.close()
     assert 0.5 < max(shares) <= 1.0  # not much farther than it must
@@ -309,8 +309,8 @@ def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Pat
     def watch(impact: Impact) -> None:
         t = impact.target
         assert t.edge is not None
-        rest.update(zip(t.node_number[t.edge.nodes].tolist(), t.edge.rest, strict=True))
-        moved.append(float(np.abs(t.x[t.edge.nodes] - t.edge.rest).max()))
+        rest.update(zip(t.nodes.node_number[t.edge.nodes].tolist(), t.edge.rest, strict=True))
+        moved.append(float(np.abs(t.nodes.x[t.edge.nodes] - t.edge.rest).max()))
 
     options = RunOptions(Progress(True), tmp_path / "log", probe=watch)
     result = attempt(Task(planned, 0, part.state(), place, 0.0, None, tmp_path / "task", {}), options)

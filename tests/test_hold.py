@@ -268,11 +268,11 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
     b = cubes(SIDE)
     t, share = b.target, 0.3
     top = t.mesh.facets[t.mesh.sets["a.top"]][:6]
-    xp, area = t.x[top].mean(axis=1), np.full(6, 1e-13)
-    hold = alone(bonds_at(np.arange(6), top, xp, t.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY))
-    f, g = np.zeros((6, 3)), np.zeros_like(t.x)
+    xp, area = t.nodes.x[top].mean(axis=1), np.full(6, 1e-13)
+    hold = alone(bonds_at(np.arange(6), top, xp, t.nodes.x, area, STIFFNESS, strength=STRENGTH, energy=ENERGY))
+    f, g = np.zeros((6, 3)), np.zeros_like(t.nodes.x)
     for lift in np.linspace(0.0, 1e-6, 1000):
-        hold.forces(xp + np.array([0.0, 0.0, lift]), t.x, f, g)
+        hold.forces(xp + np.array([0.0, 0.0, lift]), t.nodes.x, f, g)
 
     class Points:
         heat = np.zeros(6)
@@ -284,10 +284,10 @@ def test_the_energy_of_fracture_becomes_heat_of_both_sides() -> None:
         def spread_heat(self, heat: np.ndarray) -> np.ndarray:
             return heat
 
-    points, T = Points(), t.T.copy()
+    points, T = Points(), t.elements.T.copy()
     HeatPaths(points, t, points, SimpleNamespace(share=share)).release_fracture(hold)
     law = t.laws[t.law_of]
-    gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.T - T)))
+    gained = float(np.sum(law["rho"] * heat_capacities(law, T) * t.mesh.V0 * (t.elements.T - T)))
     assert points.heat.sum() == pytest.approx(share * ENERGY * area.sum(), rel=0.01)
     assert points.heat.sum() + gained == pytest.approx(hold.energy, rel=1e-6)
     assert not hold.heat()[2].any()

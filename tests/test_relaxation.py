@@ -36,17 +36,17 @@ def press(bodies: Bodies, share: float = 1e-3) -> float:
     """Fill the block with heat until it has a pressure (Pa) of that share of the bulk modulus, which is returned."""
     t = bodies.target
     law = t.laws[0]
-    t.energy[:] = share * law["K"] / law["Gamma0"]
-    t.p[:] = share * law["K"]
+    t.nodes.energy[:] = share * law["K"] / law["Gamma0"]
+    t.nodes.p[:] = share * law["K"]
     return float(share * law["K"])
 
 
 def slices(bodies: Bodies) -> np.ndarray:
     """Mean sigma_zz (Pa) in four layers."""
     t = bodies.target
-    z, szz = t.x[t.mesh.conn].mean(axis=1)[:, 2], t.stress()[:, 2]
+    z, szz = t.nodes.x[t.mesh.conn].mean(axis=1)[:, 2], t.stress()[:, 2]
     layer = np.clip(((z + 40e-6) / 10e-6).astype(int), 0, 3)
-    return np.bincount(layer, szz * t.volume) / np.bincount(layer, t.volume)
+    return np.bincount(layer, szz * t.elements.volume) / np.bincount(layer, t.elements.volume)
 
 
 def test_no_cut_through_a_body_without_load_carries_a_mean_stress() -> None:
@@ -59,7 +59,7 @@ def test_no_cut_through_a_body_without_load_carries_a_mean_stress() -> None:
     t = bodies.target
     held = np.unique(t.mesh.facets[t.mesh.sets["bottom"]])
     t.advance(1e-15)
-    assert abs(float(t.f[held, 2].sum())) < 0.01 * pressure * (60e-6) ** 2  # what the floor holds up is nothing
+    assert abs(float(t.nodes.f[held, 2].sum())) < 0.01 * pressure * (60e-6) ** 2  # what the floor holds up is nothing
     assert (
         np.ptp(t.stress()[:, 0]) > 0.1 * pressure
     )  # while stresses that balance themselves stay: the floor does not give way
@@ -78,10 +78,10 @@ def test_an_equilibrium_goes_on_from_what_one_before_has_found(monkeypatch: pyte
         bodies = substrate()
         press(bodies)
         settle(bodies, 0.1 * KINETIC, known=known)
-        bodies.target.energy *= 1.5
+        bodies.target.nodes.energy[:] *= 1.5
         grids.clear()
         assert settle(bodies, 0.1 * KINETIC, known=known)["left_J"] <= RELAXED * 0.1 * KINETIC
-        places.append(bodies.target.x.copy())
+        places.append(bodies.target.nodes.x.copy())
         made.append(len(grids))
     assert made == [0, 1]
     moved = np.abs(places[1] - bodies.target.mesh.points).max()
@@ -124,14 +124,14 @@ def test_strain_that_the_grid_can_have_comes_back_with_its_frequency(monkeypatch
     t = substrate().target
     t.fixed, t.inv_mass = t.fixed[:0], 1.0 / t.mass
     relaxation = Relaxation(t, np.inf, 1e-10)
-    x, dt = t.x.copy(), 1e-10
+    x, dt = t.nodes.x.copy(), 1e-10
     way = (x - np.average(x, axis=0, weights=t.mass)) * np.array([1e-6, -0.5e-6, 0.7e-6])
     grid = CoarseGrid(t, relaxation.free, t.mass, dt)
-    t.v[:] = way / dt
+    t.nodes.v[:] = way / dt
     relaxation.dt = dt
     relaxation.advance(0.0)
     expected = -((FREQUENCY / dt) ** 2) * way
-    assert np.abs(grid.acceleration(t.f) - expected).max() < 0.005 * np.abs(expected).max()
+    assert np.abs(grid.acceleration(t.nodes.f) - expected).max() < 0.005 * np.abs(expected).max()
 
 
 def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -139,17 +139,17 @@ def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(mon
     monkeypatch.setattr("coupler.fe.coarse.LEAST", 1e-9)
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((1.0,) * 3, 0.25, (0, 0, 1.0)))
     t, s, up, dt = b.target, b.surfaces, b.nodes(1), 1e-6
-    free = np.zeros(len(t.x), bool)
+    free = np.zeros(len(t.nodes.x), bool)
     free[up] = True
     t.activate_all()
-    way, x = np.array([2e-5, 1e-5, -1e-4]), t.x.copy()
+    way, x = np.array([2e-5, 1e-5, -1e-4]), t.nodes.x.copy()
     x[up] += way
     expected = -((FREQUENCY / dt) ** 2) * way
-    bond, f = Bond(interface(s, t.x, 1, 0.01), s, t.x, penalty(b.K, 0.3)), np.zeros_like(t.x)
+    bond, f = Bond(interface(s, t.nodes.x, 1, 0.01), s, t.nodes.x, penalty(b.K, 0.3)), np.zeros_like(t.nodes.x)
     bond.forces(x, f)
     bonded = CoarseGrid(t, free, t.mass, dt, [bond.springs()]).acceleration(f)[up]
     assert np.abs(bonded - expected).max() < 1e-3 * np.abs(expected).max()
-    contact, f = b.touch(), np.zeros_like(t.x)
+    contact, f = b.touch(), np.zeros_like(t.nodes.x)
     contact.search(x, 1e-3)
     contact.forces(1e-9, x, np.zeros_like(x), f)
     pressed = CoarseGrid(t, free, t.mass, dt, contact.springs()).acceleration(f)[up]
@@ -179,7 +179,7 @@ def test_every_element_bears_the_step_with_its_mass() -> None:
     """The bound of each element with the mass it was given is the step: so is that of all together."""
     t = substrate(pinch=0.9).target
     mass = masses_for(t, 1e-10)
-    n, m = len(t.x), len(t.mesh.conn)
+    n, m = len(t.nodes.x), len(t.mesh.conn)
     assert 1e-10 <= HighestFrequency(n, m).longest_step(t, 1e-10, n, m, masses=(mass, 1.0 / mass)) < 2e-10
 
 
@@ -187,7 +187,7 @@ def test_elements_at_rest_have_no_part_in_the_highest_frequency() -> None:
     """After a call with all elements, one with half of them: the same number as from the restored state, to the last bit."""
     t = substrate().target
     bound = 1.5 * t.stable_dt()[0]
-    n, m = len(t.x), len(t.mesh.conn)
+    n, m = len(t.nodes.x), len(t.mesh.conn)
     own, restored = HighestFrequency(n, m), HighestFrequency(n, m)
     own.longest_step(t, bound, n, m)
     restored.restore(own.state())
@@ -207,7 +207,7 @@ def test_afterwards_all_is_as_it_was_but_at_rest() -> None:
     np.testing.assert_array_equal(t.mass, mass)
     np.testing.assert_array_equal(t.inv_mass > 0, ~np.isin(np.arange(len(mass)), t.fixed))
     assert (t.reach, t.active_elements) == (reach, active)
-    assert not t.v.any()
+    assert not t.nodes.v.any()
 
 
 def test_an_inactive_part_under_stress_supports_the_active_part() -> None:
@@ -251,28 +251,28 @@ def test_rest_round_a_place_tends_to_that_of_all(monkeypatch: pytest.MonkeyPatch
         monkeypatch.setattr(relaxation, "LOCAL", 1.0)
         bodies = substrate().renumbered((0.0, 0.0, 0.0))
         t = bodies.target
-        before = t.x.copy()
-        centre = np.linalg.norm(t.x[t.mesh.conn].mean(axis=1), axis=1)
+        before = t.nodes.x.copy()
+        centre = np.linalg.norm(t.nodes.x[t.mesh.conn].mean(axis=1), axis=1)
         heat = 1e-8 * t.mesh.V0 / t.mesh.V0.max()
         t.warm(np.arange(len(heat)), np.where(centre < 10e-6, heat, 1e-5 * heat))
         settle(bodies, 1e-3 * KINETIC, 0.0, ramp=True, radius=radius)
-        still = np.all(t.x == before, axis=1) & (before[:, 2] > -39e-6)
+        still = np.all(t.nodes.x == before, axis=1) & (before[:, 2] > -39e-6)
         assert still.any() == np.isfinite(radius)
         assert np.all(t.mesh.reach_node[still] > 0.6 * radius)
         assert t.inv_mass[t.mesh.reach_node < 20e-6].all()
-        assert not t.heat.any()
-        assert t.mesh.node_volume @ t.energy == pytest.approx(t.sums[2], rel=0.01)  # less the work of expansion
+        assert not t.elements.heat.any()
+        assert t.mesh.node_volume @ t.nodes.energy == pytest.approx(t.sums[2], rel=0.01)  # less the work of expansion
         stresses[radius] = t.stress()[centre < 14e-6]
     whole = stresses.pop(np.inf)
     far, near = (np.linalg.norm(s - whole) / np.linalg.norm(whole) for s in stresses.values())
     assert near < 0.04 < 0.15 < far < 0.25
     monkeypatch.undo()
     bodies = substrate().renumbered((0.0, 0.0, 0.0))
-    before = bodies.target.x.copy()
+    before = bodies.target.nodes.x.copy()
     bodies.target.warm(np.arange(len(heat)), np.where(centre < 10e-6, heat, 1e-5 * heat))
     settle(bodies, 1e-3 * KINETIC, 0.0, ramp=True, radius=40e-6)
     assert np.mean(bodies.target.mesh.reach_element < 40e-6) > relaxation.LOCAL
-    assert (bodies.target.x != before)[before[:, 2] > -39e-6].any(axis=1).all()
+    assert (bodies.target.nodes.x != before)[before[:, 2] > -39e-6].any(axis=1).all()
 
 
 @pytest.mark.parametrize("steps", [RELAX_STEPS - 1, RELAX_STEPS])

@@ -57,7 +57,7 @@ def tasks(
 ) -> Iterator[tuple[Task, Cut]]:
     """The impacts of a batch, as far as their cuts of the whole share no node; each cut is made when it is asked for. folder, about: of
     the run, as in `Task`."""
-    taken = np.zeros(len(whole.target.x), bool)
+    taken = np.zeros(len(whole.target.nodes.x), bool)
     numbers = range(batch.first, batch.stop)
     places = points_of_impact(whole, [plan.impacts[i].offset for i in numbers])
     for i, place in zip(numbers, places, strict=True):

@@ -46,7 +46,7 @@ class Known:
     def highest(self, t: Target) -> HighestFrequency:
         """Of the elements; it begins with the motion found before."""
         if self._highest is None:
-            self._highest = HighestFrequency(len(t.x), len(t.mesh.conn))
+            self._highest = HighestFrequency(len(t.nodes.x), len(t.mesh.conn))
         return self._highest
 
     def grid(self, bodies: Bodies, relaxation: Relaxation) -> CoarseGrid:
@@ -112,32 +112,32 @@ def _relax(
     """Steps of dynamic relaxation until what may still be set free is below `enough`, J; ramp, known, back: see `settle`."""
     t = bodies.target
     m = t.active_elements
-    heat, portions = t.heat[:m].copy(), RAMP if ramp else 0
+    heat, portions = t.elements.heat[:m].copy(), RAMP if ramp else 0
     moved, moving = back if back is not None else (np.zeros(0, np.int64), np.zeros((0, 3)))
-    goal, moving_for = t.x[moved] + moving, BACK if len(moved) else 0
+    goal, moving_for = t.nodes.x[moved] + moving, BACK if len(moved) else 0
     if ramp:
-        t.heat[:m] = 0.0
+        t.elements.heat[:m] = 0.0
     _search(bodies, RELAX_STEP)
     _weigh(bodies, relaxation, known.highest(t))
     dt = relaxation.dt
     steps, left, n = 0, np.inf, t.active_nodes
     grid, along, momentum = known.grid(bodies, relaxation), np.zeros((n, 3)), np.zeros((n, 3))
     most = RAMP_DAMPING if ramp else MOST_DAMPING
-    before, damping = t.total[:n].copy(), most
+    before, damping = t.nodes.total[:n].copy(), most
     while steps < RELAX_STEPS and left > enough:
         if steps % SEARCH_EVERY == 0:
             _search(bodies, dt)
         share(partial(_damp, t, relaxation.free, dt, damping, along, momentum), n, motion.LEAST)
         if steps < portions:
-            t.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
-        t.v[moved] = (goal - t.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
+            t.elements.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
+        t.nodes.v[moved] = (goal - t.nodes.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
         if steps < BACK:
             bodies.ease(1.0 - 1.0 / (BACK - steps))
         relaxation.advance(damping)
         bodies.forces(dt)
         relaxation.finish()
         steps += 1
-        along = grid.acceleration(t.total[:n])
+        along = grid.acceleration(t.nodes.total[:n])
         kinetic, omega2, loose = _moving(relaxation, n, along, momentum, before)
         damping = float(np.clip(dt * np.sqrt(omega2), LEAST_DAMPING, most))
         if steps > max(2 * SEARCH_EVERY, portions, moving_for):
@@ -159,7 +159,7 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
     RELAX_STEP, and the springs, whose bound is sharp, get theirs for that.
     """
     relaxation.weigh(highest, RELAX_STEP)
-    n, share_of = len(bodies.target.x), 0.25 * relaxation.dt * relaxation.dt
+    n, share_of = len(bodies.target.nodes.x), 0.25 * relaxation.dt * relaxation.dt
     loads = [springs.load(n) for springs in (bodies.bond, bodies.contact) if springs is not None]
     for load in (*loads, bodies.target.foundation_load()):
         relaxation.add_mass(share_of * load)
@@ -168,7 +168,7 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
 def _damp(
     t: Target, free: np.ndarray, dt: float, damping: float, along: np.ndarray, momentum: np.ndarray, lo: int, hi: int
 ) -> None:
-    motion.damp(lo, hi, free, dt, damping, t.total, along, t.v, momentum)
+    motion.damp(lo, hi, free, dt, damping, t.nodes.total, along, t.nodes.v, momentum)
 
 
 def _moving(
@@ -179,7 +179,7 @@ def _moving(
     before (n,3) N: the forces a step ago, and then those of now."""
     t, sums = relaxation.target, np.zeros((PARTS, 3))
     free, mass = relaxation.free, relaxation.mass[:n]
-    together(motion.moving, free[:n], mass, t.total[:n], along, momentum, t.v[:n], before, sums)
+    together(motion.moving, free[:n], mass, t.nodes.total[:n], along, momentum, t.nodes.v[:n], before, sums)
     twice, power, loose = sums.sum(axis=0)
     return 0.5 * twice, max(power / relaxation.dt / twice, 0.0) if twice > 0.0 else 0.0, 0.5 * loose
 
@@ -195,12 +195,12 @@ def _run_for(bodies: Bodies, time: float) -> float:
             bodies.forces(dt)
             t.finish()
             left -= dt
-        largest = max(largest, 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.v, t.v)))
+        largest = max(largest, 0.5 * float(t.mass @ np.einsum("ai,ai->a", t.nodes.v, t.nodes.v)))
     return largest
 
 
 def _search(bodies: Bodies, dt: float) -> None:
     t = bodies.target
-    fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.v, t.v), initial=0.0)))
+    fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", t.nodes.v, t.nodes.v), initial=0.0)))
     time = SEARCH_EVERY * dt
     bodies.search(3.0 * fastest * time + WAY * float(np.cbrt(t.mesh.V0.min())), time=time)

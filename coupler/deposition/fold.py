@@ -153,8 +153,8 @@ class Deposition:
         self.options.progress.stage("cooling to ambient")
         target, self.closing = cool_to_ambient(self.plan, target, self.records[-1].values["kinetic_energy_0_J"])
         t = target.target
-        thermal = {"thermal_stress": t.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
-        self.store.write(COLD, simulated(self.records), t.x, t.mesh.conn, {}, thermal)
+        thermal = {"thermal_stress": t.elements.thermal_stress[:, VTK_ORDER], **cell_fields(target)}
+        self.store.write(COLD, simulated(self.records), t.nodes.x, t.mesh.conn, {}, thermal)
         return target
 
     def finish(self, target: Bodies) -> None:

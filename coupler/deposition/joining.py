@@ -72,7 +72,7 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
             f"after impact {i + 1} the bodies are not quite in equilibrium: {report['left_J'] / kinetic_0:.0e} of its kinetic energy"
             f" may still be set free, {RELAXED:.0e} is sought"
         )
-    deep = overlaps(new.surfaces, new.target.x, own)
+    deep = overlaps(new.surfaces, new.target.nodes.x, own)
     report |= {"after": _held(new), "overlap_m": float(deep.max()), "joining_s": clock.perf_counter() - started}
     if report["released"] > RELEASED_BOUND:
         raise SolverError(
@@ -120,7 +120,7 @@ def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> 
     t = bodies.target
     if bodies.count == 1 and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
         return [(*offset, 0.0) for offset in offsets]
-    z = heights_at(np.array(offsets), t.x, t.mesh.facets[bodies.reachable()])
+    z = heights_at(np.array(offsets), t.nodes.x, t.mesh.facets[bodies.reachable()])
     return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
 
 
@@ -143,7 +143,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
     Where that is less than all, equilibrium is found round the places up to REST cuts from them, and after a pause as far as
     temperatures have changed. What little remains is relaxed after later impacts, or in the closing stage.
     """
-    radius = min(REST * batch.cut, float(np.linalg.norm(np.ptp(bodies.target.x, axis=0))))
+    radius = min(REST * batch.cut, float(np.linalg.norm(np.ptp(bodies.target.nodes.x, axis=0))))
     numbered = bodies.renumbered(*places, shell=radius / SHELLS)
     bodies, report["detached"] = without_detached(plan, numbered, batch.stop, "impact")
     bodies.separate(_near(bodies, places, radius))

@@ -33,8 +33,12 @@ class BatchReplay:
 
     def __init__(self, before: Bodies, after: Bodies):
         """before, after: the bodies before and after the batch."""
-        self._points, self._cells, self._fields = before.target.x.copy(), before.target.mesh.conn, cell_fields(before)
-        self._x_after, self._cells_after = after.target.x.copy(), after.target.mesh.conn
+        self._points, self._cells, self._fields = (
+            before.target.nodes.x.copy(),
+            before.target.mesh.conn,
+            cell_fields(before),
+        )
+        self._x_after, self._cells_after = after.target.nodes.x.copy(), after.target.mesh.conn
         self._fields_after = cell_fields(after)
         self._impacts: list[_Written] = []
 

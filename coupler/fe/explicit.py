@@ -73,8 +73,9 @@ class Target:
     nodes, elements: its state (`fe.state`), whose arrays kernels change in place. f_ext (n,3) N. SI units. Nodes and elements are
     numbered outwards from the point of impact, or from the nearest of several, and only the first `active_nodes`, `active_elements` of
     them, those a wave can have reached, are computed; none beyond the `horizon` (m, see `window`) or the `limit` (m, see
-    `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`. force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above
-    when they became inactive. rest_scale: how much the half-space round the target has contracted, 1 at the start.
+    `activate_all`). inertia: of the elements that are scaled (`fe.inertia`); least_mass kg: see `weigh_surface`.
+    force_suffix_sum (n+1,3) N: [i] is the sum of nodal forces of nodes i and above when they became inactive. rest_scale: how much the
+    half-space round the target has contracted, 1 at the start.
 
     Heat, from plastic work, `warm` or conduction, enters the energy of the nodes and so, by Gamma0, their pressure: with
     Mie-Grueneisen a free body expands in volume by beta dT, beta = Gamma0 rho cp / K. A linear equation of state (Gamma0 = 0) does
@@ -310,11 +311,11 @@ class Target:
 
     def add_up(self, dt: float) -> None:
         """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
-        n, nodes = self.active_nodes, self.nodes
-        self.internal_work -= motion.work_of(0, n, dt, nodes.f_old, nodes.f, nodes.v)
-        motion.add_forces(0, n, nodes.f, self.f_ext, nodes.total)
+        n = self.active_nodes
+        self.internal_work -= motion.work_of(0, n, dt, self.nodes.f_old, self.nodes.f, self.nodes.v)
+        motion.add_forces(0, n, self.nodes.f, self.f_ext, self.nodes.total)
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
-        self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(nodes.x), self.f_ext)
+        self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.nodes.x), self.f_ext)
 
     def pull(self) -> None:
         """Add the forces of the springs at the window's edge and of the half-space."""

@@ -21,11 +21,11 @@ class Relaxation:
         t = self.target = target
         t.activate_all()
         m = int(np.searchsorted(t.mesh.reach_element, radius))
-        if t.heat[m:].any():
-            own = t.heat[:m].copy()
-            t.heat[:m] = 0.0
+        if t.elements.heat[m:].any():
+            own = t.elements.heat[:m].copy()
+            t.elements.heat[:m] = 0.0
             t.advance(dt, is_conducting=False)
-            t.heat[:m] = own
+            t.elements.heat[:m] = own
         t.activate_all(radius)
         self.fixed = np.union1d(t.fixed, outside(t.mesh, t.active_elements, t.active_nodes))
         self.free = t.inv_mass > 0.0
@@ -64,11 +64,11 @@ class Relaxation:
         t.add_up(self.dt)
         t.pull()
         if len(self.fixed):
-            t.support -= motion.sum_at(self.fixed, t.total)
+            t.support -= motion.sum_at(self.fixed, t.nodes.total)
 
     def rest(self) -> None:
         """Take all velocity away."""
         t = self.target
-        t.impulse = t.impulse + 0.5 * self.dt * t.support - self.mass @ t.v  # what stopped it came from outside
-        t.v[:], t.support = 0.0, np.zeros(3)
+        t.impulse = t.impulse + 0.5 * self.dt * t.support - self.mass @ t.nodes.v  # what stopped it came from outside
+        t.nodes.v[:], t.support = 0.0, np.zeros(3)
         t.rest()

@@ -117,7 +117,7 @@ class Impact:
 
     def _fastest(self) -> float:
         """Largest speed of a point and of a surface node together, m/s."""
-        v = self.target.v[self.surface_nodes]
+        v = self.target.nodes.v[self.surface_nodes]
         return self.particle.totals.fastest + float(np.sqrt(np.max(np.einsum("ij,ij->i", v, v))))
 
     def stable_time_step(self) -> float:
@@ -140,7 +140,7 @@ class Impact:
     def search_bodies(self) -> None:
         """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
         time = WINDOW * self.particle.totals.dt  # no step of the window is longer
-        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.v, self.target.v))))
+        fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.nodes.v, self.target.nodes.v))))
         # in a window the particle makes no two surfaces faster against each other than it is; half more for what they gain in speed
         travel = 1.5 * min(max(2.0 * fastest, self.particle.totals.fastest), self._fastest()) * time
         self.bodies.search(travel, by_speed=True, time=time)
@@ -149,7 +149,7 @@ class Impact:
         """Find the pairs of particle and target that can touch within `time` s."""
         travel = 1.5 * self._fastest() * time
         bonded = self.hold.rows if self.hold is not None else ()
-        self.contact.search(self.surface.contacts(self.particle.x), self.target.x, travel, always=bonded)
+        self.contact.search(self.surface.contacts(self.particle.x), self.target.nodes.x, travel, always=bonded)
         self.contact.points.f[:] = 0.0
         if self.folding is not None:
             self.folding.search(self.particle, time)
@@ -176,9 +176,9 @@ class Impact:
         rows, points = self.contact.rows, self.contact.points
         points.f[rows] = 0.0
         s.moving_contacts(p.x, p.v, rows, points.x, points.v)
-        self.contact.forces(dt, Nodes(t.x, t.v, t.f_ext, len(t.x)))
+        self.contact.forces(dt, Nodes(t.nodes.x, t.nodes.v, t.f_ext, len(t.nodes.x)))
         if self.hold is not None:
-            self.hold.forces(points.x, t.x, points.f, t.f_ext, self.contact)
+            self.hold.forces(points.x, t.nodes.x, points.f, t.f_ext, self.contact)
         s.spread(points.f, rows, p.f_ext)
         if self.folding is not None:
             self.folding.forces(p)
@@ -227,7 +227,7 @@ class Impact:
         else:
             metals = self._metals(plan)
             law = plan.adhesion.law_on(impact_plan.material.name, [metals[i].name for i in law_of])
-        later = bonds_at(rows, t.mesh.facets[facets], s.contacts(p.x), t.x, touching.area[rows], stiffness, **law)
+        later = bonds_at(rows, t.mesh.facets[facets], s.contacts(p.x), t.nodes.x, touching.area[rows], stiffness, **law)
         self.hold = Hold(later if self.hold is None else Bond.joined([self.hold.bond, later]), *self._rings)
 
     def _meets_criterion(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> np.ndarray:
@@ -236,7 +236,9 @@ class Impact:
         if self.exposure is not None:
             sound = (self.exposure.sound[rows] > 0.0) & (area > 0.0) & ~self.exposure.extruding[rows]
             return sound & (touching.strength > 0.0)  # molten: later
-        strain = np.maximum(self.surface.values(self.particle.eps_p)[rows], self.target.eps_p[touching.element])
+        strain = np.maximum(
+            self.surface.values(self.particle.points.eps_p)[rows], self.target.elements.eps_p[touching.element]
+        )
         pressure = touching.force[rows] / area
         return plan.adhesion.bonded(len(rows), strain, pressure, impact_plan.velocity_ratio) & (area > 0.0)
 
@@ -251,7 +253,7 @@ class Impact:
     def check_contact(self) -> None:
         """Raise SolverError where the contact has lost points: more than LOST of them lie deeper than a spacing in the target."""
         p, t = self.particle, self.target
-        depth = depths(p.x, t.x, t.mesh.conn, least=p.spacing)
+        depth = depths(p.x, t.nodes.x, t.mesh.conn, least=p.spacing)
         lost = np.count_nonzero(depth)
         if lost > LOST * p.n:
             raise SolverError(
@@ -283,5 +285,5 @@ class Impact:
             self.exposure = Exposure(self.domains)
             self.exposure.restore(state.exposure)
         if state.hold is not None:
-            check_indices(state.hold.rows, nodes=len(self.target.x), points=self.surface.weights.shape[0])
+            check_indices(state.hold.rows, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
             self.hold = Hold(Bond.from_state(state.hold), *self._rings)
