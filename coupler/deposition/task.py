@@ -115,7 +115,8 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
         outcome.domains.particle.close()
     result = TaskResult(after.state(), record, prepared, joined, store.state())
     can_go_on = undecided or record.values["rebounded"] is None
-    files.save(TaskState(last if can_go_on else None, store.state(), result))
+    if joined or can_go_on:  # nothing follows the last one
+        files.save(TaskState(last if can_go_on else None, store.state(), result))
     return result
 
 
