@@ -13,7 +13,17 @@ from .closest import closest_on_triangle
 
 class Ties(NamedTuple):
     """Bonds of points to places on triangles of nodes, row by row as in `bond.BondRows`; weakness (n,2): 1/strength, 1/Pa; ease (n,2):
-    1/energy, m2/J; alpha: exponent of the power law of mixed modes."""
+    1/energy, m2/J; alpha: exponent of the power law of mixed modes.
+
+    gap: distance of the point above its place, along the triangle's normal n, at which the bond is at rest. With d from the place to
+    the point, the potential is
+
+        U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
+
+    and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment of forces which act
+    across a gap. Where a bond yields, what becomes permanent of delta is added to gap, and of s to the place: unloading is elastic, to
+    a residual opening. opening: <delta> n + s, elastic.
+    """
 
     nodes: Ints
     triangles: Ints
@@ -157,22 +167,13 @@ def yielding(
 def bond_forces(
     xp: Floats, x: Floats, b: Ties, depth: Floats, active: int, f_point: Floats, f: Floats
 ) -> tuple[float, float]:  # fmt: skip
-    """Forces of cohesive bonds between points and triangles, equal and opposite in force and moment, added to f_point, f (N,3).
+    """Forces of cohesive bonds between points xp and triangles of nodes x (N,3) m, equal and opposite in force and moment, added to
+    f_point and f (N,3). The bonds move on in place. Returns the energy stored, and that dissipated by this call, J.
 
-    xp, x (N,3) m: point nodes[i] of xp is tied to the place sum w x of its triangle; gap: its distance above it, along the triangle's
-    normal, at which the bond is at rest; loose: bonds that leave compression to a contact. With
-    d from the foot to the point, n the normal, the potential is
-
-        U = area k / 2 (delta^2 + |s|^2),   delta = d.n - gap,   s = d - (d.n) n
-
-    and the forces are its gradient, that with respect to n included: it makes the couple that balances the moment
-    of forces which act across a gap. Where a bond yields, what becomes permanent of delta is added to `gap`, and of s to the place
-    of the foot: unloading is elastic, to a residual opening. depth (n,) m: penetration of a contact that presses point i; 0 where
-    the contact presses beside it (`in_contact`); negative where it is free. In contact the net normal traction is
-    compressive: delta is 0 and `gap` follows the surface, so that the bond opens from the place where the contact lets go; slip then
-    takes no more than the share 1 - rewelds of the strength.
-    damage D, opening <delta> n + s (elastic), traction, slid and spent move on in place. active: nodes that move, the first ones; bonds
-    between others stay as they are, and add no forces. Returns the energy stored, and that dissipated by this call, J.
+    depth (n,) m: penetration of a contact that presses point i; 0 where the contact presses beside it (`in_contact`); negative where it
+    is free. In contact the net normal traction is compressive: delta is 0 and the gap follows the surface, so that the bond opens from
+    where the contact lets go; slip then takes no more than the share 1 - rewelds of the strength. loose bonds leave compression to a
+    contact. active: nodes that move, the first ones; bonds between others stay as they are, and add no forces.
     """
     stored = lost = 0.0
     for i in range(len(b.nodes)):

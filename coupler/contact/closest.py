@@ -263,7 +263,7 @@ def candidate_nodes(c: Candidates, owner: Ints, bodies: int, faces: Faces, n: in
                     last[a] = owner[i]
                     nodes[count] = a
                     count += 1
-        bounds[owner[i] + 1 :] = count
+        bounds[owner[i] + 1] = count
     return nodes[:count], bounds
 
 

@@ -38,13 +38,12 @@ class ContactState:
 class _Search:
     """What the last search of one body's points rests on.
 
-    reach m: so far point and faces may move against each other, active: so many nodes may move, until it no longer holds; known (k,):
-    which of the faces that the body may ever meet were near; points, nodes: places of its points and of the nodes of these faces, m.
+    reach m: so far points and faces may move against each other until it no longer holds; known (k,): which of the faces that the body
+    may ever meet were near; nodes: of these faces; places, points: where these nodes and the body's points were, m.
     """
 
     known: np.ndarray
     reach: float = -np.inf
-    active: float = np.inf
     nodes: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
     places: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
@@ -87,6 +86,7 @@ class Contact:
             np.full((n, 2), -1), np.zeros((n, 2, 3)), np.zeros((n, 2)), np.zeros((n, 3)), np.full(n, -np.inf)
         )
         self._motion = motion(np.zeros(0, np.int64), np.zeros(bodies + 1, np.int64), np.zeros((0, 3)))
+        self._active = np.full(bodies, np.inf)  # so many nodes may move until the search of each body no longer holds
         self._searches = [_Search(np.zeros(len(ids), bool)) for ids in self.facing]
 
     @property
@@ -107,7 +107,7 @@ class Contact:
     @property
     def normal_force(self) -> Floats:
         """Force (n,) N that presses on each point."""
-        return self.points.stiffness * self.depth
+        return k.normal_forces(self.points, self.history)
 
     def state(self) -> ContactState:
         """The history that later steps need, and the energies."""
@@ -164,27 +164,27 @@ class Contact:
         self._candidates.within[:] -= gone
         self._motion.travel[:] = 0.0
         speed = np.zeros(len(x)) if v is None else np.sqrt(np.einsum("ij,ij->i", v, v))
-        due = [body for body in range(len(self.spacing)) if not self._holds(body, x, travel, speed, active)]
+        fastest = float(speed.max(initial=0.0))
+        share = speed / fastest if fastest > 0.0 else np.full(len(x), 0.5)
+        due = [body for body in range(len(self.spacing)) if not self._holds(body, x, travel, share, active)]
         if due:
-            self._find(np.isin(self.points.owner, due), self._begin(due, x, travel, speed), always, active, x)
+            self._find(np.isin(self.points.owner, due), self._begin(due, x, travel, share), always, active, x)
             owner, bodies = self.points.owner, len(self.spacing)
             nodes = closest.candidate_nodes(self._candidates, owner, bodies, self.faces, len(x))
             self._motion = motion(*nodes, x)
         return bool(due)
 
-    def _own_travel(self, body: int, travel: float, speed: Floats) -> float:
-        """How far a body and the faces near it move against each other, where the fastest node moves by half of `travel` m."""
-        fastest = float(speed.max(initial=0.0))
-        if fastest == 0.0:
-            return travel
+    def _own_travel(self, body: int, travel: float, share: Floats) -> float:
+        """How far (m) a body and the faces near it move against each other; share (N,): speed of each node over that of the fastest,
+        which moves by half of `travel` m."""
         own = self.points.node[self.bounds[body] : self.bounds[body + 1]]
-        together = speed[own].max(initial=0.0) + speed[self._searches[body].nodes].max(initial=0.0)
-        return travel * min(1.0, float(together) / fastest)
+        together = share[own].max(initial=0.0) + share[self._searches[body].nodes].max(initial=0.0)
+        return travel * min(1.0, float(together))
 
-    def _holds(self, body: int, x: Floats, travel: float, speed: Floats, active: int) -> bool:
+    def _holds(self, body: int, x: Floats, travel: float, share: Floats, active: int) -> bool:
         """Whether the last search of a body still holds, and no other face can come near while all move by `travel` m."""
-        s, own = self._searches[body], self._own_travel(body, travel, speed)
-        if active > s.active or s.reach <= own:
+        s, own = self._searches[body], self._own_travel(body, travel, share)
+        if active > self._active[body] or s.reach <= own:
             return False
         here = np.arange(self.bounds[body], self.bounds[body + 1])
         moved = broad.farthest(self.points.x, here, s.points) + broad.farthest(x, s.nodes, s.places)
@@ -199,7 +199,7 @@ class Contact:
         least, most = broad.bounds(own, own)
         return broad.boxes_within(self.faces["low"], self.faces["high"], ids, least - margin, most + margin)
 
-    def _begin(self, due: Sequence[int], x: Floats, travel: float, speed: Floats) -> Floats:
+    def _begin(self, due: Sequence[int], x: Floats, travel: float, share: Floats) -> Floats:
         """Begin the searches of the bodies `due`. Returns how far each point (n,) and its faces may move until the next, m."""
         far = np.zeros(len(self.history))
         for body in due:
@@ -208,8 +208,8 @@ class Contact:
             s.known = np.isin(self.facing[body], near, assume_unique=True)
             s.nodes = broad.corners(self.faces["nodes"], near, len(x))
             own = slice(self.bounds[body], self.bounds[body + 1])
-            far[own] = self._own_travel(body, travel, speed) + self._skin * spacing
-            s.reach, s.active = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
+            far[own] = self._own_travel(body, travel, share) + self._skin * spacing
+            s.reach, self._active[body] = float(far[own.start]) if self._skin > 0.0 else -np.inf, np.inf
             s.points, s.places = self.points.x[own].copy(), x[s.nodes]
         return far
 
@@ -273,8 +273,7 @@ class Contact:
         nodes than the least of theirs move."""
         least = closest.least_node(rows, self.points.node, self._candidates, self.faces)
         still = least >= active
-        for body, first in zip(self.points.owner[rows[still]], least[still], strict=True):
-            self._searches[body].active = min(self._searches[body].active, float(first))
+        np.minimum.at(self._active, self.points.owner[rows[still]], least[still])
         return rows[~still], rows[still]
 
     def _look(self, rows: Ints, nodes: Nodes) -> None:

@@ -9,7 +9,7 @@ from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Faces, Floats, Histories, History, Ints, Vector
 from ..state.loops import ranges
 from .closest import closest_faces
-from .law import TANGENTIAL, contact_law, stored
+from .law import TANGENTIAL, friction_force, normal_force, stored
 from .model import ALL, ANY, UNKNOWN, Candidates, Meeting, Motion, Nodes, Points
 
 LEAST_ROWS = 30  # points in a range of a loop that threads share
@@ -222,7 +222,7 @@ def _friction(
     g1 = s[1] - sn * n1 - TANGENTIAL * k * dt * (u1 - un * n1)
     g2 = s[2] - sn * n2 - TANGENTIAL * k * dt * (u2 - un * n2)
     size = sqrt(g0 * g0 + g1 * g1 + g2 * g2)
-    _, friction, heat = contact_law(k, mu, pen, size)
+    friction, heat = friction_force(k, mu, pen, size)
     if friction < size:
         cut = friction / size
         g0, g1, g2 = g0 * cut, g1 * cut, g2 * cut
@@ -273,7 +273,7 @@ def contact_forces(
             n = _normal(
                 points.x[i], nodes.x[t[0]], nodes.x[t[1]], nodes.x[t[2]], m.foot[i, body], m.gap[i, body], 1e-6 * points.spacing[i]
             )  # fmt: skip
-            normal = contact_law(k, 0.0, pen, 0.0)[0]
+            normal = normal_force(k, pen)
             f0, f1, f2 = normal * n[0], normal * n[1], normal * n[2]
             if mu > 0.0 and body == 0:
                 g0, g1, g2, worn = _friction(i, dt, mu, pen, n, points, nodes, t, m, h)
@@ -294,6 +294,15 @@ def energy(points: Points, history: Histories) -> float:
         total += stored(k, h.depth[0], _squared(h))
         total += stored(k, h.depth[1], 0.0)
     return total
+
+
+@njit(cache=True, nogil=True)
+def normal_forces(points: Points, history: Histories) -> Floats:
+    """Force (n,) N that presses on each point."""
+    force = np.empty(len(history))
+    for i in range(len(history)):
+        force[i] = normal_force(points.stiffness[i], history[i].depth[0])
+    return force
 
 
 @njit(cache=True, nogil=True)

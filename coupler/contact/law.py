@@ -1,4 +1,7 @@
-"""The law of contact (numba): a penalty spring along the normal, and friction by a spring that slips at Coulomb's limit."""
+"""The law of contact (numba): a penalty spring along the normal, and friction by a spring that slips at Coulomb's limit.
+
+What depends on it elsewhere is the stable time step: k is the largest stiffness dF/dd.
+"""
 
 from numba import njit
 
@@ -6,12 +9,16 @@ TANGENTIAL = 0.5  # stiffness of the spring of friction over that of the penalty
 
 
 @njit(cache=True, nogil=True, inline="always")
-def contact_law(k: float, mu: float, d: float, g: float) -> tuple[float, float, float]:
-    """Normal force k d (N), friction (N), and heat (J) of slip: of a penalty spring of stiffness k (N/m) at penetration d (m) with
-    coefficient mu, where friction would be g (N) if it did not slip."""
-    normal = k * d
-    friction = min(g, mu * normal)
-    return normal, friction, friction * (g - friction) / (TANGENTIAL * k)
+def normal_force(k: float, d: float) -> float:
+    """Force (N) of a spring of stiffness k (N/m) at penetration d (m)."""
+    return k * d
+
+
+@njit(cache=True, nogil=True, inline="always")
+def friction_force(k: float, mu: float, d: float, g: float) -> tuple[float, float]:
+    """Friction (N), and heat (J) of slip, with coefficient mu, where friction would be g (N) if it did not slip."""
+    friction = min(g, mu * normal_force(k, d))
+    return friction, friction * (g - friction) / (TANGENTIAL * k)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -27,7 +27,7 @@ class Touching:
     @cached_property
     def force(self) -> np.ndarray:
         """Force (v,) N that presses on all vertices, with their shares of that on the points under them."""
-        return self._domains.contact.stiffness[0] * self._domains.surface.at_vertices(self._domains.contact.depth)
+        return self._domains.surface.at_vertices(self._domains.contact.normal_force)
 
     @cached_property
     def element(self) -> np.ndarray:
