@@ -1,6 +1,7 @@
 """Where compiled kernels are kept: never those of other sources."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -8,9 +9,11 @@ from pathlib import Path
 
 import numba
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 
 import coupler
 from coupler.caches import kernel_folder
+from coupler.compiling import LOCK
 
 PACKAGE = Path(coupler.__file__).parent
 STRESS = """
@@ -67,3 +70,24 @@ def test_kernels_without_a_folder_of_their_own(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setenv("COLDSPRAY_CACHE", str(tmp_path / "file"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert kernel_folder(tmp_path / "file", str(tmp_path / "file")).parent == tmp_path
+
+
+def test_one_process_at_a_time_writes_kernels() -> None:
+    """While a process loads, compiles and saves a kernel, another waits for the lock of the folder: numba itself lets both give their
+    kernels the same number, and loads the wrong one later."""
+    path = Path(os.environ["NUMBA_CACHE_DIR"]) / LOCK
+    attempt = f"import fcntl; fcntl.lockf(open({str(path)!r}, 'a'), fcntl.LOCK_EX | fcntl.LOCK_NB)"
+
+    def other() -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", attempt], capture_output=True, text=True, check=False)
+
+    with global_compiler_lock:
+        assert "BlockingIOError" in other().stderr
+    assert other().returncode == 0
+
+
+def test_every_kernel_is_compiled_under_the_lock() -> None:
+    for path in PACKAGE.rglob("*.py"):
+        if path.name != "compiling.py":
+            imported = re.findall(r"^from numba import (.*)$", path.read_text(), re.MULTILINE)
+            assert not any("njit" in names for names in imported), path

@@ -4,8 +4,8 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Bools, Floats, Ints
 from .closest import closest_on_triangle

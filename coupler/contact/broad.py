@@ -1,9 +1,9 @@
 """Which points and triangles may come near each other: boxes and a grid (numba)."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints
 
 

@@ -3,8 +3,8 @@
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..geometry.vector_kernels import add, area_vector, from_foot
 from ..state.arrays import Faces, Floats, Histories, History, Ints, Vector
 from ..state.loops import ranges

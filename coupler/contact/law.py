@@ -3,7 +3,7 @@
 What depends on it elsewhere is the stable time step: k is the largest stiffness dF/dd.
 """
 
-from numba import njit
+from ..compiling import njit
 
 TANGENTIAL = 0.5  # stiffness of the spring of friction over that of the penalty
 

@@ -9,9 +9,9 @@ element by element (1.6 times the time of an elastic step).
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compiling import njit
 from ..physics.constitutive import von_mises_squared
 from ..state.arrays import Floats, Ints, Matrix, Symmetric
 

@@ -15,10 +15,10 @@ to motions that nothing resists.
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints, Laws, SpringTable
 from ..state.threads import share
 from .blocks import edge_cofactors

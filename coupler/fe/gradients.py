@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..geometry.matrix_kernels import applied, inverse, polar, product, transposed
 from ..geometry.vector_kernels import add
 from ..state.arrays import Floats, Ints

@@ -16,8 +16,8 @@ from math import ceil
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from ..state.arrays import Floats, Ints, Laws
 from ..state.records import Shape, assign, collect

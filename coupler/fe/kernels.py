@@ -9,8 +9,8 @@ tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from
 from math import acos, cos, log, sqrt
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
 from ..state.arrays import Arrays, Floats, Ints, Laws, Vector

@@ -1,9 +1,9 @@
 """Products of sparse matrices, their rows divided among the threads (numba)."""
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_array, csr_matrix
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints
 from ..state.threads import share
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Annotated, Protocol
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..errors import CheckpointError
 from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness

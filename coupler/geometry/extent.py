@@ -1,9 +1,9 @@
 """Extents of a body by its volume: what a few vertices of a thin jet cannot set."""
 
 import numpy as np
-from numba import njit
 from scipy.optimize import brentq
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints
 
 #: Share of the volume that lies within an extent. A jet holds less than the rest of it, and a section shows the splat as wide and high.

@@ -1,7 +1,6 @@
 """3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
 
-from numba import njit
-
+from ..compiling import njit
 from ..state.arrays import Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only

@@ -8,8 +8,8 @@ triangle; the tables of neighbours are built again after each pass.
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints
 from .triangles import edges as directed_edges
 from .triangles import vertex_normals

@@ -1,7 +1,6 @@
 """Vectors of three numbers in kernels (numba): what is written once there, inlined where it is used."""
 
-from numba import njit
-
+from ..compiling import njit
 from ..state.arrays import Floats, Vector
 
 

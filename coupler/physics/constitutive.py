@@ -16,10 +16,11 @@ from math import log, sqrt
 from typing import Protocol
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 from numpy.typing import NDArray
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material

@@ -1,7 +1,6 @@
 """What both domains do with positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
 
-from numba import njit
-
+from ..compiling import njit
 from ..state.arrays import Bools, Floats, Ints, Vector
 from ..state.loops import ranges
 

@@ -1,7 +1,6 @@
 """Points to a surface that they carry, and forces on it back to them: a sparse matrix and its transpose (numba)."""
 
-from numba import njit
-
+from ..compiling import njit
 from ..state.arrays import Arrays, Floats, Ints
 from ..state.loops import ranges
 

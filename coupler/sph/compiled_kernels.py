@@ -10,8 +10,7 @@ gives the same numbers to the last bit. Arrays n of this rank's points, N of the
 
 from math import sqrt
 
-from numba import njit
-
+from ..compiling import njit
 from ..geometry.matrix_kernels import ROUNDING, applied, inverse, polar, product, transposed
 from ..geometry.vector_kernels import add
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, norm, on

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
 from ..state.loops import ranges

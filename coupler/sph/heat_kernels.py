@@ -4,8 +4,7 @@ start (n+1,), columns (m,), weights (m,4): the operators G (x, y, z, 1/m) and R 
 way around: start, rows, weights of their transposed. D, kD (n,6): symmetric tensors xx yy zz yz xz xy. SI units.
 """
 
-from numba import njit
-
+from ..compiling import njit
 from ..physics.constitutive import conductivity, heat_capacity
 from ..state.arrays import Arrays, Floats, Ints, Laws
 from ..state.loops import ranges

@@ -15,9 +15,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.sparse import csr_array
 
+from ..compiling import njit
 from ..physics.constitutive import bulk_stiffness
 from ..state.arrays import Floats, Ints, Laws
 from . import compiled_kernels as k

@@ -9,8 +9,8 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 """
 
 import numpy as np
-from numba import njit
 
+from ..compiling import njit
 from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
 from ..state.arrays import Floats, Laws
 

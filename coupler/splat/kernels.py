@@ -1,9 +1,9 @@
 """Kernels of the conversion: winding numbers on a grid; moving least squares."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..compiling import njit
 from ..state.arrays import Floats, Ints
 
 

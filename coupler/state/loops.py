@@ -7,12 +7,13 @@ thread takes, and the next loop begins when all ranges of this one are done. Wha
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.core.base import BaseContext
 from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
+from ..compiling import njit
 from .arrays import Ints
 
 LOOPS = 8  # in a compiled function, at most
