@@ -22,7 +22,7 @@ from coupler.plan.reading import Scene
 from coupler.progress import Progress
 from coupler.studies import accuracy_figures as draw
 from coupler.studies import accuracy_fit as fit
-from coupler.studies import ladder, ladder_runs, pace, timing
+from coupler.studies import ladder, pace, timing
 from coupler.studies.table import read_rows
 
 MEASURED = {
@@ -84,16 +84,16 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
             raise KeyboardInterrupt
         return row(rung, "crushed flat" if rung.name == "2 dt" else "") | {"cpu_s": 1.0}
 
-    monkeypatch.setattr(ladder_runs, "compute", compute)
-    monkeypatch.setattr(ladder_runs, "_warm_up", lambda out, say: None)
+    monkeypatch.setattr(ladder, "compute", compute)
+    monkeypatch.setattr(ladder, "_warm_up", lambda out, say: None)
     path, said = tmp_path / "accuracy.csv", []
     for expected in (KeyboardInterrupt, None):
         table = ladder.ladder_table(path, "made by a test")
         if expected:
             with pytest.raises(expected):
-                ladder_runs.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
+                ladder.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
         else:
-            ladder_runs.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
+            ladder.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
     assert computed == [r.key for r in rungs[: computed.index(rungs[7].key)]] + [
         r.key for r in rungs[computed.index(rungs[7].key) :] for _ in range(1 + (r.name == "Q1 0"))
     ]
@@ -102,7 +102,7 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
     assert [r["failed"] for r in found if r["setting"] == "2 dt"] == ["crushed flat"]
     assert any("crushed flat" in text for text in said)
     coarse = ladder.ladder_points((300,), 600, 300)
-    ladder_runs.compute_missing(scene_with(), tmp_path, coarse, ladder.ladder_table(path, ""), said.append)
+    ladder.compute_missing(scene_with(), tmp_path, coarse, ladder.ladder_table(path, ""), said.append)
     (refused,) = (r for r in read_rows(path) if (r["setting"], r["points"]) == ("2.5 spacings", "300"))
     assert "too coarse for the crater" in refused["failed"]  # not a scene, and a row all the same
     path.write_text("points,flattening\n1,2\n")
@@ -118,8 +118,8 @@ def test_a_folder_keeps_to_its_scene(tmp_path):
 
 
 def test_orders_and_limits_that_are_there_are_found(rows):
-    found = {m: fit.order([fit.resolutions(rows, m, 300.0)]) for m in MEASURED}
-    assert all(used == fitted.order == pytest.approx(ORDER, abs=0.03) for used, fitted in found.values())
+    found = [fit.fit_order(*fit.resolutions(rows, m, 300.0)) for m in MEASURED]
+    assert all(fitted.order == pytest.approx(ORDER, abs=0.03) for fitted in found)
     best = fit.reference(rows)
     assert best is not None
     off = dict(zip((r["setting"] for r, _ in fit.errors(rows, "crater_depth_m", 300.0)),
@@ -129,12 +129,10 @@ def test_orders_and_limits_that_are_there_are_found(rows):
     assert off["1000 points"] == pytest.approx(exact)
     assert "2 dt" not in off
     with pytest.raises(ValueError, match="4 resolutions"):
-        fit.order([fit.resolutions(rows[:2], "crater_depth_m", 300.0)])
+        fit.fit_order(*fit.resolutions(rows[:2], "crater_depth_m", 300.0))
     h = np.array([500.0, 1000, 2000, 4000, 8000]) ** (-1 / 3)
-    assert fit.order([(h, -np.log(h))])[1].order == fit.ORDERS[0]
-    used, scatter = fit.order([(h, np.array([1.0, 1.02, 0.99, 1.01, 1.0]))])
-    assert used == fit.USUAL
-    assert not scatter.is_determined
+    assert fit.fit_order(h, -np.log(h)).order == fit.ORDERS[0]
+    assert not fit.fit_order(h, np.array([1.0, 1.02, 0.99, 1.01, 1.0])).is_determined
 
 
 @pytest.fixture
@@ -317,8 +315,8 @@ def test_a_setting_that_fails_is_a_row(tmp_path, monkeypatch):
     def breaks(*_, **__):
         raise SolverError("it broke\nin two lines")
 
-    monkeypatch.setattr(ladder_runs, "run", breaks)
+    monkeypatch.setattr(ladder, "run", breaks)
     scene = Scene.from_text(SMALL, "small")
-    found = ladder_runs.compute(scene, ladder.LadderPoint("dt", "2 dt", 300), tmp_path / "run", Progress(quiet=True))
+    found = ladder.compute(scene, ladder.LadderPoint("dt", "2 dt", 300), tmp_path / "run", Progress(quiet=True))
     assert found["failed"] == "it broke in two lines"
     assert "flattening_ratio" not in found

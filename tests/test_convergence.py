@@ -7,7 +7,7 @@ import pytest
 
 from coupler import __version__
 from coupler.errors import StoreError
-from coupler.studies.order import fit_order
+from coupler.studies.accuracy_fit import fit_order
 from coupler.studies.table import StudyTable, other_version, read_rows
 
 N = np.array([1000.0, 2000, 4000, 8000, 16000, 32000])
@@ -18,36 +18,20 @@ ORDERS = np.linspace(0.1, 6.0, 296)
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0])
 def test_an_exact_order_is_recovered(order: float) -> None:
     exact = 5.0 - 0.7 * H**order
-    fit = fit_order([(H, exact)], ORDERS)
+    fit = fit_order(H, exact, ORDERS)
     assert fit.order == pytest.approx(order, abs=0.02)
-    assert fit.scatter < 1e-3
     noisy = exact + 2e-3 * np.array([1, -1, 0.5, -0.5, 1, -1])
-    fit = fit_order([(H, noisy)], ORDERS)
+    fit = fit_order(H, noisy, ORDERS)
     assert fit.low < order < fit.high
 
 
-def test_cases_share_the_order_and_keep_their_limits() -> None:
-    """Two measures of one order, with limits and slopes of their own: together they bound it more narrowly than each."""
-    rng = np.random.default_rng(1)
-    cases = [(H, v + a * H**1.2 + 2e-3 * rng.standard_normal(len(H))) for v, a in ((5.0, -0.7), (0.3, 0.4))]
-    together = fit_order(cases, ORDERS)
-    assert together.low < 1.2 < together.high
-    assert all(together.high - together.low < fit.high - fit.low for fit in (fit_order([c], ORDERS) for c in cases))
-
-
-def test_a_known_limit_is_kept() -> None:
-    fit = fit_order([(H, 0.07 * H**0.44)], ORDERS, limit=0.0)
-    assert fit.order == pytest.approx(0.44, abs=0.02)
-    assert fit.high - fit.low < 0.05
-
-
 def test_scatter_and_unbounded_growth_have_no_order() -> None:
-    scatter = fit_order([(H, 5.0 + 0.01 * np.array([1, -1, 1, -1, -1, 1]))], ORDERS)
+    scatter = fit_order(H, 5.0 + 0.01 * np.array([1, -1, 1, -1, -1, 1]), ORDERS)
     assert not scatter.is_determined
     assert scatter.interval()[0].startswith("below")
-    assert fit_order([(H, np.log(N))], ORDERS).at_bound[0]
+    assert fit_order(H, np.log(N), ORDERS).at_bound[0]
     with pytest.raises(ValueError, match="at least 4 resolutions, not 3"):
-        fit_order([(H[:3], N[:3])], ORDERS)
+        fit_order(H[:3], N[:3], ORDERS)
 
 
 def test_a_study_keeps_its_rows_with_their_versions(tmp_path: Path) -> None:

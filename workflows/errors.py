@@ -26,7 +26,7 @@ from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
 from coupler.ranks.executors import executor
 from coupler.report.picture import blank, save
-from coupler.studies.ladder_runs import spent
+from coupler.studies.ladder import spent
 from coupler.studies.table import Row, StudyTable
 
 # particle, um, m/s, degrees, substrate, shape: every metal of the library; soft on hard, hard on soft, alike

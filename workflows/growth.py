@@ -15,7 +15,7 @@ from coupler import Scene, run
 from coupler.impact.exchange import Impact
 from coupler.progress import Progress
 from coupler.report.picture import blank, save
-from coupler.studies.ladder_runs import spent
+from coupler.studies.ladder import spent
 
 COLUMNS = (
     "impact", "elements", "steps", "before s", "steps s", "ms per step", "end ns", "dt mean ps", "dt set by the bodies %",

@@ -24,7 +24,7 @@ from coupler.plan import cost
 from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
-from coupler.studies import ladder_runs, pace, timing
+from coupler.studies import ladder, pace, timing
 
 TIMED = 4
 COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
@@ -80,9 +80,9 @@ def draw(count: int) -> list[Table]:
 def computed(made: Table) -> tuple[dict[str, object], float]:
     """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s."""
     with tempfile.TemporaryDirectory() as folder:
-        before = ladder_runs.spent()
+        before = ladder.spent()
         result = run(Scene.from_dict({**made, "name": "pace"}), Path(folder) / "run", threads=1)
-        return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder_runs.spent() - before
+        return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder.spent() - before
 
 
 def judge(name: str, here: pace.Pace) -> Table:

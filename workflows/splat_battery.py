@@ -23,7 +23,7 @@ from coupler.report.picture import blank, save
 from coupler.sph import packing
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
-from coupler.studies.ladder_runs import spent
+from coupler.studies.ladder import spent
 from coupler.studies.table import Row, StudyTable
 
 SIZE_OVER_SPACING = 1.7  # as the target's elements

@@ -47,7 +47,7 @@ def add_to_run(option: Option) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or continue it, and draw. Returns the exit code."""
     from ..files.outputs import claim_folder
-    from ..studies import ladder, ladder_runs
+    from ..studies import ladder
     from ..studies.accuracy_figures import lines, write
 
     scene = scene_of(arguments)
@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         out / "accuracy.csv", "remake: coldspray accuracy (rows in this table are not computed again)"
     )
     try:
-        ladder_runs.compute_missing(scene, out, points, table, say, arguments.quiet)
+        ladder.compute_missing(scene, out, points, table, say, arguments.quiet)
     except KeyboardInterrupt:
         say(f"stopped; go on with the same command: {table.path} has {len(table.rows)} of {len(points)} settings")
         raise

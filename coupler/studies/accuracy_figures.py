@@ -18,7 +18,6 @@ from ..report.picture import axes_at, blank, label_log, save
 from ..report.words import shown
 from . import accuracy_fit as fit
 from .ladder import KNOBS
-from .order import FEWEST
 from .table import other_version
 
 AXES = ("points", *KNOBS, "effects")
@@ -35,9 +34,9 @@ def preset_of(row: Mapping[str, str]) -> str:
 def order_of(rows: Rows, measure: str, T_0: float) -> str:
     """The fitted order in words, or why there is none. T_0: K, of the last particle before its impact."""
     try:
-        _, fitted = fit.order([fit.resolutions(rows, measure, T_0)])
+        fitted = fit.fit_order(*fit.resolutions(rows, measure, T_0))
     except ValueError:
-        return f"fewer than {FEWEST} resolutions, no order"
+        return f"fewer than {fit.FEWEST} resolutions, no order"
     low, high = fitted.interval()
     return f"order {fitted.order:.2g} ({low} to {high})" if fitted.is_determined else "order not determined"
 

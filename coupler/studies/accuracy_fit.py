@@ -1,17 +1,19 @@
-"""Evaluation of a ladder: errors against the reference, and orders."""
+"""Evaluation of a ladder: errors against the reference, and the observed order of convergence with its confidence interval."""
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import fdtri  # the quantile of Fisher's distribution
 
 from ..measures import measure as record
-from ..plan.refinement import error
+from ..plan.refinement import error, line
 from .ladder import finished
-from .order import Case, OrderFit, fit_order
 
 ORDERS = np.linspace(0.5, 2.0, 61)  # of the spacing: the schemes converge no faster
-USUAL = 1.0  # the order used where the ladder does not exclude it: that of the particle's viscosity and of the contact's penalty
+FEWEST = 4  # resolutions of an order: one more than its fit has unknowns
 PERCENT_AT_LEAST = 1e-3  # errors are drawn no lower, in percent: a log axis has no zero
 Row = Mapping[str, str]
 
@@ -64,10 +66,36 @@ def errors_of_ladder(rows: Sequence[Row], measure: str) -> list[tuple[Row, float
     return found
 
 
-def order(cases: Sequence[Case]) -> tuple[float, OrderFit]:
-    """The order to use and its fit: USUAL where the fit does not exclude it, else the fitted one. cases: h (k,), values (k,).
+@dataclass(frozen=True)
+class OrderFit:
+    """order: the best; low, high: the 95 % interval, which ends where the orders tried end; at_bound: whether the interval reaches
+    an end of the orders tried (low, high)."""
 
-    Raises ValueError without a case of `order.FEWEST` resolutions.
+    order: float
+    low: float
+    high: float
+    at_bound: tuple[bool, bool]
+
+    @property
+    def is_determined(self) -> bool:
+        return not all(self.at_bound)
+
+    def interval(self) -> tuple[str, str]:
+        """Its ends in words: "0.5", or "below 0.5" at the least order tried."""
+        low, high = f"{self.low:.2g}", f"{self.high:.2g}"
+        return f"below {low}" if self.at_bound[0] else low, f"above {high}" if self.at_bound[1] else high
+
+
+def fit_order(h: NDArray, values: NDArray, orders: NDArray = ORDERS) -> OrderFit:
+    """Fit value = v + a h^p by least squares, p among `orders` (q,). h (k,): the spacing in any unit, values (k,).
+
+    The interval holds the orders that an F test at 95 % does not tell from the best. Raises ValueError for fewer than FEWEST
+    resolutions.
     """
-    fit = fit_order(cases, ORDERS)
-    return (USUAL if fit.low <= USUAL <= fit.high else fit.order), fit
+    if len(h) < FEWEST:
+        raise ValueError(f"an order needs at least {FEWEST} resolutions, not {len(h)}")
+    squares = np.array([float(np.sum(line(h, values, p)[2] ** 2)) for p in orders])
+    best, free = int(squares.argmin()), len(h) - 3
+    same = orders[squares <= squares[best] * (1.0 + fdtri(1, free, 0.95) / free)]
+    low, high = float(same.min()), float(same.max())
+    return OrderFit(float(orders[best]), low, high, (low <= orders[0], high >= orders[-1]))

@@ -6,7 +6,7 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 from ..deposition.run import run
 from ..errors import SolverError
@@ -31,17 +31,6 @@ time = "8 ns"
 """  # about 100 steps
 
 
-class _Particle(Protocol):
-    steps: int
-
-
-class _Impact(Protocol):
-    """The part of an impact that the probe reads."""
-
-    @property
-    def particle(self) -> _Particle: ...
-
-
 def measure() -> float:
     """The factor of this machine, timed now in one thread. Raises SolverError if there was too little to time."""
     low, high = FACTORS
@@ -52,7 +41,7 @@ def _timed() -> float:
     """Processor time of a step, the median over the chunks of steps, over that of the constants."""
     marks: list[tuple[float, int]] = []
 
-    def probe(impact: _Impact) -> None:
+    def probe(impact: Any) -> None:
         marks.append((time.process_time(), impact.particle.steps))
 
     with tempfile.TemporaryDirectory() as place:
