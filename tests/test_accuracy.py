@@ -1,5 +1,6 @@
 """Accuracy against time: the ladder, what is fitted to it, choices, the pace of a machine, the command."""
 
+import argparse
 import json
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ from test_scene import scene_with, several
 from coupler import __version__
 from coupler.commands import accuracy as command
 from coupler.commands import main as cli
+from coupler.commands.arguments import study_folder
 from coupler.errors import SolverError, StoreError
 from coupler.measures import CONVERGING
 from coupler.plan import cost as estimates
@@ -111,10 +113,11 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
 
 
 def test_a_folder_keeps_to_its_scene(tmp_path):
-    command.same_scene(scene_with(), tmp_path / "a")
-    command.same_scene(scene_with(), tmp_path / "a")
+    asked = argparse.Namespace(out=tmp_path / "a", scene=tmp_path / "scene.toml", force=False)
+    for _ in range(2):
+        assert study_folder(asked, scene_with(), "accuracy", ("scene.toml",)) == tmp_path / "a"
     with pytest.raises(StoreError, match="the study of another scene"):
-        command.same_scene(scene_with(particle__velocity="501 m/s"), tmp_path / "a")
+        study_folder(asked, scene_with(particle__velocity="501 m/s"), "accuracy", ("scene.toml",))
 
 
 def test_orders_and_limits_that_are_there_are_found(rows):

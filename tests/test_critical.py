@@ -17,7 +17,7 @@ from coupler.errors import StoreError
 from coupler.measures import REBOUNDS, STICKS, UNDECIDED
 from coupler.studies import critical, points
 from coupler.studies.critical import Bracket, bracket, next_velocity
-from coupler.studies.table import StudyTable, read_rows
+from coupler.studies.table import read_rows
 
 LIMITS = (50.0, 1500.0)
 # strong bonds of little energy: fast particles rebound, slow ones are held
@@ -154,24 +154,13 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     assert {path: path.stat().st_mtime_ns for path in out.glob("runs/*/summary.json")} == before
     assert read_rows(out / "critical.csv") == rows
     head = (out / "critical.csv").read_text().splitlines()[0]
-    remake = shlex.split(head.partition("remake: ")[2].partition(" (runs")[0])
+    remake = shlex.split(head.partition("remake: ")[2].partition(" (finished")[0])
     assert remake[:3] == ["coldspray", "critical", str(file)]
     assert {f"--out={out}", "--low=450 m/s", "--high=560 m/s", "--within=90%", "--repeat=1"} == set(remake[3:])
     capsys.readouterr()
     assert main(remake[1:]) == 0
     assert " ..." not in capsys.readouterr().err
     assert read_rows(out / "critical.csv") == rows
-    whole = (out / "critical.csv").read_text()
-    for before_, after, says in (
-        (f",{rows[0]['verdict_by_bonds']},", ",nonsense,", "row 1: verdict_by_bonds = 'nonsense'"),
-        (f"\n{rows[1]['velocity_m_s']},", "\nfast,", "row 2: velocity_m_s = 'fast'"),
-    ):
-        (out / "critical.csv").write_text(whole.replace(before_, after, 1))
-        capsys.readouterr()
-        assert main(call) == 2
-        said = capsys.readouterr()
-        assert f"{out / 'critical.csv'} is damaged in {says}" in said.err
-        assert "no critical velocity" not in said.out
 
 
 @pytest.mark.parametrize("scatter", [0.0, 20.0, 60.0])
@@ -186,8 +175,7 @@ def test_several_placements_show_their_scatter(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(critical, "rows_at", rows_at)
     nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
-    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, critical.KEY, "remake")
-    found = critical.search(nickel, tmp_path, table, log=lambda _: None, repeat=placements)
+    found, _ = critical.search(nickel, tmp_path, log=lambda _: None, repeat=placements)
     low, high = found.band
     assert abs(found.velocity - 600.0) < 0.025 * 600.0
     assert low == pytest.approx(600.0 - scatter, abs=30.0)  # straight lines between velocities up to 75 m/s apart
@@ -198,7 +186,7 @@ def test_several_placements_show_their_scatter(tmp_path: Path, monkeypatch: pyte
 
 
 def test_an_undecided_placement_counts_as_half() -> None:
-    rows = [{"velocity_m_s": "500", "verdict_by_bonds": word} for word in (STICKS, UNDECIDED, REBOUNDS, REBOUNDS)]
+    rows = [{"velocity_m_s": 500.0, "verdict_by_bonds": word} for word in (STICKS, UNDECIDED, REBOUNDS, REBOUNDS)]
     assert critical.shares_of(rows, 4) == {500.0: 0.375}
     assert critical.shares_of(rows, 5) == {}
 
@@ -247,16 +235,15 @@ def test_a_run_that_fails_is_the_upper_limit(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(critical, "rows_at", rows_at)
     said: list[str] = []
     nickel = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED), "ni")
-    table = StudyTable(tmp_path / "critical.csv", critical.COLUMNS, critical.KEY, "remake")
     failing = 1000.0
-    found = critical.search(nickel, tmp_path, table, log=said.append)
+    found, rows = critical.search(nickel, tmp_path, log=said.append)
     assert 700.0 < found.low <= failing
     assert found.high is None
     assert sum("has lost 9" in line for line in said) == 1
-    assert min(float(row["velocity_m_s"]) for row in table.rows) < 400.0  # whether it sticks below is tried
+    assert min(float(row["velocity_m_s"]) for row in rows) < 400.0  # whether it sticks below is tried
     failing = 0.0
     with pytest.raises(StoreError, match="has lost 9"):
-        critical.search(nickel, tmp_path, StudyTable(tmp_path / "other.csv", critical.COLUMNS, critical.KEY, "remake"))
+        critical.search(nickel, tmp_path)
 
 
 @pytest.mark.slow

@@ -16,11 +16,12 @@ from scipy.stats.qmc import Halton
 from sweeps import flattening, made, points, pretend, scattered
 
 from coupler.commands import main as cli
-from coupler.commands.map import NO_VALUE, _fields, _levels
 from coupler.errors import StoreError
 from coupler.physics.adhesion import critical_velocity
 from coupler.physics.materials import material
 from coupler.plan.reading import Scene
+from coupler.studies import map_figures
+from coupler.studies.map_figures import NO_VALUE, _fields, _levels
 from coupler.studies.maps import BAND, best_point, brackets, interpolate, run_next, sparse, varying
 from coupler.studies.runs_table import AXES, COLUMNS, table, write_table
 from coupler.studies.sweep import Sweep
@@ -141,16 +142,14 @@ def test_six_points_are_points_and_lines_and_no_surface(tmp_path, capsys) -> Non
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Figure]:
     """The pictures that a test draws, by their names."""
-    from coupler.report import picture
-
     kept: dict[str, Figure] = {}
-    save = picture.save
+    save = map_figures.save
 
     def keep(figure: Figure, path: Path) -> None:
         kept[path.stem] = figure
         save(figure, path)
 
-    monkeypatch.setattr(picture, "save", keep)
+    monkeypatch.setattr(map_figures, "save", keep)
     return kept
 
 
@@ -440,7 +439,9 @@ def test_the_example_runs_to_its_end(tmp_path, monkeypatch, capsys) -> None:
         return tmp_path
 
     monkeypatch.setattr(Sweep, "run", run)
-    monkeypatch.setattr("coupler.commands.map.draw", lambda rows, folder: [f"{len(rows)} rows drawn"])
+    monkeypatch.setattr(
+        "coupler.studies.map_figures.draw", lambda rows, folder, quantities: [f"{len(rows)} rows drawn"]
+    )
     runpy.run_path(str(ROOT / "workflows" / "map_example.py"))
     said = capsys.readouterr().out
     assert said.startswith("16 points, the first: Ni_10um_300ms_300K")

@@ -112,7 +112,7 @@ def test_time_to_go_of_a_sweep_is_that_of_the_points_that_are_left(tmp_path, mon
     monkeypatch.setattr(point_runs, "run_point", lambda *_: done)
     monkeypatch.setattr(point_runs, "time", SimpleNamespace(monotonic=iter([0.0, 40.0, 80.0, 120.0]).__next__))
     said: list[str] = []
-    point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), ThreadPoolExecutor(1), said.append)
+    point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=ThreadPoolExecutor(1))
     assert [line.partition("; ")[2] for line in said] == ["about 80 s to go", "about 40 s to go", ""]
 
 
@@ -140,9 +140,9 @@ def test_a_run_of_another_scene_is_not_gone_on_with(tmp_path) -> None:
     name = next(iter(few.points))
     scene = few.write(tmp_path, name)
     pretend(tmp_path, name)
-    assert point_runs._begun(scene, tmp_path / name)
+    assert point_runs._begun(Scene.load(scene), tmp_path / name)
     scene.write_text(few.points[name].replace("draft", "fine"))
-    assert not point_runs._begun(scene, tmp_path / name)
+    assert not point_runs._begun(Scene.load(scene), tmp_path / name)
 
 
 def test_points_are_a_list_and_settings_reach_any_table(tmp_path) -> None:
@@ -254,7 +254,7 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
             return future
 
     said: list[str] = []
-    statuses = point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), Losing(), said.append)
+    statuses = point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=Losing())
     assert statuses == {"a": "done", "b": "stopped", "c": "stopped"}
     assert sum("its worker was lost (node down)" in line for line in said) == 1
 

@@ -50,8 +50,8 @@ result = Result(folder / "Ni_25um_650ms_300K")
 hottest = result.fields(-1).data["T"].max()
 print(f"25 um at 650 m/s: rebound {result.rebound_velocity_m_s:.0f} m/s, hottest point {hottest:.0f} K")
 
-# %% The maps as pictures, as `coldspray map runs/map_example` draws them
-from coupler.commands.map import draw  # noqa: E402
+# %% Maps as pictures, as `coldspray map runs/map_example` draws them
+from coupler.studies.map_figures import draw  # noqa: E402
 
-for line in draw(rows, folder):
+for line in draw(rows, folder, ["flattening_ratio", "T_p99_K"]):
     print(line)

@@ -2,14 +2,25 @@
 
 import argparse
 import math
-import re
-import sys
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import Commands, Option, add_command, add_force, add_quiet, add_scene, path, scene_of, working
+from .arguments import (
+    Commands,
+    Option,
+    add_command,
+    add_force,
+    add_quiet,
+    add_scene,
+    path,
+    scene_of,
+    share,
+    study_folder,
+    teller,
+    working,
+)
 
 if TYPE_CHECKING:
     from ..plan.planning import Plan
@@ -46,12 +57,10 @@ def add_to_run(option: Option) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or continue it, and draw. Returns the exit code."""
-    from ..files.outputs import claim_folder
     from ..studies import ladder
     from ..studies.accuracy_figures import lines, write
 
     scene = scene_of(arguments)
-    out = arguments.out or Path("runs") / f"accuracy-{scene.name}"
     knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
     reference = [] if arguments.reference is None else [arguments.reference]
     asked = {"points": arguments.points or [], "reference": reference, "knobs-at": [knobs] if knobs else []}
@@ -61,13 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     points = ladder.ladder_points(
         arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None
     )
-    claim_folder(out, "accuracy", _NAMES, [arguments.scene], arguments.force)
-    same_scene(scene, out)
-
-    def say(text: str) -> None:
-        if not arguments.quiet:
-            print(text, file=sys.stderr, flush=True)
-
+    out, say = study_folder(arguments, scene, "accuracy", _NAMES), teller(arguments.quiet)
     table = ladder.ladder_table(
         out / "accuracy.csv", "remake: coldspray accuracy (rows in this table are not computed again)"
     )
@@ -83,19 +86,6 @@ def run(arguments: argparse.Namespace) -> int:
         print(*lines(rows), sep="\n")
         print(f"table in {table.path}\nfigure in {picture}\npage in {page}")
     return 0
-
-
-def same_scene(scene: "Scene", out: Path) -> None:
-    """Write the scene beside its study. Raises StoreError if the folder holds that of another scene."""
-    from ..files.inputs import parse_toml, read_toml
-
-    path, text = out / "scene.toml", scene.to_toml()
-    if path.exists():
-        if read_toml(path) != parse_toml(text):
-            raise StoreError(f"{out} holds the study of another scene: name another folder with --out, or remove it")
-        return
-    out.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
 
 
 def here(recalibrate: bool = False) -> "Pace":
@@ -134,11 +124,7 @@ def spread_of_strength(scene: "Scene", out: Path, jobs: int, quiet: bool) -> Non
     from ..files.result import Result
     from ..studies import spread
 
-    def say(text: str) -> None:
-        if not quiet:
-            print(text, flush=True)
-
-    scenes = spread.other_sets(scene)
+    say, scenes = teller(quiet, "stdout"), spread.other_sets(scene)
     if not scenes:
         say("the library has no other strength set for the metals of this scene")
         return
@@ -158,16 +144,6 @@ def seconds(text: str) -> float:
     return value
 
 
-def share(text: str, option: str = "--accuracy") -> float:
-    """An uncertainty such as "2%" as a share. Raises StoreError with what was expected."""
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
-    if match is None or not 0.0 < float(match.group(1)) <= 100.0:
-        raise StoreError(
-            f'{option} {text!r} is no uncertainty: expected a percentage above 0 and up to 100, such as "2%"'
-        )
-    return float(match.group(1)) / 100.0
-
-
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
     """The scene with the resolution that was asked for, and a line about it.
 
@@ -181,7 +157,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     from ..plan.text import duration
 
     limit = seconds(within) if within else math.inf
-    asked = share(accuracy) if accuracy else None
+    asked = share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]
     # the smallest needs points too

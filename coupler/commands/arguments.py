@@ -2,12 +2,14 @@
 
 import argparse
 import math
+import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from ..errors import ColdsprayError
+from ..errors import ColdsprayError, StoreError
 
 if TYPE_CHECKING:
     from ..plan.reading import Scene
@@ -107,6 +109,40 @@ def at_least_one(text: str, most: int | None = None) -> int:
     if most is not None and int(text) > most:
         raise argparse.ArgumentTypeError(f"{text} is too many: {most} at most")
     return int(text)
+
+
+def share(text: str, option: str) -> float:
+    """A percentage such as "2%" as a share. Raises StoreError with what was expected."""
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
+    if match is None or not 0.0 < float(match.group(1)) <= 100.0:
+        raise StoreError(
+            f'{option} {text!r} is no uncertainty: expected a percentage above 0 and up to 100, such as "2%"'
+        )
+    return float(match.group(1)) / 100.0
+
+
+def study_folder(arguments: argparse.Namespace, scene: "Scene", verb: str, names: tuple[str, ...]) -> Path:
+    """The folder of a study of a scene, --out or runs/<verb>-<scene name>, with the scene in it. names: of the files of the study.
+
+    Raises StoreError if the folder holds the study of another scene.
+    """
+    from ..files.inputs import parse_toml, read_toml
+    from ..files.outputs import claim_folder
+
+    out: Path = arguments.out or Path("runs") / f"{verb}-{scene.name}"
+    claim_folder(out, verb, names, [arguments.scene], arguments.force)
+    kept, text = out / "scene.toml", scene.to_toml()
+    if not kept.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        kept.write_text(text, encoding="utf-8")
+    elif read_toml(kept) != parse_toml(text):
+        raise StoreError(f"{out} holds the study of another scene: name another folder with --out, or remove it")
+    return out
+
+
+def teller(quiet: bool, to: str = "stderr") -> Callable[[str], None]:
+    """A function that prints a line at once to a standard stream; quiet: nothing."""
+    return lambda text: None if quiet else print(text, file=getattr(sys, to), flush=True)
 
 
 def add_quiet(option: Option) -> None:

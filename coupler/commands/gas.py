@@ -3,14 +3,14 @@
 import argparse
 import shlex
 import textwrap
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .arguments import Commands, Option, add_command, add_force, path
 
 if TYPE_CHECKING:
     from ..physics.materials import Material
-    from ..scene.tables import GasConditions
     from ..spray.flight import Flight
     from ..spray.gas import Flow
     from ..spray.nozzles import Nozzle
@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
 
 
 def add_conditions(option: Option) -> None:
-    """The options of gas, nozzle and material; `read_conditions` reads them."""
+    """The options of gas, nozzle and material; `setup` reads them."""
     option("--gas", dest="kind", default="N2", help="N2 (default), He or air")
     option("--pressure", metavar="P", help='total pressure before the nozzle, such as "40 bar"')
     option("--temperature", metavar="T", help='total temperature before the nozzle, such as "800 degC"')
@@ -47,20 +47,9 @@ def add_conditions(option: Option) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
-    from ..files.outputs import claim_file
-    from ..plan import gas as scene_gas
-    from ..spray import flight
-
-    nozzles, metals = known_nozzles(arguments), known_metals(arguments)
-    inputs = inputs_of(arguments)
-    for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
-        if out is not None:
-            claim_file(out, suffixes, inputs, arguments.force)
-    conditions, diameters = read_conditions(arguments, nozzles, metals)
-    material = metals[arguments.material]
-    flow = scene_gas.flow(conditions, nozzles[conditions.nozzle])
-    law = flight.DRAG_LAWS[conditions.drag]
-    flights = flight.fly_together(flow, material, diameters, conditions.powder_temperature, law)
+    spray = setup(arguments)
+    flow, material, diameters = spray.flow, spray.metals[arguments.material], spray.diameters
+    flights = spray.fly(material, diameters)
     print("\n".join(_table(flow, material, diameters, flights)))
     if arguments.csv:
         _write_csv(arguments, flow, diameters, flights)
@@ -69,17 +58,31 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def read_conditions(
-    arguments: argparse.Namespace, nozzles: "dict[str, Nozzle]", metals: "dict[str, Material]", command: str = "gas",
-    sizes: str = "--diameter",
-) -> "tuple[GasConditions, list[float]]":  # fmt: skip
-    """The checked conditions and the diameters, m. nozzles, metals: by name; command, sizes: its name and its option of diameters, for
-    messages. Raises SceneError with every problem."""
+class Setup(NamedTuple):
+    """What `gas` and `window` compute with. metals: by name; diameters: m; fly(metal, diameters): the flights of its particles."""
+
+    flow: "Flow"
+    metals: "dict[str, Material]"
+    diameters: list[float]
+    fly: "Callable[[Material, Sequence[float]], list[Flight]]"
+
+
+def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--diameter") -> Setup:
+    """Read the conditions, and claim the files of --csv and --png. command, sizes: its name and its option of diameters, for messages.
+
+    Raises SceneError with every problem.
+    """
     from ..errors import SceneError
+    from ..files.outputs import claim_file
     from ..physics import materials
     from ..plan import gas as scene_gas
+    from ..spray.flight import DRAG_LAWS, fly_together
     from ..spray.nozzles import unknown
 
+    nozzles, metals = known_nozzles(arguments), known_metals(arguments)
+    for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
+        if out is not None:
+            claim_file(out, (suffix,), _inputs(arguments), arguments.force)
     options = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}
     conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
     problems = []
@@ -100,7 +103,12 @@ def read_conditions(
             problems.append(f'{sizes} "{text[:40]}" {error}')
     if problems or conditions is None:
         raise SceneError(problems, command)
-    return conditions, diameters
+    flow, law, T = (
+        scene_gas.flow(conditions, nozzles[conditions.nozzle]),
+        DRAG_LAWS[conditions.drag],
+        conditions.powder_temperature,
+    )
+    return Setup(flow, metals, diameters, lambda metal, D: fly_together(flow, metal, D, T, law))
 
 
 def given(arguments: argparse.Namespace) -> list[str]:
@@ -114,7 +122,7 @@ def _option(field: str) -> str:
     return "--gas" if field == "kind" else f"--{field.replace('_', '-')}"
 
 
-def inputs_of(arguments: argparse.Namespace) -> list[Path]:
+def _inputs(arguments: argparse.Namespace) -> list[Path]:
     """The files that the options name to be read."""
     return [file for file in (arguments.nozzles, arguments.scene) if file is not None]
 
@@ -126,7 +134,7 @@ def known_nozzles(arguments: argparse.Namespace) -> "dict[str, Nozzle]":
     from ..spray import nozzles
 
     known = dict(nozzles.library())
-    for file in inputs_of(arguments):
+    for file in _inputs(arguments):
         tables = read_toml(file) if file is arguments.nozzles else _tables_of(file, "nozzles")
         found, problems = nozzles.from_tables(tables)
         if problems:

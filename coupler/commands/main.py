@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from .. import __version__
 from ..errors import ColdsprayError, is_first_rank
 from ..files.inputs import bounded_memory, reading
 from ..units import nearest
@@ -145,7 +146,8 @@ def _parser() -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = _Parser(
         prog="coldspray", description="Cold spray impacts: SPH particle, FE target."
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    text = "print the version and exit"
+    parser.add_argument("--version", action="version", version=f"coldspray {__version__}", help=text)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     option = add_command(commands, "check", _check, "print what a scene would compute, and its cost; run nothing")
     add_scene(option)
@@ -223,14 +225,6 @@ class _Parser(argparse.ArgumentParser):
                 f"coldspray: there is no command {unknown[1]!r}{nearest(unknown[1], known)}; coldspray --help lists all\n",
             )
         super().error(message)
-
-
-class _Version(argparse.Action):
-    def __call__(self, parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
-        from importlib.metadata import version
-
-        print(f"coldspray {version('coldspray')}")
-        parser.exit()
 
 
 def _check(arguments: argparse.Namespace) -> int:

@@ -1,11 +1,9 @@
 """The command `coldspray sweep`: many runs of one scene, and the distribution of what comes out of them."""
 
 import argparse
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from ..measures import UNDECIDED
@@ -55,11 +53,8 @@ def run(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_folder
     from ..progress import Progress
     from ..ranks.executors import executor
-    from ..studies.points import of_another_scene, run_points
+    from ..studies.points import of_another_scene, run_points, stopping
     from ..studies.sweep import Sweep
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
 
     sweep = Sweep.load(arguments.sweep)
     out = arguments.out or Path("runs") / sweep.name
@@ -74,15 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
     pool = executor(arguments.executor, arguments.jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
         print(_forecast(sweep, arguments.jobs if arguments.executor == "processes" else 0), flush=True)
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
-        with Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
-            progress.stage(f"{len(sweep.points)} points")
-            tell = _teller(progress, len(sweep.points), arguments.quiet)
-            statuses = run_points(out, sweep.points, pool, tell, sweep.refused)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with stopping(), Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
+        progress.stage(f"{len(sweep.points)} points")
+        tell = _teller(progress, len(sweep.points), arguments.quiet)
+        statuses = run_points(out, sweep.points, log=tell, refused=sweep.refused, pool=pool)
     with working("reading the runs", arguments.quiet):
         summary = summarise(sweep, out)
     if not arguments.quiet:
@@ -136,9 +126,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
         row |= {key: row["keys"].get(key) for key in keys}
     measured = [name for name in runs_table.ERRORS if any(row.get(name) is not None for row in rows)]
     runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", [*keys, *measured])
-    count = {
-        status: sum(row["status"] == status for row in rows) for status in ("done", "undecided", "failed", "unfinished")
-    }
+    count = runs_table.counts(rows)
     lines = [f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items() if n)]
     bad = [row for row in rows if row["status"] in ("failed", "undecided")]
     lines += [f"  {row['point']}: {row['status']}: {str(row['reason'])[:160]}" for row in bad]
@@ -156,6 +144,8 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
     """The distributions in columns."""
+    from ..studies.table import in_columns
+
     head = ("", "runs", "mean", "deviation", "5 %", "median", "95 %", "unit", "strongest rank correlation")
     cells: list[tuple[str, ...]] = [head]
     for spread in measures:
@@ -165,13 +155,7 @@ def _table(measures: "Sequence[Spread]") -> list[str]:
         cells.append(
             (m.label, str(len(spread.values)), *(f"{m.factor * x:.4g}" for x in numbers), m.unit, spread.strongest)
         )
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(w) if 0 < k < 7 else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    ]
+    return in_columns(cells, range(1, 7))
 
 
 def _verdicts(rows: "Sequence[Row]") -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from .. import __version__
 from ..measures import REBOUNDS, STICKS
 from . import gas
-from .arguments import Commands, add_command, add_force, path
+from .arguments import Commands, add_command, add_force, path, share
 
 if TYPE_CHECKING:
     from ..physics.materials import Material
@@ -34,36 +34,20 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..errors import SceneError
-    from ..files.outputs import claim_file
-    from ..plan import gas as scene_gas
-    from ..spray import flight, window
-    from .accuracy import share
+    from ..spray import window
 
-    for out, suffixes in ((arguments.csv, (".csv",)), (arguments.png, (".png",))):
-        if out is not None:
-            claim_file(out, suffixes, gas.inputs_of(arguments), arguments.force)
-    within, nozzles, metals = (
-        share(arguments.within, "--within"),
-        gas.known_nozzles(arguments),
-        gas.known_metals(arguments),
-    )
-    conditions, sizes = gas.read_conditions(arguments, nozzles, metals, "window", "--powder")
-    if not sizes[0] <= sizes[1] <= sizes[2]:
+    within, known = share(arguments.within, "--within"), gas.setup(arguments, "window", "--powder")
+    small, median, large = known.diameters
+    if not small <= median <= large:
         raise SceneError([f"--powder {' '.join(arguments.diameter)}: D10, D50 and D90 must not fall"], "window")
-    metal = metals[arguments.material]
-    base = metals[arguments.substrate] if arguments.substrate is not None else None
-    flow, law = scene_gas.flow(conditions, nozzles[conditions.nozzle]), flight.DRAG_LAWS[conditions.drag]
-    spray = window.spray(
-        metal,
-        base,
-        (sizes[0], sizes[1], sizes[2]),
-        lambda D: flight.fly_together(flow, metal, D, conditions.powder_temperature, law),
-    )
+    metal = known.metals[arguments.material]
+    base = known.metals[arguments.substrate] if arguments.substrate is not None else None
+    spray = window.spray(metal, base, (small, median, large), lambda D: known.fly(metal, D))
     print("\n".join(text_of(metal, spray, within)))
     if arguments.csv:
         _write_csv(arguments, spray)
     if arguments.png:
-        draw(arguments.png, metal, sizes[1], spray, within, gas.conditions_of(flow))
+        draw(arguments.png, metal, median, spray, within, gas.conditions_of(known.flow))
     return 0
 
 

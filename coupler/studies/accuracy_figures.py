@@ -18,7 +18,7 @@ from ..report.picture import axes_at, blank, label_log, save
 from ..report.words import shown
 from . import accuracy_fit as fit
 from .ladder import KNOBS
-from .table import other_version
+from .table import in_columns, other_version
 
 AXES = ("points", *KNOBS, "effects")
 MARKS = ("o", "s", "D", "^", "v", "P", "X")  # of matplotlib, one for each axis
@@ -128,8 +128,7 @@ def lines(rows: Rows) -> list[str]:
                 cells[0].append(row["points_used"])
                 cells[1].append(f"{float(row['cpu_s']):.3g}")
             cells[k + 2].append(shown(measure, float(row[measure]) if row[measure] else None, error))
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    return ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+    return in_columns(cells)
 
 
 def html(rows: Rows, heading: str, T_0: float, picture: bytes) -> str:

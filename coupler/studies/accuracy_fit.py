@@ -40,26 +40,35 @@ def errors(rows: Sequence[Row], measure: str, T_0: float) -> list[tuple[Row, flo
     return [(row, 100.0 * (value(row, measure, T_0) - whole) / abs(whole)) for row in judged]
 
 
+def _by_points(rows: Sequence[Row]) -> list[Row]:
+    """The finished rows of points and reference, the coarse ones first."""
+    ladder = [row for row in finished(rows) if row["axis"] in ("points", "reference")]
+    return sorted(ladder, key=lambda row: float(row["points_used"]))
+
+
+def _spacing(row: Row) -> float:
+    """The spacing in units that are the same for all rows of a scene."""
+    return float(row["points_used"]) ** (-1.0 / 3.0)
+
+
 def resolutions(rows: Sequence[Row], measure: str, T_0: float) -> tuple[np.ndarray, np.ndarray]:
     """h (k,), the spacing as N^(-1/3), and the measure over the reference's (k,), of the ladder of points and the reference."""
     best = reference(rows)
-    ladder = [row for row in finished(rows) if row["axis"] in ("points", "reference")]
     if best is None or not value(best, measure, T_0):
         return np.zeros(0), np.zeros(0)
-    ladder.sort(key=lambda row: float(row["points_used"]))
-    h = np.array([float(row["points_used"]) ** (-1.0 / 3.0) for row in ladder])
+    ladder = _by_points(rows)
+    h = np.array([_spacing(row) for row in ladder])
     return h, np.array([value(row, measure, T_0) for row in ladder]) / value(best, measure, T_0)
 
 
 def errors_of_ladder(rows: Sequence[Row], measure: str) -> list[tuple[Row, float | None]]:
     """The rows of points and reference, the coarse ones first, each with the error of a measure, in its own unit, that follows from it
     and the three next coarser ones (`plan.refinement.error`); None where there is none coarser."""
-    ladder = [row for row in finished(rows) if row["axis"] in ("points", "reference")]
-    ladder.sort(key=lambda row: float(row["points_used"]))
+    ladder = _by_points(rows)
     found: list[tuple[Row, float | None]] = []
     for k, row in enumerate(ladder):
         levels = ladder[max(k - 3, 0) : k + 1][::-1]
-        h = [float(each["points_used"]) ** (-1.0 / 3.0) for each in levels]
+        h = [_spacing(each) for each in levels]
         values = [float(each[measure] or "nan") for each in levels]
         known = len(levels) > 1 and all(map(math.isfinite, values))
         found.append((row, error(h, values)[0] if known else None))

@@ -397,9 +397,8 @@ def per_layer(splats: Splats, each: int) -> list[dict[str, float]]:
 
 def _percentiles(values: NDArray, weights: NDArray, shares: tuple[float, ...]) -> list[float]:
     """The values (k,) below which these shares of their weights (k,) lie."""
-    order = np.argsort(values)
-    below = np.cumsum(weights[order]) / weights.sum()
-    return [float(values[order[min(int(np.searchsorted(below, share)), len(order) - 1)]]) for share in shares]
+    found: list[float] = np.quantile(values, shares, weights=weights, method="inverted_cdf").tolist()
+    return found
 
 
 def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, float]]:

@@ -6,27 +6,30 @@ the truth, show how much: the critical velocity is that at which half of them st
 
 import itertools
 import math
+import re
 import time
 import tomllib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, stdev
+from typing import Any
 
 from ..errors import SceneError, StoreError
 from ..files.result import Result
-from ..measures import REBOUNDS, STICKS, UNDECIDED, VERDICTS
+from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import PairFormula
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
-from ..ranks.executors import executor
 from .points import how_ended, run_point, run_points
 from .sweep import toml_text
-from .table import StudyTable
+from .table import write_rows
 
 LOWEST, HIGHEST = 50.0, 1500.0  # m/s, limits of the search unless said
 STEP = 1.25  # ratio of velocities while there is no bracket
+TABLE = "critical.csv"
+_NAME = re.compile(r"([\d.e+]+)ms(?:_(\d+))?")  # see `point_name`
 BELOW = 3  # steps below the start that are tried where the particle rebounds at all velocities above
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
@@ -41,13 +44,12 @@ WITH_GRADIENTS = {  # docs/evidence/bonding.md
 }
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
-KEY = ("velocity_m_s", "placement")
-COLUMNS = (
-    *KEY, "verdict_by_bonds", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
-    "verdict_rests_on",
+_MEASURES = (
+    "verdict_by_bonds", "margin_m_s", "restitution", "rebound_velocity_m_s", "bonded_area_m2", "bonded_area_end_m2",
+    "verdict_rests_on", "version",
 )  # fmt: skip
-_MEASURES = COLUMNS[3:]
-_NUMBERS = _MEASURES[:-1]
+COLUMNS = ("velocity_m_s", "placement", *_MEASURES)
+Row = Mapping[str, Any]  # COLUMNS of a run
 
 
 @dataclass(frozen=True)
@@ -228,30 +230,31 @@ def resolution_words(scene: Scene) -> str:
 def search(
     scene: Scene,
     folder: Path,
-    table: StudyTable,
     limits: tuple[float, float] = (LOWEST, HIGHEST),
     tolerance: float = TOLERANCE,
     log: Callable[[str], None] = print,
     repeat: int = 1,
     jobs: int = 1,
-) -> Bracket:
-    """Compute runs of the scene into `folder` until the critical velocity is bracketed; finished ones are used again.
+    about: str = "",
+) -> tuple[Bracket, list[Row]]:
+    """Compute runs of the scene into folder/runs until the critical velocity is bracketed. Returns the bracket and a row for each run.
 
-    table: gets a row for each, COLUMNS; the folder's earlier runs of the same scene take part. repeat: placements at each velocity,
-    jobs: how many at a time. The verdict at a velocity is that of most of them; an undecided run is continued once, for as long
-    again, and counts as half if it stays so. log: told of each velocity. Raises SceneError for a scene without computed bonds,
-    StoreError when a run fails.
+    The rows are written to folder/critical.csv after each velocity, `about` above them; runs of the folder that have ended take part.
+    repeat: placements at each velocity, jobs: how many at a time. The verdict at a velocity is that of most of them; an undecided
+    run is continued once, for as long again, and counts as half if it stays so. log: told of each velocity. Raises SceneError for a
+    scene without computed bonds, StoreError when a run fails.
     """
     check(scene)
-    start = formula_of(scene).critical or UNKNOWN_START
+    start, runs = formula_of(scene).critical or UNKNOWN_START, folder / "runs"
+    rows = rows_of(runs)
     while (
-        velocity := next_velocity(verdicts_of(shares := shares_of(table.rows, repeat)), start, limits, tolerance)
+        velocity := next_velocity(verdicts_of(shares := shares_of(rows, repeat)), start, limits, tolerance)
     ) is not None:
         which = f"velocity {len(shares) + 1}: {velocity:.4g} m/s"
         log(f"{which}{f', {repeat} placements' if repeat > 1 else ''} ...")
         begun = time.monotonic()
         try:
-            rows = rows_at(scene, velocity, folder, repeat, jobs, log)
+            here = rows_at(scene, velocity, runs, repeat, jobs, log)
         except StoreError as error:
             if not shares:
                 raise
@@ -260,25 +263,24 @@ def search(
                 break
             limits = limits[0], max(shares)
             continue
-        for row in rows:
-            table.add(row)
-        sticking = [str(row["verdict_by_bonds"]) for row in rows].count(STICKS)
-        told, found = (
-            f"{sticking} of {repeat} stick" if repeat > 1 else rows[0]["verdict_by_bonds"],
-            answer_of(table.rows, repeat),
-        )
+        rows = [*(row for row in rows if row["velocity_m_s"] != velocity), *here]
+        write_rows(folder / TABLE, COLUMNS, rows, about)
+        sticking, found = [row["verdict_by_bonds"] for row in here].count(STICKS), answer_of(rows, repeat)
+        told = f"{sticking} of {repeat} stick" if repeat > 1 else here[0]["verdict_by_bonds"]
         seconds, left = time.monotonic() - begun, found.halvings(tolerance)
         to_go = f"{duration(seconds)} for a velocity" + (f", about {duration(left * seconds)} to go" if left else "")
         log(f"{which} {told}; {found.words}; {to_go}")
-    return answer_of(table.rows, repeat)
+    rows.sort(key=lambda row: (row["velocity_m_s"], row["placement"]))
+    write_rows(folder / TABLE, COLUMNS, rows, about)
+    return answer_of(rows, repeat), rows
 
 
-def shares_of(rows: Iterable[Mapping[str, str]], repeat: int) -> dict[float, float]:
+def shares_of(rows: Iterable[Row], repeat: int) -> dict[float, float]:
     """Share of the placements that stick by velocity (m/s), where there are `repeat` or more; an undecided one counts as half."""
     counts: dict[float, list[float]] = {}
     for row in rows:
         sticks = {STICKS: 1.0, REBOUNDS: 0.0}.get(row["verdict_by_bonds"], 0.5)
-        counts.setdefault(float(row["velocity_m_s"]), []).append(sticks)
+        counts.setdefault(row["velocity_m_s"], []).append(sticks)
     return {v: sum(each) / len(each) for v, each in counts.items() if len(each) >= repeat}
 
 
@@ -287,18 +289,18 @@ def verdicts_of(shares: Mapping[float, float]) -> dict[float, str]:
     return {v: STICKS if share > 0.5 else REBOUNDS if share < 0.5 else UNDECIDED for v, share in shares.items()}
 
 
-def answer_of(rows: Iterable[Mapping[str, str]], repeat: int) -> Bracket:
+def answer_of(rows: Iterable[Row], repeat: int) -> Bracket:
     """The bracket that the rows of a table show, with `repeat` placements or more at each velocity."""
     shares = shares_of(rows, repeat)
     return replace(bracket(verdicts_of(shares)), shares=shares if repeat > 1 else {})
 
 
-def slowest_rebound(rows: Iterable[Mapping[str, str]]) -> str | None:
+def slowest_rebound(rows: Iterable[Row]) -> str | None:
     """Where the particle leaves most slowly in the mean of the placements, in words; None without a rebound."""
     rebounds: dict[float, list[float]] = {}
     for row in rows:
         if row["verdict_by_bonds"] == REBOUNDS:
-            rebounds.setdefault(float(row["velocity_m_s"]), []).append(float(row["rebound_velocity_m_s"]))
+            rebounds.setdefault(row["velocity_m_s"], []).append(row["rebound_velocity_m_s"])
     if not rebounds:
         return None
     velocity, each = min(rebounds.items(), key=lambda item: fmean(item[1]))
@@ -313,55 +315,33 @@ def point_name(velocity: float, placement: int) -> str:
 
 def rows_at(
     scene: Scene, velocity: float, folder: Path, repeat: int = 1, jobs: int = 1, log: Callable[[str], None] = print
-) -> list[dict[str, object]]:
+) -> list[Row]:
     """The rows of `repeat` placements at a velocity (m/s), `jobs` at a time, which are computed unless they are there.
 
     One that is undecided is continued once, for as long again. Raises StoreError when a run fails.
     """
-    names = [point_name(velocity, k) for k in range(repeat)]
-    points = {name: at_velocity(scene, velocity, k) for k, name in enumerate(names)}
-    pool = executor("processes", jobs, folder, starts_processes=True)
-    ended = run_points(folder, points, pool, log if repeat > 1 else lambda _: None)
-    for name in (name for name in names if ended[name] == "undecided"):
+    points = {point_name(velocity, k): at_velocity(scene, velocity, k) for k in range(repeat)}
+    ended = run_points(folder, points, jobs, log if repeat > 1 else lambda _: None)
+    for name in (name for name in points if ended[name] == "undecided"):
         ended[name] = str(run_point(folder, name, points[name], again=True)["status"])
-    rows = []
-    for k, name in enumerate(names):
-        if ended[name] not in ("done", "undecided"):
+    for name, status in ended.items():
+        if status not in ("done", "undecided"):
             reason = (how_ended(folder / f"{name}.json") or {}).get("reason", "it was stopped")
             raise StoreError(f"the run at {velocity:.4g} m/s failed: {reason}")
-        values = Result(folder / name).values
-        rows.append(
-            {"velocity_m_s": velocity, "placement": k, "verdict_by_bonds": str(values["verdict_by_bonds"])}
-            | {key: values.get(key) for key in _MEASURES}
-        )
-    return rows
+    return [_row(folder / name, velocity, k) for k, name in enumerate(points)]
 
 
-def check_rows(path: Path, rows: Iterable[Mapping[str, str]]) -> None:
-    """Raise StoreError for a row of the table that no run has written: it names file, row (from 1) and cell."""
-    for number, row in enumerate(rows, 1):
-        wrong = (
-            []
-            if row["verdict_by_bonds"] in VERDICTS
-            else [f"verdict_by_bonds = {row['verdict_by_bonds'][:40]!r}: none of {', '.join(VERDICTS)}"]
-        )
-        for key in (*KEY, *_NUMBERS):
-            needed = key in KEY or (key == "rebound_velocity_m_s" and row["verdict_by_bonds"] == REBOUNDS)
-            if not _is_number(row[key]) and (row[key] or needed):
-                wrong.append(f"{key} = {row[key][:40]!r}: no number")
-        if wrong:
-            raise StoreError(
-                f"{path} is damaged in row {number}: {'; '.join(wrong)}; delete the row, and the same command computes it again"
-            )
+def rows_of(folder: Path) -> list[Row]:
+    """The rows of all runs of a folder that have ended with a result."""
+    found = []
+    for path in folder.glob("*ms*.json"):
+        name, ended = _NAME.fullmatch(path.stem), how_ended(path) or {}
+        if name and ended.get("status") in ("done", "undecided"):
+            found.append(_row(path.with_suffix(""), float(name[1]), int(name[2] or 0)))
+    return found
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
-
-
-def sorted_rows(rows: Sequence[Mapping[str, str]]) -> list[Mapping[str, str]]:
-    """Rows of the table by velocity."""
-    return sorted(rows, key=lambda row: float(row["velocity_m_s"]))
+def _row(run: Path, velocity: float, placement: int) -> Row:
+    """The row of a finished run."""
+    values = Result(run).values
+    return {"velocity_m_s": velocity, "placement": placement} | {key: values.get(key) for key in _MEASURES}

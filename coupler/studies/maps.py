@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,12 +40,6 @@ BAND = 1.96  # standard deviations: 95 % of a normal distribution
 Place = tuple[float, ...]  # values of the axes, SI
 
 
-class Regressor(Protocol):
-    """The part of scikit-learn's regressors that is used."""
-
-    def predict(self, X: NDArray, *, return_std: bool) -> tuple[NDArray, NDArray]: ...
-
-
 @dataclass(frozen=True)
 class Interpolation:
     """A Gaussian process through the points of a map. axes: the columns it goes over; rows: its points.
@@ -56,7 +49,7 @@ class Interpolation:
     left out together, over the inner values of axes that have four or more, with two points each in the mean; spread: standard
     deviation of the values. In units of the quantity.
     warnings: lengths that the points cannot tell, in words. _hull: (k,d+1) half spaces n, b with n x + b <= 0 inside the convex hull
-    of the points; x (d,) is scaled to 0..1 over _range, least and greatest (d,) of the axes.
+    of the points; x (d,) is scaled by _centre and _scale.
     """
 
     quantity: str
@@ -67,27 +60,30 @@ class Interpolation:
     gap_rms: dict[str, float]
     spread: float
     warnings: tuple[str, ...]
-    _model: Regressor
+    _model: GaussianProcessRegressor
     _centre: NDArray
     _scale: NDArray
     _hull: NDArray
-    _range: tuple[NDArray, NDArray]
 
     def __call__(self, *at: ArrayLike) -> tuple[NDArray, NDArray]:
         """Mean and standard deviation at values of the axes, each an array of one shape or a number; SI units.
 
         The standard deviation is that of a run that would be made there, its scatter included.
         """
-        points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
-        flat = np.stack([value.ravel() for value in points], axis=1)
-        mean, std = self._model.predict(_scaled(flat, self.axes, self._centre, self._scale), return_std=True)
-        return mean.reshape(points[0].shape), std.reshape(points[0].shape)
+        x, shape = self._scaled(at)
+        mean, std = self._model.predict(x, return_std=True)
+        return mean.reshape(shape), std.reshape(shape)
 
     def inside(self, *at: ArrayLike) -> NDArray:
         """Whether values of the axes, each an array of one shape or a number in SI units, lie in the convex hull of the points."""
+        x, shape = self._scaled(at)
+        return np.all(x @ self._hull[:, :-1].T + self._hull[:, -1] <= 1e-9, axis=1).reshape(shape)
+
+    def _scaled(self, at: Sequence[ArrayLike]) -> tuple[NDArray, tuple[int, ...]]:
+        """Places (n,d) as the model and the hull have them, and the shape of the values of an axis."""
         points = np.broadcast_arrays(*(np.asarray(value, float) for value in at))
-        flat = _unit(_logs(np.stack([value.ravel() for value in points], axis=1), self.axes), self._range)
-        return np.all(flat @ self._hull[:, :-1].T + self._hull[:, -1] <= 1e-9, axis=1).reshape(points[0].shape)
+        flat = np.stack([value.ravel() for value in points], axis=1)
+        return (_logs(flat, self.axes) - self._centre) / self._scale, points[0].shape
 
 
 def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None = None) -> Interpolation:
@@ -110,7 +106,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     logs = _logs(x, names)
     centre, scale = logs.mean(axis=0), logs.std(axis=0)
     scale[scale == 0.0] = 1.0
-    standard = _scaled(x, names, centre, scale)
+    standard = (logs - centre) / scale
     ranges = np.ptp(standard, axis=0)
     bounds = list(zip(_distances(standard).tolist(), (LONGEST * ranges).tolist(), strict=True))
     kernel = ConstantKernel(1.0, (1e-2, 1e3)) * Matern(ranges.tolist(), bounds, nu=2.5) + WhiteKernel(1e-3, (1e-7, 1.0))
@@ -139,7 +135,7 @@ def interpolate(rows: Sequence[Row], quantity: str, axes: Sequence[str] | None =
     return Interpolation(
         quantity, names, tuple(used), float(np.sqrt(np.mean(off**2))) * unit, float(np.mean(np.abs(off) <= BAND * std)),
         gaps,
-        unit, told, model, centre, scale, *_convex_hull(logs),
+        unit, told, model, centre, scale, _convex_hull(standard),
     )  # fmt: skip
 
 
@@ -157,7 +153,7 @@ def sparse(rows: Sequence[Row], axes: Sequence[str]) -> str:
     if len(axes) == 1:
         return ""
     logs = _logs(x, axes)
-    places = np.unique(_unit(logs, (logs.min(axis=0), logs.max(axis=0))).round(9), axis=0)
+    places = np.unique(_unit(logs).round(9), axis=0)
     if _is_grid(places):
         return ""
     needed = min(FEWEST_VALUES ** len(axes), POINTS_PER_AXIS * len(axes))
@@ -193,12 +189,11 @@ def _distances(standard: NDArray) -> NDArray:
     return np.array([max(float(np.diff(np.unique(column)).min()), nearest) for column in places.T])
 
 
-def _convex_hull(logs: NDArray) -> tuple[NDArray, tuple[NDArray, NDArray]]:
-    """The half spaces (k,d+1) of the convex hull of points (n,d) that are scaled to 0..1, and their least and greatest, (d,) each."""
-    ends = logs.min(axis=0), logs.max(axis=0)
-    if logs.shape[1] == 1:
-        return np.array([[-1.0, 0.0], [1.0, -1.0]]), ends
-    return np.asarray(ConvexHull(_unit(logs, ends)).equations), ends
+def _convex_hull(x: NDArray) -> NDArray:
+    """The half spaces (k,d+1) of the convex hull of points (n,d)."""
+    if x.shape[1] == 1:
+        return np.array([[-1.0, float(x.min())], [1.0, -float(x.max())]])
+    return np.asarray(ConvexHull(x).equations)
 
 
 def with_value(rows: Sequence[Row], quantity: str) -> list[Row]:
@@ -256,7 +251,7 @@ def _neighbours(places: Sequence[Place], axes: Sequence[str]) -> list[tuple[floa
     logs = _logs(np.array(places, float).reshape(-1, len(axes)), axes)
     if len(logs) < 2:
         return []
-    x = _unit(logs, (logs.min(axis=0), logs.max(axis=0)))
+    x = _unit(logs)
     pairs = []
     for i in range(len(x) - 1):
         radius = 0.5 * np.linalg.norm(x[i + 1 :] - x[i], axis=1)
@@ -274,6 +269,10 @@ class NextPoint:
 
     at: dict[str, float]
     why: str = ""
+
+    @property
+    def words(self) -> str:
+        return place_words(self.at) + (f" ({self.why})" if self.why else "")
 
 
 def next_point(rows: Sequence[Row], quantity: str, fit: Interpolation | None, axes: Sequence[str]) -> NextPoint:
@@ -334,6 +333,11 @@ def shown(key: str, value: float, digits: int = 4, named: bool = True) -> str:
     """A value (SI) of a measure or an axis for people: "velocity 670.8 m/s"; named: with its short name."""
     m = measure(key)
     return f"{m.short + ' ' if named else ''}{value * m.factor:.{digits}g} {m.unit}".rstrip()
+
+
+def place_words(at: Mapping[str, float]) -> str:
+    """A place on the axes in words."""
+    return ", ".join(shown(axis, value) for axis, value in at.items())
 
 
 def _named(axes: Sequence[str], place: Place) -> dict[str, float]:
@@ -403,11 +407,7 @@ def _logs(x: NDArray, names: Sequence[str]) -> NDArray:
     return np.where(logarithmic, np.log(np.where(logarithmic, x, 1.0)), x)
 
 
-def _unit(logs: NDArray, ends: tuple[NDArray, NDArray]) -> NDArray:
-    """Points (n,d) scaled to 0..1 between ends, the least and the greatest, (d,) each."""
-    low, high = ends
+def _unit(logs: NDArray) -> NDArray:
+    """Points (n,d) scaled to 0..1 over their least and greatest."""
+    low, high = logs.min(axis=0), logs.max(axis=0)
     return (logs - low) / np.where(high > low, high - low, 1.0)
-
-
-def _scaled(x: NDArray, names: Sequence[str], centre: NDArray, scale: NDArray) -> NDArray:
-    return (_logs(x, names) - centre) / scale

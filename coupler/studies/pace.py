@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import TypedDict
+from typing import Any
 
 from .. import __version__
 from ..caches import user_folder
@@ -46,22 +47,16 @@ def of_this_machine(measure: Callable[[], float], anew: bool = False) -> Pace:
     """
     path, key = user_folder() / "pace.json", machine()
     known = _read(path)
-    if not anew and key in known:
-        return _pace(known[key])
-    try:
-        factor = measure()
-    except (ColdsprayError, ImportError, OSError) as error:
-        return Pace(1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
-    entry: _Entry = {"factor": factor, "date": date.today().isoformat()}
-    _write(path, known | {key: entry})
-    return _pace(entry)
-
-
-class _Entry(TypedDict, total=False):
-    """The pace of one machine in the cache."""
-
-    factor: float
-    date: str
+    if anew or key not in known:
+        try:
+            factor = measure()
+        except (ColdsprayError, ImportError, OSError) as error:
+            return Pace(1.0, f"of another machine: timing this one failed ({' '.join(str(error).split())[:60]})")
+        known[key] = {"factor": factor, "date": date.today().isoformat()}
+        with suppress(OSError, StoreError):  # the cache may be in a folder that cannot be written
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, json.dumps(known, indent=1))
+    return Pace(known[key]["factor"], f"timed on {known[key]['date']} (--recalibrate repeats it)")
 
 
 def machine() -> str:
@@ -69,27 +64,15 @@ def machine() -> str:
     return " | ".join((platform.node(), processor(), __version__))
 
 
-def _pace(entry: _Entry) -> Pace:
-    return Pace(float(entry["factor"]), f"timed on {entry['date']} (--recalibrate repeats it)")
-
-
-def _read(path: Path) -> dict[str, _Entry]:
-    """The entries of the cache by machine; none if the file is missing or damaged."""
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """The entries of the cache by machine, "factor" and "date" of each; none if the file is missing or damaged."""
     try:
         known = read_json_object(path)
     except StoreError:
         return {}
     low, high = FACTORS
     return {
-        k: _Entry(factor=v["factor"], date=str(v.get("date", "an unknown day"))) for k, v in known.items()
-        if isinstance(v, dict) and isinstance(v.get("factor"), float) and low <= v["factor"] <= high
-    }  # fmt: skip
-
-
-def _write(path: Path, known: Mapping[str, _Entry]) -> None:
-    """Write the cache; a folder that cannot be written is not an error."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(known, indent=1))
-    except (OSError, StoreError):
-        pass
+        name: {"factor": entry["factor"], "date": str(entry.get("date", "an unknown day"))}
+        for name, entry in known.items()
+        if isinstance(entry, dict) and isinstance(entry.get("factor"), float) and low <= entry["factor"] <= high
+    }

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, as_completed
 from pathlib import Path
 from types import FrameType
@@ -24,7 +24,7 @@ from ..files.inputs import InputError, read_json_object, read_text
 from ..files.outputs import claim_folder, write_text
 from ..plan.reading import Scene
 from ..plan.text import duration
-from ..ranks.executors import own_environment
+from ..ranks.executors import executor, own_environment
 
 _STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
 REFUSED = 2  # exit code of a run whose scene or folder is refused
@@ -35,17 +35,19 @@ _running: set[subprocess.Popen[str]] = set()  # of this process
 def run_points(
     folder: Path,
     points: Mapping[str, str],
-    pool: Executor,
+    jobs: int = 1,
     log: Callable[[str], None] = print,
     refused: Mapping[str, str] | None = None,
+    pool: Executor | None = None,
 ) -> dict[str, str]:
     """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
 
-    A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. pool: is shut
-    down. log: called with a line as each point ends. refused: points whose scene cannot be computed -> why; they are marked as
-    failed.
+    A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. jobs: at a time, as
+    processes here, unless an executor is given as `pool`, which is shut down. log: called with a line as each point ends. refused:
+    points whose scene cannot be computed -> why; they are marked as failed.
     """
     folder = folder.resolve()
+    pool = pool or executor("processes", max(jobs, 1), folder, starts_processes=True)
     statuses: dict[str, str] = {}
     for point, reason in (refused or {}).items():
         verdict: dict[str, object] = {"status": "failed", "reason": " ".join(reason.split()), "exit_code": REFUSED}
@@ -133,9 +135,10 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     _wait_for(folder)
-    verb = ["resume", folder] if _begun(scene, folder) else ["run", scene, "--out", folder, "--force"]
+    known = _scene_of(scene)
+    verb = ["resume", folder] if known and _begun(known, folder) else ["run", scene, "--out", folder, "--force"]
     command = [sys.executable, "-m", "coupler", *map(str, verb), "--threads", "1", "--quiet"]
-    command += [] if _wants_error(scene) else ["--no-error"]
+    command += [] if known and known.resolution.error is True else ["--no-error"]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own_environment()
     ) as run:
@@ -159,17 +162,27 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
 def main(arguments: list[str]) -> int:
     """`python -m coupler.studies.points SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
     scene, status = map(Path, arguments)
+    with stopping():
+        try:
+            print(f"{scene.stem}: {status_text(compute(scene, status))}")
+        except (KeyboardInterrupt, InterruptedRunError):
+            return 128 + signal.SIGTERM
+    return 0
+
+
+@contextlib.contextmanager
+def stopping() -> Iterator[None]:
+    """Context in which SIGTERM and SIGHUP stop the runs as Ctrl-C does: KeyboardInterrupt."""
 
     def stop(number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    for number in _STOPPED:
-        signal.signal(number, stop)
+    before = {number: signal.signal(number, stop) for number in _STOPPED}
     try:
-        print(f"{scene.stem}: {status_text(compute(scene, status))}")
-    except (KeyboardInterrupt, InterruptedRunError):
-        return 128 + signal.SIGTERM
-    return 0
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _wait_for(folder: Path) -> None:
@@ -183,19 +196,19 @@ def _wait_for(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _begun(scene: Path, folder: Path) -> bool:
+def _scene_of(path: Path) -> Scene | None:
+    """The scene of a point; None for one that cannot be read, which its run refuses."""
+    try:
+        return Scene.load(path)
+    except SceneError:
+        return None
+
+
+def _begun(scene: Scene, folder: Path) -> bool:
     """Whether the folder holds a run of this very scene."""
     try:
-        return read_text(folder / "scene.toml") == Scene.load(scene).to_toml()
-    except (InputError, SceneError):
-        return False
-
-
-def _wants_error(scene: Path) -> bool:
-    """Whether a scene says that its error is measured; one that cannot be read is refused by its run."""
-    try:
-        return Scene.load(scene).resolution.error is True
-    except SceneError:
+        return read_text(folder / "scene.toml") == scene.to_toml()
+    except InputError:
         return False
 
 

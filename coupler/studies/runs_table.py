@@ -25,6 +25,7 @@ MEASURES = ("flattening_ratio", "T_mean_K", "T_p99_K", "eps_p_mean", "crater_dep
             "velocity_ratio")  # fmt: skip
 ERRORS = tuple(f"{key}_error" for key in MEASURES if key in CONVERGING)  # of runs that measure them
 COLUMNS = ("point", "material", "substrate", *AXES, "status", "reason", *MEASURES, "verdict", "version")
+STATUSES = ("done", "undecided", "failed", "unfinished")
 LARGEST = 1e30  # a measure beyond it is damage
 Row = dict[str, Any]
 
@@ -134,6 +135,11 @@ def others_that_vary(rows: Sequence[Row], axes: Sequence[str]) -> list[str]:
         first = seen.setdefault(tuple(row[axis] for axis in axes), row["keys"])
         different |= {key: None for key in first.keys() | row["keys"].keys() if first.get(key) != row["keys"].get(key)}
     return sorted(different)
+
+
+def counts(rows: Sequence[Row]) -> dict[str, int]:
+    """How many rows have each of STATUSES."""
+    return {status: sum(row["status"] == status for row in rows) for status in STATUSES}
 
 
 def _number(value: object) -> float | None:

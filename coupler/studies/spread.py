@@ -9,9 +9,9 @@ from ..files.result import Result
 from ..measures import CONVERGING, measure
 from ..physics import materials
 from ..plan.reading import Scene
-from ..ranks.executors import executor
 from ..report.words import errors_of, shown
 from .points import run_points
+from .table import in_columns
 
 FOLDER = "strength"  # of the runs with other sets, in that of the run
 
@@ -42,8 +42,7 @@ def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Callable[[s
     """Run the scenes in a folder, `jobs` at a time; those that are there are not computed again. Results by name, without those that
     fail."""
     points = {name.replace(" ", "_"): text for name, text in scenes.items()}
-    pool = executor("processes", jobs, folder, starts_processes=True)
-    statuses = run_points(folder, points, pool, log)
+    statuses = run_points(folder, points, jobs, log)
     return {
         name: Result(folder / name.replace(" ", "_")) for name in scenes if statuses[name.replace(" ", "_")] == "done"
     }
@@ -61,8 +60,6 @@ def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
                 for name in (min(found, key=found.__getitem__), max(found, key=found.__getitem__))
             ]
             rows.append((measure(key).label, shown(key, result.values[key], errors.get(key)), *ends, measure(key).unit))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     verdicts = [str(other.values.get("verdict")) for other in others.values()]
     counted = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))
-    table = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-    return [f"other strength sets: {', '.join(others)}", *table, f"verdicts with them: {counted}"]
+    return [f"other strength sets: {', '.join(others)}", *in_columns(rows), f"verdicts with them: {counted}"]

@@ -13,7 +13,6 @@ from pathlib import Path
 from ..errors import ColdsprayError, SceneError
 from ..files.inputs import read_toml, similar
 from ..plan.reading import Scene
-from ..ranks.executors import executor
 from ..scene.model import safe_name
 from ..units import UnitError, nearest, parse, rounded
 from .ensemble import Distribution, distribution_of, draws
@@ -119,8 +118,7 @@ class Sweep:
         jobs: at a time, as processes here, unless an executor is given as `pool`, which is shut down. Raises as `run_points`.
         """
         folder = Path(out) if out is not None else Path("runs") / self.name
-        pool = pool or executor("processes", max(jobs, 1), folder, starts_processes=True)
-        run_points(folder, self.points, pool, refused=self.refused)
+        run_points(folder, self.points, jobs, refused=self.refused, pool=pool)
         return folder
 
 

@@ -1,7 +1,7 @@
 """Tables of studies: CSV files whose rows are kept, each with the version of the program that computed it."""
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from .. import __version__
@@ -55,6 +55,17 @@ def other_version(row: Mapping[str, str]) -> str:
 def cell(value: object) -> str:
     """A value as it stands in a table: six digits of a float, nothing for None."""
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def in_columns(rows: Sequence[Sequence[str]], right: Collection[int] = ()) -> list[str]:
+    """Rows of cells as lines of a terminal. right: the columns, from 0, that are set to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(w) if k in right else cell.ljust(w) for k, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
 
 
 def read_rows(path: Path) -> list[Row]:
