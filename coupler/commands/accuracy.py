@@ -7,20 +7,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from ..errors import StoreError
-from .arguments import (
-    Commands,
-    Option,
-    add_command,
-    add_force,
-    add_quiet,
-    add_scene,
-    path,
-    scene_of,
-    share,
-    study_folder,
-    teller,
-    working,
-)
+from .arguments import Commands, Option, add_study, scene_of, share, study_folder, teller, working
 
 if TYPE_CHECKING:
     from ..plan.planning import Plan
@@ -32,15 +19,11 @@ _NAMES = ("scene.toml", "accuracy.csv", "accuracy.png", "accuracy.html")
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(commands, "accuracy", run, "compute a scene at many resolutions: what accuracy costs in time")
-    add_scene(option)
-    option("--out", type=path, metavar="DIR", help="folder of table and figures (default: runs/accuracy-<scene name>)")
+    option = add_study(commands, "accuracy", run, "compute a scene at many resolutions: what accuracy costs in time")
     option("--points", type=int, nargs="+", metavar="N", help="points of the ladder (default: 500 1000 2000 3500 5000)")
     option("--reference", type=int, metavar="N", help="points of the reference (default: 16000)")
     option("--knobs-at", type=int, metavar="N",
            help="points at which the other settings are tried; 0: not at all (default: 1000)")  # fmt: skip
-    add_force(option)
-    add_quiet(option)
 
 
 def add_to_run(option: Option) -> None:
@@ -62,14 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     scene = scene_of(arguments)
     knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
-    reference = [] if arguments.reference is None else [arguments.reference]
-    asked = {"points": arguments.points or [], "reference": reference, "knobs-at": [knobs] if knobs else []}
-    for name, numbers in asked.items():
-        if any(n < ladder.FEWEST_POINTS for n in numbers):
-            raise StoreError(f"--{name} {min(numbers)} is too coarse: {ladder.FEWEST_POINTS} points at least")
-    points = ladder.ladder_points(
-        arguments.points or ladder.POINTS, arguments.reference or ladder.REFERENCE, knobs or None
-    )
+    reference = ladder.REFERENCE if arguments.reference is None else arguments.reference
+    points = ladder.ladder_points(arguments.points or ladder.POINTS, reference, knobs or None)
     out, say = study_folder(arguments, scene, "accuracy", _NAMES), teller(arguments.quiet)
     table = ladder.ladder_table(
         out / "accuracy.csv", "remake: coldspray accuracy (rows in this table are not computed again)"

@@ -81,6 +81,17 @@ def add_scene(option: Option) -> None:
     )
 
 
+def add_study(commands: Commands, verb: str, run: Callable[[argparse.Namespace], int], text: str) -> Option:
+    """Add a command that computes a scene many times, as `add_command`; `study_folder` makes its folder."""
+    option = add_command(commands, verb, run, text)
+    add_scene(option)
+    option("--out", type=path, metavar="DIR",
+           help=f"folder of runs, table and figures (default: runs/{verb}-<scene name>)")  # fmt: skip
+    add_force(option)
+    add_quiet(option)
+    return option
+
+
 def scene_of(arguments: argparse.Namespace) -> "Scene":
     """The scene of a command with what its options set. Raises SceneError with every problem of it, as for a file."""
     from ..plan.reading import Scene

@@ -5,20 +5,7 @@ import shlex
 from functools import partial
 from pathlib import Path
 
-from .arguments import (
-    Commands,
-    add_command,
-    add_force,
-    add_quiet,
-    add_scene,
-    at_least_one,
-    path,
-    quantity,
-    scene_of,
-    share,
-    study_folder,
-    teller,
-)
+from .arguments import Commands, add_study, at_least_one, quantity, scene_of, share, study_folder, teller
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
 _LIMITS = "10 m/s", "2000 m/s"  # those of a scene's particle
@@ -27,16 +14,8 @@ _MOST_PLACEMENTS = 100
 
 def add(commands: Commands) -> None:
     """Add the command to a parser's subcommands."""
-    option = add_command(
-        commands, "critical", run, "bracket the velocity from which a particle with cohesive bonds sticks"
-    )
-    add_scene(option)
-    option(
-        "--out",
-        type=path,
-        metavar="DIR",
-        help="folder of runs, table and picture (default: runs/critical-<scene name>)",
-    )
+    text = "bracket the velocity from which a particle with cohesive bonds sticks"
+    option = add_study(commands, "critical", run, text)
     option("--within", default="5%", metavar="PERCENT", help='width of the bracket over its middle (default: "5%%")')
     for name, text in (("low", "lowest"), ("high", "highest")):
         option(f"--{name}", type=quantity(f"--{name}", "velocity", limits=_LIMITS), metavar="VELOCITY",
@@ -44,8 +23,6 @@ def add(commands: Commands) -> None:
     option("--repeat", type=partial(at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
            help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
     option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
-    add_force(option)
-    add_quiet(option)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 import argparse
 import time
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,11 +50,11 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.picture is not None:
         claim_file(arguments.picture, (".png",), [arguments.run], arguments.force)
-    console, drawn, coating = Console(highlight=False, markup=False), 0, _Coating()
+    console, drawn = Console(highlight=False, markup=False), 0
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while not (result := Result(arguments.run)).finished:
             with reading(arguments.run):
-                text = state(result) + coating.line(result)
+                text = state(result) + _coating(arguments.run, _impact(result))
                 steps = min(len(result.times(domain)) for domain in ("particle", "surface", "target"))
                 if arguments.picture is not None and steps > drawn:
                     section_picture(result, arguments.picture)
@@ -71,22 +72,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-class _Coating:
-    """The line on the coating of several impacts, measured anew after each of them."""
+@lru_cache(maxsize=1)
+def _coating(run: Path, impact: int) -> str:
+    """A line on the coating that the impacts before this one have built, its break first; "" before the second impact."""
+    from ..files.result import Result
+    from ..studies import coating_growth
 
-    def __init__(self) -> None:
-        self._impact, self._line = 0, ""
+    return f"\n  coating {coating_growth.line(coating_growth.latest(Result(run)))}" if impact > 1 else ""
 
-    def line(self, result: "Result") -> str:
-        """A line that begins with its break; "" before the second impact."""
-        from ..studies import coating_growth
 
-        impacts = result.history("impact").tolist() if (result.directory / "history.csv").is_file() else []
-        impact = int(impacts[-1]) if impacts else 0
-        if impact > max(self._impact, 1):
-            self._line = f"\n  coating {coating_growth.line(coating_growth.latest(result))}"
-        self._impact = impact
-        return self._line
+def _impact(result: "Result") -> int:
+    """The number of the impact that is computed; 0 before the first row of the history."""
+    impacts = result.history("impact") if (result.directory / "history.csv").is_file() else ()
+    return int(impacts[-1]) if len(impacts) else 0
 
 
 def _written(path: Path) -> float:

@@ -411,13 +411,12 @@ def over_depth(splats: Splats, radius: float, step: float) -> list[dict[str, flo
     middle = splats.mesh.points[splats.mesh.cells].mean(axis=1)
     own = np.hypot(middle[:, 0], middle[:, 1]) <= radius
     z, volume = middle[own, 2], np.abs(volumes(splats.mesh.points, splats.mesh.cells[own]))
+    tensors = {"sigma": splats.mesh.data["stress"], "thermal": splats.mesh.data.get("thermal_stress")}
     columns = {
-        f"sigma_{axis}": splats.mesh.data["stress"][own, i].astype(float) for i, axis in enumerate(("xx", "yy", "zz"))
-    }
-    for i, axis in enumerate(("xx", "yy", "zz")):
-        thermal = splats.mesh.data.get("thermal_stress")
-        if thermal is not None:
-            columns[f"thermal_{axis}"] = thermal[own, i].astype(float)
+        f"{name}_{axis}": tensor[own, i].astype(float)
+        for name, tensor in tensors.items() if tensor is not None
+        for i, axis in enumerate(("xx", "yy", "zz"))
+    }  # fmt: skip
     columns |= {name: splats.mesh.data[name][own].astype(float) for name in ("von_mises", "eps_p", "T")}
     columns["coating"] = (splats.body[own] > 0).astype(float)
     slot = np.floor(z / step).astype(int)

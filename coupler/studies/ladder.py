@@ -70,8 +70,11 @@ def ladder_points(
 ) -> list[LadderPoint]:
     """The settings, the cheap ones first. knobs_at: points at which scheme parameters and effects are varied; None: they are not.
 
-    Raises StoreError for a reference that is not finer than the settings compared with it.
+    Raises StoreError for fewer than FEWEST_POINTS, and a reference that is not finer than the settings compared with it.
     """
+    for name, numbers in (("points", points), ("reference", [reference]), ("knobs-at", [knobs_at] if knobs_at else [])):
+        if numbers and min(numbers) < FEWEST_POINTS:
+            raise StoreError(f"--{name} {min(numbers)} is too coarse: {FEWEST_POINTS} points at least")
     if reference <= max([*points, knobs_at or 0]):
         raise StoreError(
             f"--reference {reference} must be finer than the settings compared with it: more than {max([*points, knobs_at or 0])}"
