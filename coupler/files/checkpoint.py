@@ -1,13 +1,12 @@
 """Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
 
-A file is a line of JSON (format, checksum, what it belongs to) and an uncompressed .npz of arrays. The state is a record (a
-frozen dataclass, see `state.records`) of arrays, numbers, strings, None, lists, dicts and other records; numbers travel exactly. It is
-read by the type hints of the record: every field must be there, with the type and shape that it says.
+A file is an uncompressed .npz of arrays, each with the checksum of its zip archive; "header" is a JSON text: format, what the file
+belongs to, and the tree of the state. The state is a record (a frozen dataclass, see `state.records`) of arrays, numbers, strings,
+None, lists, dicts and other records; numbers travel exactly. It is read by the type hints of the record: every field must be there,
+with the type and shape that it says.
 """
 
 import contextlib
-import hashlib
-import io
 import json
 import os
 import re
@@ -16,9 +15,10 @@ import types
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.lib.npyio import NpzFile
 
 from ..errors import CheckpointError, StoreError, UnreadableError
 from ..state.records import Shape, rows_of, shapes_of
@@ -26,8 +26,6 @@ from ..state.records import Shape, rows_of, shapes_of
 FORMAT = 22
 KEPT = 2
 _NAME = re.compile(r"checkpoint-(\d{6})\.ckpt")
-_HEADER = 65536  # bytes at most of the first line
-_CHECKSUM = 65  # bytes of the first line as it is written
 _OF_AN_ARRAY = 600  # bytes beside its numbers, at most
 
 
@@ -47,21 +45,13 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     path = directory / f"checkpoint-{(numbers[-1] + 1 if numbers else 1):06d}.ckpt"
     temporary = path.with_suffix(".part")
     arrays: dict[str, np.ndarray] = {}
-    tree = _flatten(state, "", arrays)
+    header = {"format": FORMAT, "about": dict(about), "tree": _flatten(state, "", arrays)}
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
     try:
-        header = {"format": FORMAT, "sha256": "", "bytes": 0, "about": dict(about), "tree": tree}
-        room = len(json.dumps(header)) + 100  # with the checksum and the length that are not known yet
-        size = room + sum(array.nbytes + _OF_AN_ARRAY for array in arrays.values())
-        if shutil.disk_usage(directory).free < size:
+        if shutil.disk_usage(directory).free < sum(array.nbytes + _OF_AN_ARRAY for array in arrays.values()):
             raise OSError(28, "no space left on the disk")
         with open(temporary, "wb") as stream:
-            stream.write(bytes(_CHECKSUM + room))
-            content = _Hashed(stream)
-            np.savez(content, **arrays)  # type: ignore[arg-type]
-            header |= {"sha256": content.sha256.hexdigest(), "bytes": content.length}
-            line = json.dumps(header).ljust(room - 1).encode() + b"\n"
-            stream.seek(0)
-            stream.write(hashlib.sha256(line).hexdigest().encode() + b"\n" + line)
+            np.savez(stream, **arrays)  # type: ignore[arg-type]
             stream.flush()
             os.fsync(stream.fileno())
         os.replace(temporary, path)
@@ -74,23 +64,6 @@ def write(directory: Path, state: object, about: Mapping[str, str]) -> Path:
     for _, old in stored(directory)[:-KEPT]:
         old.unlink(missing_ok=True)
     return path
-
-
-class _Hashed(io.RawIOBase):
-    """A stream that tells what has gone through it: its checksum and its length. Nothing is kept in memory."""
-
-    def __init__(self, stream: BinaryIO):
-        self._stream, self.sha256, self.length = stream, hashlib.sha256(), 0
-
-    def writable(self) -> bool:
-        return True
-
-    def write(self, data: bytes | memoryview) -> int:  # type: ignore[override]
-        """Pass bytes on."""
-        self.sha256.update(data)
-        count = self._stream.write(data)
-        self.length += count
-        return count
 
 
 def stored(directory: Path) -> list[tuple[int, Path]]:
@@ -134,26 +107,9 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
     Raises CheckpointError if it is not whole or not such a record, OtherVersion if it belongs to another version or scene.
     """
     try:
-        with open(path, "rb") as stream:
-            header = _header(stream, path)
-            size = int(header["bytes"])
-            content = stream.read(max(size, 0) + 1)
-            whole = len(content) == size and hashlib.sha256(content).hexdigest() == header["sha256"]
-        if not whole:
-            raise CheckpointError(f"{path} is damaged (its checksum does not fit)")
-        its = dict(header["about"])
-        if header["format"] != FORMAT:
-            raise OtherVersion(
-                f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
-                f" reads format {FORMAT}: go on with that version, or start anew with coldspray run --force"
-            )
-        for key, wanted in (about or {}).items():
-            if its.get(key) != wanted:
-                raise OtherVersion(
-                    f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
-                    " go on with that one, or start anew with coldspray run --force"
-                )
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        with open(path, "rb") as stream, NpzFile(stream) as arrays:
+            header = json.loads(arrays["header"].tobytes())
+            _check_origin(path, header, about or {})
             return _decode(kind, header["tree"], arrays, "")
     except CheckpointError:
         raise
@@ -163,12 +119,20 @@ def read(path: Path, kind: type[R], about: Mapping[str, str] | None = None) -> R
         raise CheckpointError(f"{path} is damaged ({type(error).__name__}: {str(error)[:200]})") from error
 
 
-def _header(stream: BinaryIO, path: Path) -> dict[str, Any]:
-    checksum = stream.readline(_HEADER).strip().decode("ascii", "replace")
-    line = stream.readline(2**26)
-    if hashlib.sha256(line).hexdigest() != checksum:
-        raise CheckpointError(f"{path} is damaged (its checksum does not fit)")
-    return json.loads(line)
+def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str]) -> None:
+    """Raise OtherVersion where a header has another format, or another value of a key of `about`."""
+    its = dict(header["about"])
+    if header["format"] != FORMAT:
+        raise OtherVersion(
+            f"{path} was written by coldspray {_short(its.get('version'))} in format {_short(header['format'])}, this version"
+            f" reads format {FORMAT}: go on with that version, or start anew with coldspray run --force"
+        )
+    for key, wanted in about.items():
+        if its.get(key) != wanted:
+            raise OtherVersion(
+                f"{path} was written with another {key} ({_short(its.get(key))}, now {_short(wanted)}):"
+                " go on with that one, or start anew with coldspray run --force"
+            )
 
 
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
