@@ -172,7 +172,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     resolved = at_points(scene, points)
     off = 100.0 * max(refinement.forecast(resolved.derived.points_of(resolved.particles[-1]))[key] for key in SHAPE)
     duration_text = f", about {duration(takes(points))} here" if pace else ""
-    given = [f"resolution.{key}" for key in ("spacing", "element_size") if getattr(scene.resolution, key) is not None]
+    given = [f"resolution.{key}" for key in ("spacing", "element_size") if dict(scene.resolution)[key] is not None]
     instead = f"; in place of {' and '.join(given)} of the scene" if given else ""
     return (
         resolved,

@@ -62,7 +62,7 @@ def _given(arguments: argparse.Namespace, out: Path) -> list[str]:
     options = [f"--set={key}={'' if value is None else value}" for key, value in arguments.settings]
     options += [f"--preset={arguments.preset}"] if arguments.preset is not None else []
     options += [
-        f"--{name}={value:.10g} m/s" for name in ("low", "high") if (value := getattr(arguments, name)) is not None
+        f"--{name}={value:.10g} m/s" for name in ("low", "high") if (value := vars(arguments)[name]) is not None
     ]
     return [
         str(arguments.scene),

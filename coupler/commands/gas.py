@@ -83,7 +83,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     for out, suffix in ((arguments.csv, ".csv"), (arguments.png, ".png")):
         if out is not None:
             claim_file(out, (suffix,), _inputs(arguments), arguments.force)
-    options = {field: value for field in _FIELDS if (value := getattr(arguments, field)) is not None}
+    options = {field: value for field in _FIELDS if (value := vars(arguments)[field]) is not None}
     conditions, field_problems = scene_gas.read(options | {"bow_shock": arguments.bow_shock})
     problems = []
     for field, problem in field_problems:
@@ -92,7 +92,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
     if arguments.nozzle is not None and arguments.nozzle not in nozzles:
         problems.append(f'--nozzle "{arguments.nozzle[:40]}": {unknown(arguments.nozzle, nozzles)}')
     for option in ("material", "substrate"):
-        name = getattr(arguments, option, None)
+        name = vars(arguments).get(option)
         if name is not None and name not in metals:
             problems.append(f'--{option} "{name[:40]}": {materials.unknown(name[:40], metals)}')
     diameters = []
@@ -113,7 +113,7 @@ def setup(arguments: argparse.Namespace, command: str = "gas", sizes: str = "--d
 
 def given(arguments: argparse.Namespace) -> list[str]:
     """The options as given, for the command that remakes a table."""
-    values = {field: getattr(arguments, field) for field in (*_FIELDS, "material", "nozzles", "scene", "csv")}
+    values = {field: vars(arguments)[field] for field in (*_FIELDS, "material", "nozzles", "scene", "csv")}
     options = [f"{_option(field)}={value}" for field, value in values.items() if value is not None]
     return [*options, *(["--bow-shock"] if arguments.bow_shock else [])]
 
@@ -169,8 +169,8 @@ def shown(nozzle: "Nozzle") -> str:
     from ..units import show
 
     lengths = ("inlet", "throat", "exit", "converging", "diverging", "barrel", "chamber")
-    dimensions = ", ".join(f"{name} {show(getattr(nozzle, name), 'mm')}" for name in lengths if getattr(nozzle, name))
-    texts = [f"  {name}: {text}" for name in ("source", "assumed") if (text := getattr(nozzle, name))]
+    dimensions = ", ".join(f"{name} {show(vars(nozzle)[name], 'mm')}" for name in lengths if vars(nozzle)[name])
+    texts = [f"  {name}: {text}" for name in ("source", "assumed") if (text := vars(nozzle)[name])]
     return "\n".join([f"{nozzle.name}: {dimensions}", *texts])
 
 

@@ -104,7 +104,7 @@ class Interface:
         row = np.cumsum(which) - 1
         own = self.own[which[self.own[:, 0]]]
         own = np.stack([row[own[:, 0]], own[:, 1]], axis=1)
-        parts = {name: getattr(self, name)[which] for name in ("nodes", "facet", "weights", "gap", "area")}
+        parts = {name: vars(self)[name][which] for name in ("nodes", "facet", "weights", "gap", "area")}
         return replace(self, own=own, **parts)
 
     def behind(self, surfaces: Surfaces, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -24,8 +24,7 @@ from ..state.records import arrays_of, collect, concatenate, take
 ROUNDS = 20  # at most, to make the surface of a cut sound
 Ledgers = dict[str, Any]
 R = TypeVar("R")
-# ledgers of target, contact and bonds
-_SUMS = ("sums", "impulse", "internal_work", "absorbed", "time")
+# ledgers of contact and bonds
 _OF_CONTACT = ("lost", "friction_heat", "dropped_energy", "dropped")
 _OF_BOND = ("stored", "dissipated")
 
@@ -128,8 +127,13 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
     buried = np.concatenate([facet[part.buried] for (_, part), (_, facet) in zip(parts, places, strict=True)])
     new.buried = np.union1d(whole.buried, buried[buried >= 0])
     gain = _gain(parts)
-    for name in _SUMS:
-        setattr(new.target, name, getattr(new.target, name) + gain[name])
+    t = new.target
+    t.sums, t.impulse = t.sums + gain["sums"], t.impulse + gain["impulse"]
+    t.internal_work, t.absorbed, t.time = (
+        t.internal_work + gain["internal_work"],
+        t.absorbed + gain["absorbed"],
+        t.time + gain["time"],
+    )
     own = []  # masks of each part's nodes: those that its impact can change
     for (cut, _), (node, _) in zip(parts, places, strict=True):
         changed = np.zeros(len(new.target.nodes.x), bool)
@@ -145,7 +149,9 @@ def put_back(whole: Bodies, parts: Sequence[tuple[Cut, Bodies]]) -> Bodies:
         for (_, part), (node, _), mine in zip(parts, places, own, strict=True):
             if (of_part := part.past()) is not None:
                 past.nodes[node[mine]] = of_part.nodes[mine]
-        new.touch(past._replace(**{name: getattr(past, name) + gain[name] for name in _OF_CONTACT}))
+        new.touch(
+            past._replace(**{name: value + gain[name] for name, value in past._asdict().items() if name in _OF_CONTACT})
+        )
     return new
 
 
@@ -199,6 +205,7 @@ def _replace(record: R, part: R, ids: np.ndarray, number: np.ndarray) -> None:
 
 def _ledgers(bodies: Bodies) -> Ledgers:
     t, c, b = bodies.target, bodies.past(), bodies.bond
-    sums: Ledgers = {name: np.copy(getattr(t, name)) for name in _SUMS}
-    sums |= {name: getattr(c, name) if c is not None else 0 for name in _OF_CONTACT}
-    return sums | {name: getattr(b, name) if b is not None else 0.0 for name in _OF_BOND}
+    sums: Ledgers = {"sums": t.sums.copy(), "impulse": t.impulse.copy()}
+    sums |= {"internal_work": t.internal_work, "absorbed": t.absorbed, "time": t.time}
+    sums |= {name: c._asdict()[name] if c is not None else 0 for name in _OF_CONTACT}
+    return sums | {name: vars(b)[name] if b is not None else 0.0 for name in _OF_BOND}

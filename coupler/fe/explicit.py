@@ -371,10 +371,9 @@ class Target:
     def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
         """Begin with the state of nodes and elements (`fe.assemble`), the ledger going on from that of `before`."""
         self.nodes, self.elements = nodes, elements
-        for name in ("sums", "impulse"):
-            setattr(self, name, getattr(before, name).copy())
-        for name in ("internal_work", "absorbed", "time", "rest_scale"):
-            setattr(self, name, getattr(before, name))
+        self.sums, self.impulse = before.sums.copy(), before.impulse.copy()
+        self.internal_work, self.absorbed = before.internal_work, before.absorbed
+        self.time, self.rest_scale = before.time, before.rest_scale
         self._store_inactive_forces()
 
     def rest(self) -> float:

@@ -138,7 +138,7 @@ def _check_origin(path: Path, header: Mapping[str, Any], about: Mapping[str, str
 def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> dict[str, object]:
     """The tree with each array replaced by where it is kept."""
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {f.name: _flatten(getattr(value, f.name), f"{name}/{f.name}", arrays) for f in fields(value)}
+        parts = {f.name: _flatten(vars(value)[f.name], f"{name}/{f.name}", arrays) for f in fields(value)}
         return {"record": parts, "kind": type(value).__name__}
     if isinstance(value, Mapping):
         return {"dict": {key: _flatten(item, f"{name}/{key}", arrays) for key, item in value.items()}}
@@ -163,7 +163,7 @@ def _decode(hint: Any, tree: Any, arrays: Mapping[str, np.ndarray], name: str) -
     origin, options = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         wanted = tree.get("kind") if "record" in tree else None
-        chosen = [option for option in options if is_dataclass(option) and getattr(option, "__name__", "") == wanted]
+        chosen = [option for option in options if isinstance(option, type) and option.__name__ == wanted]
         if not chosen:  # None, a number or a list
             empty = "value" in tree and tree["value"] is None
             chosen = [o for o in options if (o is type(None)) == empty and (wanted is None) != is_dataclass(o)]

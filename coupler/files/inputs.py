@@ -57,7 +57,9 @@ def check_regular(path: str | Path) -> int:
     except FileNotFoundError:
         raise InputError(path, "is missing") from None
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
-        raise InputError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise InputError(
+            path, f"cannot be read: {(error.strerror if isinstance(error, OSError) else None) or error}"
+        ) from None
     if stat.S_ISDIR(status.st_mode):
         raise InputError(path, "cannot be read: it is a folder, a file is expected")
     if not stat.S_ISREG(status.st_mode):

@@ -287,7 +287,7 @@ def _named(path: Path, is_folder: bool = False) -> Iterator[None]:
 def _reason(error: Exception) -> str:
     # HDF5 puts the number into its text only.
     match = re.search(r"errno = (\d+)", str(error))
-    number = int(match[1]) if match else getattr(error, "errno", None)
+    number = int(match[1]) if match else error.errno if isinstance(error, OSError) else None
     if number == errno.ENOSPC:
         return "no space left on the disk"
     if number == errno.EBADF or number is None:

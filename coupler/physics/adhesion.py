@@ -229,12 +229,12 @@ class Adhesion:
 
     def __post_init__(self) -> None:
         problems = [
-            f"{name}: {getattr(self, name)!r} is not one of {', '.join(known)}"
+            f"{name}: {vars(self)[name]!r} is not one of {', '.join(known)}"
             for name, known in (("kind", get_args(Kind)), ("criterion", get_args(Criterion)))
-            if getattr(self, name) not in known
+            if vars(self)[name] not in known
         ]
         for name in LAW:
-            value = getattr(self, name)
+            value = vars(self)[name]
             if self.criterion == "exposure":
                 if value is not None:
                     problems.append(
@@ -274,7 +274,7 @@ class Adhesion:
         """The adhesion of two metals: with the law of their pair, or that of all."""
         for pair in self.pairs:
             if set(pair.metals) == {first, second}:
-                own = {name: value for name in LAW if (value := getattr(pair, name)) is not None}
+                own = {name: value for name in LAW if (value := vars(pair)[name]) is not None}
                 return replace(self, pairs=(), **own)
         return self
 
@@ -342,7 +342,7 @@ class Adhesion:
 
     def law(self) -> dict[str, float]:
         """Strengths (Pa) and energies (J/m2) for `contact.bond.Bond`; none for tied nodes, which is its default."""
-        return {name: float(value) for name in LAW if (value := getattr(self, name)) is not None}
+        return {name: float(value) for name in LAW if (value := vars(self)[name]) is not None}
 
     def law_on(self, metal: str, others: Sequence[str]) -> dict[str, np.ndarray]:
         """The same for n bonds of a metal to each of `others`, as arrays (n,); in shear as in tension unless said."""

@@ -255,7 +255,7 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     law. What it lacks is from `base`, else the defaults. Raises SceneError with all problems, each beginning with the field at fault.
     """
     values: dict[str, object] = (
-        dict(_DEFAULTS) if base is None else {f.name: getattr(base, f.name) for f in fields(base) if f.name != "name"}
+        dict(_DEFAULTS) if base is None else {name: value for name, value in vars(base).items() if name != "name"}
     )
     problems: list[str] = []
     table = _with_own_fields(table, base, problems)

@@ -86,7 +86,7 @@ def _hardness(where: str, particle: Particle, material: Material | None) -> Iter
         try:
             material.initial_strain(particle.hardness, particle.yield_strength)
         except ValueError as error:
-            value = text_of(getattr(particle, field), "HV" if field == "hardness" else "MPa")
+            value = text_of(dict(particle)[field], "HV" if field == "hardness" else "MPa")
             yield (f"{where}.{field}", f"{where}.material"), f"{where}.{field} = {value}: {error}"
 
 

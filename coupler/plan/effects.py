@@ -151,7 +151,7 @@ class Effects(Switches):
     @property
     def switches(self) -> dict[str, bool]:
         """Name -> whether it takes part, as `constitutive.law_record` wants it."""
-        return {name: getattr(self, name) for name in NAMES}
+        return {name: vars(self)[name] for name in NAMES}
 
     @property
     def active(self) -> list[str]:

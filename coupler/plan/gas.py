@@ -126,7 +126,7 @@ def _gives(scene: SceneData, conditions: GasConditions, nozzle: Nozzle, particle
     material, among = Derived(scene).material(particle.material), [p.diameter for p in scene.particles]
     arriving = arrival(conditions, nozzle, material, particle.diameter, among)
     of_scene = {"velocity": f"{particle.velocity:.4g} m/s", "temperature": f"{particle.temperature:.4g} K"}
-    away = [field for field in arriving if units.rounded(getattr(particle, field), *_UNITS[field]) != arriving[field]]
+    away = [field for field in arriving if units.rounded(dict(particle)[field], *_UNITS[field]) != arriving[field]]
     used = f"the scene's own {' and '.join(of_scene[field] for field in away)} used instead" if away else "used here"
     which = f"{particle.material} {units.rounded(particle.diameter, 'um')}: " if len(scene.particles) > 1 else ""
     return f"{which}gives {arriving['velocity']}, {arriving['temperature']}, {used}"

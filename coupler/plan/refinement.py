@@ -49,7 +49,7 @@ def at_points(
     data = tomllib.loads(scene.to_toml()) | dict(changes or {})
     spacing = cost.spacing(max(p.volume for p in scene.particles), points)
     ratio = spacing / scene.derived.spacing
-    sizes = {table: getattr(scene, table).element_size for table in ("resolution", "splat")}
+    sizes = {"resolution": scene.resolution.element_size, "splat": scene.splat.element_size}
     data.setdefault("resolution", {})["spacing"] = _length(spacing)
     for table, size in sizes.items():
         if size is not None:

@@ -112,7 +112,7 @@ def thinned(points: NDArray, triangles: NDArray, most: int = VERTICES) -> tuple[
 def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
     """Low and high corner (2, 3), um, of what is shown: the particle up to the height `top` at all times, and the target near it."""
     skins = [below for skin in skins if len(below := skin[skin[:, 2] < top])]
-    low, high = (np.array([getattr(skin, end)(0) for skin in skins]) for end in ("min", "max"))
+    low, high = (np.array([end(skin, axis=0) for skin in skins]) for end in (np.min, np.max))
     plane, D = at.plane * MICRO, at.diameter
     half = max(plane - low[:, 1].min(), high[:, 1].max() - plane) + 0.9 * D
     return np.array(

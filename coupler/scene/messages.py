@@ -3,6 +3,7 @@
 import copy
 import json
 from collections.abc import Mapping
+from typing import get_args
 
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
@@ -107,15 +108,15 @@ def _model_at(loc: tuple[int | str, ...]) -> type[BaseModel]:
     if not loc or loc[0] not in (names := {info.alias or n: n for n, info in SceneData.model_fields.items()}):
         return SceneData
     annotation = SceneData.model_fields[names[str(loc[0])]].annotation
-    inner = getattr(annotation, "__args__", (annotation,))[0]
+    inner = (get_args(annotation) or (annotation,))[0]
     return inner if isinstance(inner, type) and issubclass(inner, BaseModel) else SceneData
 
 
 def _choices(annotation: object) -> list[str]:
     """The values of a Literal, or of a union with one in it."""
     choices: list[str] = []
-    for arg in getattr(annotation, "__args__", ()):
-        choices += _choices(arg) if getattr(arg, "__args__", None) else [arg] if isinstance(arg, str) else []
+    for arg in get_args(annotation):
+        choices += _choices(arg) if get_args(arg) else [arg] if isinstance(arg, str) else []
     return choices
 
 

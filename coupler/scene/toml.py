@@ -41,7 +41,7 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
         "end",
         "output",
     ):
-        tables.append((f"[{section}]", getattr(scene, section)))
+        tables.append((f"[{section}]", dict(scene)[section]))
     for head, table in tables:
         if table is None:
             continue
@@ -51,14 +51,13 @@ def to_toml(scene: SceneData, derived: Callable[[str, Section], Mapping[str, str
         if head == "[coating]":
             lines.append("# has an effect again once the tables [[particle]] are deleted: they are made of it")
         defaults = derived(head, table)
-        for field in type(table).model_fields:
-            value = getattr(table, field)
+        for field, value in table:
             if value is not None:
                 lines.append(f"{field} = {_written(table, field, value)}")
             elif field in defaults:
                 lines.append(f"# {field} = {defaults[field]}")
     for kind in ("materials", "nozzles"):
-        for name, fields in getattr(scene, kind).items():
+        for name, fields in dict(scene)[kind].items():
             lines += ["", f"[{kind}.{json.dumps(name)}]"]
             lines += [f"{json.dumps(field)} = {json.dumps(value)}" for field, value in fields.items()]
     return "\n".join(lines) + "\n"
@@ -145,7 +144,7 @@ def _value(text: str) -> Any:
 
 def _inline(table: Section) -> str:
     """A table in one line."""
-    said = {field: value for field in type(table).model_fields if (value := getattr(table, field)) is not None}
+    said = {field: value for field, value in table if value is not None}
     return "{ " + ", ".join(f"{field} = {_written(table, field, value)}" for field, value in said.items()) + " }"
 
 
@@ -162,6 +161,6 @@ def _written(table: Section, field: str, value: Any) -> str:
     quantity = next((m for m in type(table).model_fields[field].metadata if isinstance(m, Quantity)), None)
     if field == "offset":
         return json.dumps([units.show(x, "um") for x in value])
-    if field == "threshold" and getattr(table, "criterion", "") == "pressure":
+    if field == "threshold" and dict(table).get("criterion") == "pressure":
         return json.dumps(units.show(value, "MPa"))
     return json.dumps(units.show(value, quantity.unit) if quantity else value)

@@ -113,7 +113,7 @@ class PointTotals:
         """Those of the points of all parts together."""
         fold = {"dt": min, "stretch_min": min, "fastest": max}
         names = [f.name for f in fields(cls)]
-        return cls(**{name: fold.get(name, sum)([getattr(part, name) for part in parts]) for name in names})
+        return cls(**{name: fold.get(name, sum)([vars(part)[name] for part in parts]) for name in names})
 
 
 _WIDE = {"smd_stress": 6, "smd_data_9": 9}  # arrays of which LAMMPS does not tell the columns

@@ -94,9 +94,9 @@ def from_table(name: str, table: object) -> Nozzle:
         raise SceneError(["expected a table of lengths"], name)
     nozzle = records.read_record(Nozzle, name, table, _read, _DEFAULTS)
     problems = []
-    for key in ("inlet", "exit"):
-        if getattr(nozzle, key) <= nozzle.throat:
-            problems.append(f"{key} = {units.show(getattr(nozzle, key), 'mm')}: must be wider than the throat")
+    for key, width in {"inlet": nozzle.inlet, "exit": nozzle.exit}.items():
+        if width <= nozzle.throat:
+            problems.append(f"{key} = {units.show(width, 'mm')}: must be wider than the throat")
     if nozzle.injection is not None and not -nozzle.converging - nozzle.chamber <= nozzle.injection < nozzle.end:
         problems.append(f"injection = {units.show(nozzle.injection, 'mm')}: lies outside the nozzle")
     records.refuse(problems, name)

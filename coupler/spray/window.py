@@ -89,8 +89,6 @@ def spray(
     share = (np.arange(CLASSES) + 0.5) / CLASSES
     diameter = np.array([quantile(*sizes, u) for u in share])
     flights = fly(diameter.tolist())
-    velocity, temperature = (
-        np.array([getattr(flight, name) for flight in flights]) for name in ("velocity", "temperature")
-    )
+    velocity, temperature = (np.array([f.velocity for f in flights]), np.array([f.temperature for f in flights]))
     formula = tuple(pair_formula(material, base, T, D) for T, D in zip(temperature, diameter, strict=True))
     return Spray(share, diameter, velocity, temperature, np.array([f.T.max() for f in flights]), formula)

@@ -8,7 +8,7 @@ same names and back, `take`, `concatenate` and `scatter` treat all arrays with a
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import TypeVar, get_type_hints
+from typing import Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -16,6 +16,14 @@ from numpy.typing import DTypeLike
 from ..errors import CheckpointError
 
 R = TypeVar("R")
+
+
+@runtime_checkable
+class Kept(Protocol):
+    """A part of a simulation that gives its state as a record."""
+
+    def state(self) -> object:
+        """Its state, as a checkpoint holds it."""
 
 
 class Shape:
@@ -58,9 +66,7 @@ class Rows(Shape):
 @cache
 def _shapes(kind: type[object]) -> dict[str, Shape]:
     hints = get_type_hints(kind, include_extras=True)
-    specs = {
-        name: [m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape)] for name, hint in hints.items()
-    }
+    specs = {name: [m for m in get_args(hint)[1:] if isinstance(m, Shape)] for name, hint in hints.items()}
     return {name: shapes[0] for name, shapes in specs.items() if shapes}
 
 
@@ -84,7 +90,7 @@ def collect(kind: type[R], owner: object, **known: object) -> R:
 
     known: fields that are not attributes of the object.
     """
-    values = {f.name: _value(getattr(owner, f.name)) for f in fields(kind) if f.name not in known}  # type: ignore[arg-type]
+    values = {f.name: _value(vars(owner)[f.name]) for f in fields(kind) if f.name not in known}  # type: ignore[arg-type]
     return kind(**values, **known)
 
 
@@ -114,7 +120,7 @@ def _value(value: object) -> object:
         return value.copy()
     if isinstance(value, dict):
         return dict(value)
-    return value.state() if hasattr(value, "state") else value
+    return value.state() if isinstance(value, Kept) else value
 
 
 def assign(owner: object, record: object) -> None:
@@ -124,18 +130,19 @@ def assign(owner: object, record: object) -> None:
     """
     shapes = shapes_of(record)
     for name in (f.name for f in fields(record)):  # type: ignore[arg-type]
-        value = getattr(record, name)
+        value = vars(record)[name]
         if name in shapes:
-            own, spec = getattr(owner, name), shapes[name]
+            own, spec = vars(owner)[name], shapes[name]
             wanted = (len(own), *spec.shape[1:]) if spec.per_row else spec.shape
             if value.ndim != len(wanted) or any(n not in (-1, m) for n, m in zip(wanted, value.shape, strict=True)):
                 raise CheckpointError(f"a state does not fit: {name} has the shape {value.shape}, needed {own.shape}")
             if own.shape == value.shape:
                 own[...] = value
-            else:
-                setattr(owner, name, np.array(value, own.dtype))
-        elif not is_dataclass(value) and value is not None:
-            setattr(owner, name, dict(value) if isinstance(value, dict) else value)
+                continue
+            value = np.array(value, own.dtype)
+        elif is_dataclass(value) or value is None:
+            continue
+        setattr(owner, name, dict(value) if isinstance(value, dict) else value)
 
 
 def take(record: R, index: np.ndarray) -> R:
