@@ -83,7 +83,9 @@ def _coating(run: Path, impact: int) -> str:
 
 def _impact(result: "Result") -> int:
     """The number of the impact that is computed; 0 before the first row of the history."""
-    impacts = result.history("impact") if (result.directory / "history.csv").is_file() else ()
+    if not (result.directory / "history.csv").is_file():
+        return 0
+    impacts = result.history("impact")
     return int(impacts[-1]) if len(impacts) else 0
 
 
