@@ -12,7 +12,7 @@ from coupler.contact.overlap import overlaps
 from coupler.contact.surfaces import interface
 from coupler.errors import SolverError
 from coupler.fe import explicit, stability
-from coupler.impact.bodies import FOLDED, Bodies
+from coupler.target.bodies import FOLDED, Bodies
 
 N, S, GI, GII = 300e6, 200e6, 900.0, 1600.0  # strengths, Pa, and energies, J/m2, of the bonds below
 SIDE = 1e-3

@@ -16,17 +16,17 @@ from coupler.contact.law import stiffness
 from coupler.contact.model import Nodes
 from coupler.deposition.run import resume
 from coupler.errors import SolverError
-from coupler.fe.assemble import BodyState
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import volumes
-from coupler.impact import placing
-from coupler.impact.bodies import Bodies
 from coupler.impact.exchange import Impact
 from coupler.impact.verdict import efficiency_range
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import CONTACT_STIFFNESS, plan
+from coupler.target import placing
+from coupler.target.bodies import Bodies
+from coupler.target.domain import BodyState
 
 COARSE = {"spacing": 3.2, "element_size": 5.5, "diameter": 100, "height": 50}
 ONE = scene(("Ni", 25, 500), **COARSE)

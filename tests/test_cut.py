@@ -21,7 +21,6 @@ from coupler.contact.bodies import ContactPast
 from coupler.contact.model import new_history
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
-from coupler.deposition.cut import cut_out, put_back
 from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.replay import BatchReplay
@@ -32,7 +31,6 @@ from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare as prepare_mesh
 from coupler.files import checkpoint
 from coupler.geometry import mesher
-from coupler.impact.bodies import Bodies
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
@@ -47,6 +45,8 @@ from coupler.progress import Progress
 from coupler.sph.inertia import ENOUGH
 from coupler.state.records import rows_of
 from coupler.state.threads import PARTS, share
+from coupler.target.bodies import Bodies
+from coupler.target.cut import cut_out, put_back
 
 
 @pytest.fixture(scope="module")

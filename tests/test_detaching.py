@@ -11,12 +11,12 @@ from test_sequence import assert_goes_on, block, substrate
 from coupler import Result, Scene
 from coupler.deposition import detaching
 from coupler.errors import StoreError
-from coupler.impact.bodies import Bodies
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import Plan, plan
 from coupler.studies import coating
+from coupler.target.bodies import Bodies
 
 SIZE = 5e-6
 ORIGIN = (0.0, 0.0, 0.0)

@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from test_scene import scene_with
 
-from coupler.deposition.cut import cut_out
 from coupler.deposition.equilibrium import settle
 from coupler.fe import mesh as meshes
 from coupler.fe.boundary import HALF_SPACE, foundation
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
-from coupler.impact.bodies import Bodies
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
+from coupler.target.bodies import Bodies
+from coupler.target.cut import cut_out
 
 STEEL = material("SS304")
 

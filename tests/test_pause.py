@@ -23,16 +23,16 @@ from coupler.deposition.pause import AT_AMBIENT, COOLINGS, cool_to_ambient
 from coupler.deposition.summary import unsettled
 from coupler.errors import SolverError
 from coupler.fe import mesh as meshes
-from coupler.fe.assemble import BodyState
 from coupler.fe.explicit import Target
 from coupler.files.result import Result
 from coupler.geometry.mesher import box
 from coupler.geometry.tetrahedra import volumes
-from coupler.impact.bodies import Bodies
 from coupler.impact.ending import HELD_STILL, EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import Material, material
+from coupler.target.bodies import Bodies
+from coupler.target.domain import BodyState
 
 NI, STEEL = material("Ni"), material("SS304")
 STIFF_BASE = replace(STEEL, G=20 * STEEL.G, c0=np.sqrt(20) * STEEL.c0, rho=STEEL.rho)

@@ -15,9 +15,9 @@ from coupler.fe.explicit import Target
 from coupler.fe.relaxed import Relaxation
 from coupler.fe.stability import HighestFrequency, masses_for
 from coupler.geometry import mesher
-from coupler.impact.bodies import Bodies
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
+from coupler.target.bodies import Bodies
 
 KINETIC = 1e-7  # J
 STRICT = 1e-6 * KINETIC

@@ -22,14 +22,12 @@ from coupler.deposition.summary import summary
 from coupler.errors import SplatError
 from coupler.fe import explicit, heat, stability
 from coupler.fe import mesh as meshes
-from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.fe.explicit import Target
 from coupler.fe.heat import EVERY
 from coupler.geometry import mesher
 from coupler.geometry.points import morton
 from coupler.geometry.tetrahedra import volumes
 from coupler.geometry.triangles import enclosed_volume
-from coupler.impact.bodies import Bodies, level_under
 from coupler.impact.ending import EndCriterion
 from coupler.impact.summary import ImpactRecord
 from coupler.impact.verdict import efficiency_range
@@ -42,6 +40,8 @@ from coupler.sph import compiled, frequency, shapes
 from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
 from coupler.studies.coating import first_step
+from coupler.target.bodies import Bodies, level_under
+from coupler.target.domain import BodyState, domain_now, domain_of, merge
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
 
@@ -162,7 +162,7 @@ def test_a_splat_is_moved_out_of_what_it_lies_in(monkeypatch: pytest.MonkeyPatch
     assert new.target.elements.volume[new.body == 1].sum() == pytest.approx(
         volumes(body.points, body.tets).sum(), rel=0.05
     )
-    monkeypatch.setattr("coupler.impact.placing.ROUNDS", 0)
+    monkeypatch.setattr("coupler.target.placing.ROUNDS", 0)
     assert joined()[1] > 3e-6
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from coupler.deposition.pause import pause
-from coupler.fe.assemble import BodyState
 from coupler.geometry import mesher
 from coupler.geometry.tetrahedra import oriented
 from coupler.impact.domains import build_target
 from coupler.physics.adhesion import Adhesion
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
+from coupler.target.domain import BodyState
 
 SCENE = Path(__file__).parent / "single_ni.toml"
 EDGE = 10e-6  # m, of the body that lies on the target

@@ -20,7 +20,6 @@ from pages import PAGES, number, options, study_table, versions, write_parts
 
 from coupler import Scene, run
 from coupler.errors import SolverError
-from coupler.fe.assemble import BodyState, domain_now, domain_of, merge
 from coupler.geometry import mesher
 from coupler.geometry.extent import shape_measures
 from coupler.geometry.tetrahedra import volumes
@@ -33,6 +32,7 @@ from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
 from coupler.sph.packing import surface
 from coupler.studies.table import Row
+from coupler.target.domain import BodyState, domain_now, domain_of, merge
 
 SCENE = """
 effects = ["auto", "-conduction", "-particle_conduction", "-interface_conduction", "-dissipation_heat"]

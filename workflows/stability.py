@@ -19,7 +19,6 @@ from coupler import Result, Scene, run
 from coupler.deposition.joining import cloud_of
 from coupler.deposition.run import resume
 from coupler.errors import ColdsprayError, SceneError
-from coupler.fe.assemble import BodyState, domain_of
 from coupler.fe.explicit import Target
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
@@ -29,6 +28,7 @@ from coupler.progress import Progress
 from coupler.report.picture import blank, save
 from coupler.splat.convert import convert
 from coupler.studies.table import Row
+from coupler.target.domain import BodyState, domain_of
 
 POINTS = 400
 ALIAS = {"Cu": "OFHC_Cu"}

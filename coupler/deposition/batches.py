@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ColdsprayError, WorkerError
-from ..impact.bodies import Bodies
 from ..impact.run import RunOptions
 from ..impact.stop import Stopped, StopSignals
 from ..plan.batches import Batch
 from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..ranks.executors import executor
-from .cut import Cut, cut_out
+from ..target.bodies import Bodies
+from ..target.cut import Cut, cut_out
 from .joining import points_of_impact
 from .task import SPARE, STOP, Task, TaskResult, run_alone
 

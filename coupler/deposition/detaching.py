@@ -8,8 +8,8 @@ particle that has glanced off without a bond leaves; with "none" splats lie wher
 import numpy as np
 
 from ..files.summary import Values
-from ..impact.bodies import Bodies
 from ..plan.planning import Plan
+from ..target.bodies import Bodies
 from .equilibrium import RELEASE_TIME, settle
 
 REASON = "no path of unbroken bonds leads to the substrate"

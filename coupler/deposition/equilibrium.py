@@ -17,10 +17,10 @@ from ..fe.coarse import CoarseGrid
 from ..fe.explicit import Target
 from ..fe.relaxed import Relaxation
 from ..fe.stability import HighestFrequency
-from ..impact.bodies import Bodies
 from ..physics import motion
 from ..state.loops import PARTS
 from ..state.threads import share, together
+from ..target.bodies import Bodies
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
 SEARCH_EVERY = 10

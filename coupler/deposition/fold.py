@@ -15,7 +15,6 @@ from ..files.provenance import provenance
 from ..files.result import COLD, Result
 from ..files.store import PICTURE, PLAN, Store, StoreState
 from ..files.summary import Summary, Values, problem_of
-from ..impact.bodies import Bodies
 from ..impact.domains import build_target, restored_target
 from ..impact.recorder import VTK_ORDER, cell_fields
 from ..impact.run import RunOptions
@@ -24,8 +23,9 @@ from ..plan.batches import Batch
 from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..plan.record import plan_text
+from ..target.bodies import Bodies
+from ..target.cut import put_back
 from .batches import TASKS, Done, clear, side_by_side, tasks
-from .cut import put_back
 from .detaching import without_detached
 from .joining import rest, splats_at_end
 from .pause import cool_to_ambient

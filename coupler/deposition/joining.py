@@ -7,11 +7,9 @@ import numpy as np
 
 from ..contact.overlap import overlaps
 from ..errors import SolverError, SplatError
-from ..fe.assemble import BodyState, Point
 from ..fe.explicit import Target
 from ..files.summary import Values
 from ..geometry.extent import shape_measures
-from ..impact.bodies import Bodies, heights_at
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
 from ..physics.constitutive import sound_speed, von_mises
@@ -22,6 +20,8 @@ from ..progress import Progress
 from ..sph.carried_surface import CarriedSurface
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
+from ..target.bodies import Bodies, heights_at
+from ..target.domain import BodyState, Point
 from .detaching import held_at_rest, release_time, without_detached
 from .equilibrium import RELAXED, settle
 from .pause import pause

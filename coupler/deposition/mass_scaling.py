@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from ..fe.assemble import Point
 from ..files.summary import Values
-from ..impact.bodies import Bodies
 from ..plan.planning import Plan
 from ..sph.inertia import ENOUGH
+from ..target.bodies import Bodies
+from ..target.domain import Point
 
 SPRINGS = 2.5  # steps that are enough for a particle: one so long the springs of contact bear
 

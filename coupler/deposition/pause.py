@@ -17,11 +17,11 @@ from ..fe.explicit import Target
 from ..fe.heat import take_heat
 from ..files.summary import Values
 from ..geometry.triangles import areas
-from ..impact.bodies import Bodies
-from ..impact.placing import NEAR
 from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan
+from ..target.bodies import Bodies
+from ..target.placing import NEAR
 from .detaching import held_at_rest
 from .equilibrium import Known, settle
 

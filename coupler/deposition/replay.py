@@ -7,9 +7,9 @@ import numpy as np
 
 from ..files.result import Result
 from ..files.store import Store, StoreState
-from ..impact.bodies import Bodies
 from ..impact.recorder import cell_fields
-from .cut import Cut
+from ..target.bodies import Bodies
+from ..target.cut import Cut
 from .task import Task, TaskResult
 
 

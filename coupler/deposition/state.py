@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from ..files.store import StoreState
 from ..files.summary import Values
-from ..impact.bodies import BodiesState
 from ..impact.summary import ImpactRecord
+from ..target.bodies import BodiesState
 from .task import TaskState
 
 

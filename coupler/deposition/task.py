@@ -7,17 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ColdsprayError, NoContactError, SolverError
-from ..fe.assemble import Point
 from ..files import checkpoint
 from ..files.store import Store, StoreState
 from ..files.summary import Values
-from ..impact.bodies import BodiesState
 from ..impact.domains import restored_target
 from ..impact.run import ImpactStart, RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..state.threads import add_second_thread, second_thread
+from ..target.bodies import BodiesState
+from ..target.domain import Point
 from .joining import join
 from .mass_scaling import prepare
 

@@ -369,7 +369,7 @@ class Target:
             self._highest.restore(state.highest)
 
     def take(self, nodes: NodeState, elements: ElementState, before: "Target") -> None:
-        """Begin with the state of nodes and elements (`fe.assemble`), the ledger going on from that of `before`."""
+        """Begin with the state of nodes and elements (`target.domain`), the ledger going on from that of `before`."""
         self.nodes, self.elements = nodes, elements
         self.sums, self.impulse = before.sums.copy(), before.impulse.copy()
         self.internal_work, self.absorbed = before.internal_work, before.absorbed

@@ -25,7 +25,7 @@ from ..sph.engine import engine
 from ..sph.heat import PointConduction
 from ..sph.inertia import ENOUGH
 from ..sph.particle import Numerics, Particle
-from .bodies import Bodies, BodiesState, level_under
+from ..target.bodies import Bodies, BodiesState, level_under
 from .folding import Folding, folding
 from .heat import HeatPaths
 

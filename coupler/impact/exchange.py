@@ -27,7 +27,7 @@ from ..plan.cost import WINDOW
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
 from ..state.records import Shape, assign, check_indices, collect
-from .bodies import BodiesState
+from ..target.bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
 from .exposure import Exposure, ExposureState

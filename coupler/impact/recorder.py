@@ -13,7 +13,7 @@ from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..state.records import Shape, collect
-from .bodies import Bodies
+from ..target.bodies import Bodies
 from .exchange import Impact
 from .ledger import DRIFT_ALARM
 from .measure import crater_depth, measure

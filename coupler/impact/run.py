@@ -14,7 +14,7 @@ from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..ranks.ranks import Ranks
-from .bodies import Bodies, BodiesState
+from ..target.bodies import Bodies, BodiesState
 from .domains import Domains, build_domains, restored_target
 from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState

@@ -9,10 +9,10 @@ from scipy.sparse import coo_matrix
 from ..contact.overlap import ways_out
 from ..contact.surfaces import Surfaces, interface
 from ..errors import SolverError
-from ..fe.assemble import BodyState
 from ..fe.explicit import Target
 from ..geometry.tetrahedra import boundary_faces, volumes
 from ..geometry.triangles import correct_volume
+from .domain import BodyState
 
 NEAR = 0.6  # element sizes: what of two surfaces lies so close is in contact when a splat joins
 CLEAR, ROUNDS = 0.02, 6  # element sizes that a new splat may lie in other bodies; rounds of moving it out of them

@@ -14,12 +14,12 @@ import numpy as np
 from ..contact.bodies import ContactPast
 from ..contact.bond import Bond, BondRows, BondState
 from ..contact.model import new_history
-from ..fe.assemble import SPLAT, Point, Selection, domain_now, merge, select
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
-from ..impact.bodies import Bodies
 from ..state.arrays import occurring
 from ..state.records import arrays_of, collect, concatenate, take
+from .bodies import Bodies
+from .domain import SPLAT, Point, Selection, domain_now, merge, select
 
 ROUNDS = 20  # at most, to make the surface of a cut sound
 Ledgers = dict[str, Any]

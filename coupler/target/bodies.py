@@ -16,7 +16,6 @@ from ..contact.model import new_history
 from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
 from ..errors import CheckpointError
-from ..fe.assemble import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
 from ..geometry.raycast import RaySurface
@@ -24,6 +23,7 @@ from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
 from ..state.arrays import SpringTable, occurring
 from ..state.records import Shape, check_indices
+from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from .placing import NEAR, placed_on
 
 # Spacings. A bonded node that lies deeper than the first in its partner is looked at. Deeper than the second the contact presses with
