@@ -4,7 +4,7 @@
 # make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
 # make studies  Taylor bars, and the particle as finite elements, into docs/tables (hours)
 # make accuracy  what accuracy costs in time, and whether the errors of runs are true, into docs/evidence/accuracy.md (hours; rows in the table are not computed again)
-# make effects  what each effect changes and costs, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
+# make effects  what each effect changes, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)
 # make stability  hard scenes into docs/evidence/stability.md and docs/tables/stability.csv (20 minutes; goes on where it was stopped)
 # make fuzz   random scenes: each a result that an independent check finds no fault in, or a clear refusal; N=1000 SEED=1 say how many and which
 # make validate  the paper's cases and trends into docs/evidence/validation.md (half an hour; runs in its tables are not computed again)
@@ -116,7 +116,6 @@ accuracy: setup
 
 effects: setup
 	$(VENV)/bin/python workflows/effects_study.py
-	$(VENV)/bin/python workflows/effects_study.py --costs
 	$(VENV)/bin/python workflows/effects_study.py --proof
 
 stability: setup

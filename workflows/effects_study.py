@@ -1,8 +1,7 @@
-"""What each effect changes and costs, and what `auto` saves.
+"""What each effect changes, and what `auto` saves.
 
     python workflows/effects_study.py            # one effect left out at a time: docs/tables/effects_study.csv
     python workflows/effects_study.py --proof    # everything on against auto, twelve scenes at draft: docs/tables/effects_proof.csv
-    python workflows/effects_study.py --costs    # share of a step that leaving out saves: docs/tables/effects_costs.csv
     python workflows/effects_study.py --docs     # runs nothing: writes the page
 
 Rows in the tables of changes are not computed again. Times are processor time of one thread. What is compared goes on in turn, so that
@@ -19,22 +18,19 @@ from pathlib import Path
 import numpy as np
 from pages import (
     PAGES,
-    TABLES,
     markdown,
     number,
     options,
     single_impact,
     spacing_of,
     study_table,
-    table_rows,
     versions,
     write_parts,
-    write_table,
 )  # fmt: skip
 
 from coupler import Scene, run
 from coupler.impact.domains import build_domains
-from coupler.impact.exchange import WINDOW, Impact
+from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
 from coupler.measures import CONVERGING, measure
 from coupler.plan.effects import EFFECTS, GRADIENTS
@@ -141,26 +137,6 @@ def numbers_of(text: str) -> dict[str, float]:
     return {row.name: row.value for row in plan(Scene.from_text(text, "effects_study")).decisions}
 
 
-def costs(rounds: int) -> None:
-    """Time of a step with everything on, and the share of it that leaving out an effect saves."""
-    choices: dict[str, Effects] = {"everything on": "all", "none": "none"}
-    choices |= {name: ["all", f"-{name}"] for name in EACH}
-    rows = shares(STUDIES["Ni on steel, 500 m/s"][0], choices, rounds)
-    with_bonds: dict[str, Effects] = {"everything on, bonds by exposure": ["all", f"+{GRADIENTS}"], GRADIENTS: ["all"]}
-    rows += shares(exposing("Ni", 10, 660), with_bonds, rounds)
-    write_table(TABLES / "effects_costs.csv", rows, "remake: python workflows/effects_study.py --costs")
-
-
-def shares(text: str, choices: Mapping[str, Effects], rounds: int) -> list[dict[str, object]]:
-    """Rows of the table of costs: choices of effects for a scene, each beside the first of them."""
-    least = least_of({key: with_effects(text, effects) for key, effects in choices.items()}, rounds)
-    step = {key: float(np.mean(costs)) / WINDOW for key, costs in least.items()}
-    whole = next(iter(step.values()))
-    return [
-        {"left_out": k, "ms_per_step": f"{1e3 * s:.4g}", "saves": f"{1.0 - s / whole:.4f}"} for k, s in step.items()
-    ]
-
-
 def with_effects(text: str, effects: Effects) -> str:
     return f"effects = {json.dumps(effects)}\n{text}"
 
@@ -213,14 +189,12 @@ def proof(table: StudyTable, rounds: int) -> None:
 
 def main() -> None:
     """Fill the tables."""
-    a = options(__doc__, "proof", "costs", "docs", rounds=2)
+    a = options(__doc__, "proof", "docs", rounds=2)
     command = "python workflows/effects_study.py"
     influence = study_table("effects_study", STUDY_COLUMNS, ("scene", "effect"), command)
     against = study_table("effects_proof", PROOF_COLUMNS, ("scene",), f"{command} --proof")
     if a.proof:
         proof(against, a.rounds)
-    elif a.costs:
-        costs(a.rounds)
     elif not a.docs:
         study(influence)
     write(influence.rows, against.rows)
@@ -228,17 +202,16 @@ def main() -> None:
 
 def write(influence: list[Row], against: list[Row]) -> None:
     """Write the table of effects and what `auto` saves into the page."""
-    saves = {row["left_out"]: f"{100 * number(row, 'saves'):.0f} %" for row in table_rows("effects_costs")}
     lines = []
     for effect in EFFECTS:
         own = [row for row in influence if row["effect"] == effect.name]
         span = sorted(number(row, "number") for row in own)
         cells = [max((abs(number(row, key)) for row in own), default=math.nan) for key in SHOWN]
         lines.append([
-            effect.name, effect.number, f"{span[0]:.2g} to {span[-1]:.2g}" if span else "-",
-            *("-" if math.isnan(cell) else f"{cell:.1f}" for cell in cells), saves.get(effect.name, "-"), f"{effect.threshold:g}",
+            effect.name, effect.number, " to ".join(dict.fromkeys(f"{value:.2g}" for value in span[:: max(len(span) - 1, 1)])) or "-",
+            *("-" if math.isnan(cell) else f"{cell:.1f}" for cell in cells), f"{effect.threshold:g}",
         ])  # fmt: skip
-    head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "saves", "threshold"]
+    head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "threshold"]
     ratios = [number(row, "ratio") for row in against]
     median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
     saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", row["left_out"].replace(" ", ", ")] for row in against]

@@ -32,7 +32,7 @@ from coupler.studies.table import StudyTable
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
-PATIENCE = 120  # s of processor time; of wall time ten times as many
+PATIENCE = 600  # s of processor time; of wall time ten times as many: no end means that nothing goes on
 SCENES = 25  # by one process, at most: what it forgets to give back stays small
 ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
 COLUMNS = ("seed", "end", "seconds", "message")

@@ -5,7 +5,7 @@
     python workflows/pace.py --fit      # runs nothing: fits the constants of coupler/plan/cost.py to docs/tables and prints them
 
 The machine is timed again before every TIMED-th scene, as other work on it comes and goes. Times are of the processor, without the
-start of the program; kernels that are missing are compiled in them. Rows in the tables are not computed again.
+start of the program. Rows in the tables are not computed again.
 """
 
 import math
@@ -78,10 +78,13 @@ def draw(count: int) -> list[Table]:
 
 
 def computed(made: Table) -> tuple[dict[str, object], float]:
-    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s."""
+    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s; before, a short run compiles
+    the kernels."""
     with tempfile.TemporaryDirectory() as folder:
+        short = Scene.from_dict({**made, "name": "pace", "end": {"time": "3 ns"}})
+        run(short, Path(folder) / "short", threads=1, quiet=True)
         before = ladder.spent()
-        result = run(Scene.from_dict({**made, "name": "pace"}), Path(folder) / "run", threads=1)
+        result = run(Scene.from_dict({**made, "name": "pace"}), Path(folder) / "run", threads=1, quiet=True)
         return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder.spent() - before
 
 

@@ -1,6 +1,6 @@
 """Which physics a scene calls for: the table of effects, each with a number and the value below which `auto` leaves it out.
 
-What each changes and costs is measured: rows of its name in docs/tables/effects_study.csv and effects_costs.csv.
+What each changes is measured: rows of its name in docs/tables/effects_study.csv.
 """
 
 import math
@@ -86,8 +86,8 @@ class Effect:
     threshold: float = 0.0
 
 
-# Nothing saves as much as one in a hundred of the time but what has a threshold above 0, friction and gradients: no wave is back yet;
-# the pause is too short for heat to leave the splat; of conduction, what changes no measure by more than half a percent.
+# Thresholds above 0 are those of what takes time and may change nothing: no wave is back yet; the pause is too short for heat to leave
+# the splat; of conduction, what changes no measure by more than half a percent.
 EFFECTS = (
     Effect("thermal_softening", "heating or preheat / (T_m - T)", lambda s: max(s.warm, s.of_both(_preheat))),
     Effect(
