@@ -27,7 +27,6 @@ DISSIPATION_LIMIT = 0.25  # numerical dissipation over the initial kinetic energ
 
 STICKS, REBOUNDS, UNDECIDED = "sticks", "rebounds", "undecided"  # verdicts on a particle
 # What decides a verdict: bonds computed in the impact, a formula of the velocity, ties of the scene, the motion of the particle alone.
-VERDICTS = STICKS, REBOUNDS, UNDECIDED
 VERDICT_BY = BY_BONDS, BY_FORMULA, BY_SCENE, BY_MOTION = "bonds", "formula", "scene", "motion"
 
 SHAPE, PARTICLE, TARGET, RUN = "shape", "particle", "target", "run"

@@ -25,7 +25,7 @@ from coupler.progress import Progress
 from coupler.studies import accuracy_figures as draw
 from coupler.studies import accuracy_fit as fit
 from coupler.studies import ladder, pace, timing
-from coupler.studies.table import read_rows
+from coupler.studies.table import StudyTable, read_rows
 
 MEASURED = {
     "flattening_ratio": (0.57, -0.2), "flattening_ratio_total": (0.38, -0.4), "crater_depth_m": (5e-6, 0.6),
@@ -90,7 +90,7 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
     monkeypatch.setattr(ladder, "_warm_up", lambda out, say: None)
     path, said = tmp_path / "accuracy.csv", []
     for expected in (KeyboardInterrupt, None):
-        table = ladder.ladder_table(path, "made by a test")
+        table = StudyTable(path, ladder.COLUMNS, ladder.KEY, "made by a test")
         if expected:
             with pytest.raises(expected):
                 ladder.compute_missing(scene_with(), tmp_path, rungs, table, said.append)
@@ -104,12 +104,14 @@ def test_a_ladder_goes_on_where_it_was_and_hides_no_failure(tmp_path, monkeypatc
     assert [r["failed"] for r in found if r["setting"] == "2 dt"] == ["crushed flat"]
     assert any("crushed flat" in text for text in said)
     coarse = ladder.ladder_points((300,), 600, 300)
-    ladder.compute_missing(scene_with(), tmp_path, coarse, ladder.ladder_table(path, ""), said.append)
+    ladder.compute_missing(
+        scene_with(), tmp_path, coarse, StudyTable(path, ladder.COLUMNS, ladder.KEY, ""), said.append
+    )
     (refused,) = (r for r in read_rows(path) if (r["setting"], r["points"]) == ("2.5 spacings", "300"))
     assert "too coarse for the crater" in refused["failed"]  # not a scene, and a row all the same
     path.write_text("points,flattening\n1,2\n")
     with pytest.raises(StoreError, match="has other columns"):
-        ladder.ladder_table(path, "")
+        StudyTable(path, ladder.COLUMNS, ladder.KEY, "")
 
 
 def test_a_folder_keeps_to_its_scene(tmp_path):

@@ -42,15 +42,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Compute the ladder of a scene, or continue it, and draw. Returns the exit code."""
     from ..studies import ladder
     from ..studies.accuracy_figures import lines, write
+    from ..studies.table import StudyTable
 
     scene = scene_of(arguments)
     knobs = ladder.KNOBS_AT if arguments.knobs_at is None else arguments.knobs_at
     reference = ladder.REFERENCE if arguments.reference is None else arguments.reference
     points = ladder.ladder_points(arguments.points or ladder.POINTS, reference, knobs or None)
     out, say = study_folder(arguments, scene, "accuracy", _NAMES), teller(arguments.quiet)
-    table = ladder.ladder_table(
-        out / "accuracy.csv", "remake: coldspray accuracy (rows in this table are not computed again)"
-    )
+    about = "remake: coldspray accuracy (rows in this table are not computed again)"
+    table = StudyTable(out / "accuracy.csv", ladder.COLUMNS, ladder.KEY, about)
     try:
         ladder.compute_missing(scene, out, points, table, say, arguments.quiet)
     except KeyboardInterrupt:

@@ -42,7 +42,8 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         bracket, rows = critical.search(scene, out, limits, tolerance, say, arguments.repeat, arguments.jobs, about)
     except KeyboardInterrupt:
-        say("stopped; go on with the same command")
+        count = len(critical.rows_of(out / "runs"))
+        say(f"stopped; go on with the same command: {out / 'runs'} has {count} finished runs")
         raise
     draw(rows, bracket, scene.particle.diameter, out / "critical.png")
     print(bracket.words)

@@ -135,8 +135,9 @@ def splits(rows: list[dict[str, float]]) -> bool:
 
 def write_meshes(splats: Splats, folder: Path) -> list[Path]:
     """The coating for homogenisation: coating.vtu, one mesh of substrate and splats with the body and impact (0: the substrate) of each
-    tetrahedron and its fields, and
-    splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m. Raises StoreError.
+    tetrahedron and its fields, and splats/splat_NNN.stl, the closed surface of each, numbered by impact. Lengths in m.
+
+    Raises StoreError.
     """
     inner = folder / "splats"
     cells = splats.mesh.cells

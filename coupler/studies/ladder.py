@@ -32,17 +32,15 @@ COLUMNS = (
     "axis", "setting", "points", "points_used", "elements", "steps", "dt_mean_s", "sim_time_s", "cpu_s", "cpu_loop_s", "wall_s",
     *MEASURES, "numerical_dissipation", "energy_drift", "failed",
 )  # fmt: skip
-KNOB_AXES = ("element size", "dt", "viscosity", "hourglass", "contact stiffness")
 STEP = {"courant": 0.4, "stretch": 0.9, "frequency": 0.85}  # the defaults of `coupler.sph.particle.Numerics`
-# Parameters of the scheme, for each of KNOB_AXES: name in the table -> changed values.
-_TRIED: tuple[dict[str, dict[str, float]], ...] = (
-    {"1.2 spacings": {"element": 1.2}, "2.5 spacings": {"element": 2.5}},
-    {f"{f:g} dt": {name: f * value for name, value in STEP.items()} for f in (0.5, 1.25, 2.0)},
-    {"Q1 0": {"Q1": 0.0}, "Q1 0.2": {"Q1": 0.2}},
-    {"hourglass 0.3": {"hourglass": 0.3}, "hourglass 3": {"hourglass": 3.0}},
-    {"k 0.3": {"contact_stiffness": 0.3}, "k 3": {"contact_stiffness": 3.0}},
-)
-KNOBS = dict(zip(KNOB_AXES, _TRIED, strict=True))
+# axis -> name in the table -> changed parameters of the scheme
+KNOBS: dict[str, dict[str, dict[str, float]]] = {
+    "element size": {"1.2 spacings": {"element": 1.2}, "2.5 spacings": {"element": 2.5}},
+    "dt": {f"{f:g} dt": {name: f * value for name, value in STEP.items()} for f in (0.5, 1.25, 2.0)},
+    "viscosity": {"Q1 0": {"Q1": 0.0}, "Q1 0.2": {"Q1": 0.2}},
+    "hourglass": {"hourglass 0.3": {"hourglass": 0.3}, "hourglass 3": {"hourglass": 3.0}},
+    "contact stiffness": {"k 0.3": {"contact_stiffness": 0.3}, "k 3": {"contact_stiffness": 3.0}},
+}
 EFFECTS = ("all", "none")
 KEY = ("axis", "setting", "points")  # columns that identify a row
 
@@ -92,11 +90,6 @@ def scene_at(scene: Scene, point: LadderPoint) -> Scene:
     """The scene with the resolution and effects of a ladder point in place of its own."""
     changes = {} if point.effects is None else {"effects": point.effects}
     return at_points(scene, point.points, changes, point.element)
-
-
-def ladder_table(path: Path, about: str) -> StudyTable:
-    """The table of a ladder. Raises StoreError for a file that is none."""
-    return StudyTable(path, COLUMNS, KEY, about)
 
 
 def finished(rows: Sequence[Mapping[str, str]]) -> Iterator[Mapping[str, str]]:
