@@ -15,7 +15,8 @@ from coupler import Scene, run
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.measures import REBOUNDS, STICKS, UNDECIDED
-from coupler.studies import critical, points
+from coupler.studies import critical
+from coupler.studies import runs as study_runs
 from coupler.studies.critical import Bracket, bracket, next_velocity
 from coupler.studies.table import read_rows
 
@@ -110,7 +111,7 @@ def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:
 
 
 def in_this_process(scene: Path, status: Path) -> dict[str, object]:
-    """In place of `points.compute`: to start a process for each run costs more than these runs."""
+    """In place of `runs.compute`: to start a process for each run costs more than these runs."""
     run(scene, scene.with_suffix(""), quiet=True)
     ended: dict[str, object] = {"status": "done", "reason": "", "exit_code": 0}
     status.write_text(json.dumps(ended))
@@ -121,7 +122,7 @@ def test_the_command_brackets_keeps_its_runs_and_draws(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All rebound: the search ends at its upper limit; what it has computed it does not compute again."""
-    monkeypatch.setattr(points, "compute", in_this_process)
+    monkeypatch.setattr(study_runs, "compute", in_this_process)
     file, out = tmp_path / "ni.toml", tmp_path / "out"
     file.write_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
     call = [

@@ -13,7 +13,8 @@ from coupler import Result, Scene, run
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.impact.ending import EndCriterion
-from coupler.studies import coating, points, runs_table
+from coupler.studies import coating, runs_table
+from coupler.studies import runs as study_runs
 
 LIMITED = scene(("Ni", 25, 500), **TINY, more='[end]\nat = "rest"\ntime = "20 ns"\n')
 
@@ -205,7 +206,7 @@ def test_a_run_whose_verdict_is_undecided_at_its_end_goes_on_until_it_is_decided
 def test_an_undecided_point_of_a_sweep_says_why_and_an_undecided_particle_has_not_stayed(tmp_path):
     folder = tmp_path
     (folder / "limited.toml").write_text(LIMITED.replace("20 ns", "5 ns"))
-    ended = points.compute(folder / "limited.toml", folder / "limited.json")
+    ended = study_runs.compute(folder / "limited.toml", folder / "limited.json")
     assert (ended["status"], ended["exit_code"]) == ("undecided", 4)
     assert str(ended["reason"]).startswith("undecided: not at rest at its time limit of 5 ns")
     (row,) = (row for row in runs_table.table(folder) if row["point"] == "limited")

@@ -19,7 +19,7 @@ from coupler.commands import sweep as sweep_command
 from coupler.errors import InterruptedRunError, SceneError
 from coupler.plan.reading import Scene
 from coupler.ranks.executors import WITH_PARENT
-from coupler.studies import points as point_runs
+from coupler.studies import runs as study_runs
 from coupler.studies.runs_table import table
 from coupler.studies.sweep import Sweep
 from coupler.studies.table import read_rows
@@ -72,7 +72,7 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
 
 def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(tmp_path, monkeypatch, capsys) -> None:
     """One point finished before, one that the program refuses: hotter than its metal stands."""
-    monkeypatch.setattr(point_runs, "compute", lambda scene, status: pytest.fail(f"{scene.name} was run"))
+    monkeypatch.setattr(study_runs, "compute", lambda scene, status: pytest.fail(f"{scene.name} was run"))
     two = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"], temperature=["300 K", "1700 K"]))
     good, bad = two.points
     assert list(two.refused) == [bad]
@@ -97,7 +97,7 @@ def test_a_point_that_was_refused_before_is_run_when_it_no_longer_is(tmp_path, m
         status.write_text(json.dumps(ended := {"status": "done", "reason": "", "exit_code": 0}))
         return ended
 
-    monkeypatch.setattr(point_runs, "compute", end)
+    monkeypatch.setattr(study_runs, "compute", end)
     few = Sweep.from_dict(points(diameter=["25 um"], velocity=["400 m/s"]))
     (name,) = few.points
     scene = few.write(tmp_path, name)
@@ -109,10 +109,10 @@ def test_a_point_that_was_refused_before_is_run_when_it_no_longer_is(tmp_path, m
 def test_time_to_go_of_a_sweep_is_that_of_the_points_that_are_left(tmp_path, monkeypatch) -> None:
     """Three points of 40 s each."""
     done = {"status": "done", "reason": "", "exit_code": 0}
-    monkeypatch.setattr(point_runs, "run_point", lambda *_: done)
-    monkeypatch.setattr(point_runs, "time", SimpleNamespace(monotonic=iter([0.0, 40.0, 80.0, 120.0]).__next__))
+    monkeypatch.setattr(study_runs, "run_point", lambda *_: done)
+    monkeypatch.setattr(study_runs, "time", SimpleNamespace(monotonic=iter([0.0, 40.0, 80.0, 120.0]).__next__))
     said: list[str] = []
-    point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=ThreadPoolExecutor(1))
+    study_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=ThreadPoolExecutor(1))
     assert [line.partition("; ")[2] for line in said] == ["about 80 s to go", "about 40 s to go", ""]
 
 
@@ -123,15 +123,15 @@ def test_a_point_that_is_stopped_is_no_failure(tmp_path, monkeypatch, number, ve
     default = "" if number == "KILL" else f"signal.signal(signal.SIG{number}, signal.SIG_DFL); "
     program.write_text(f"#!{sys.executable}\nimport os, signal\n{default}os.kill(os.getpid(), signal.SIG{number})\n")
     program.chmod(0o755)
-    monkeypatch.setattr(point_runs.sys, "executable", str(program))
+    monkeypatch.setattr(study_runs.sys, "executable", str(program))
     scene = Sweep.from_dict(points()).write(tmp_path, "Ni_10um_400ms_300K")
     status = scene.with_suffix(".json")
     if verdict is None:
         with pytest.raises(InterruptedRunError):
-            point_runs.compute(scene, status)
+            study_runs.compute(scene, status)
         assert not status.exists()
     else:
-        assert point_runs.compute(scene, status)["reason"] == verdict
+        assert study_runs.compute(scene, status)["reason"] == verdict
         assert json.loads(status.read_text())["status"] == "failed"
 
 
@@ -140,9 +140,9 @@ def test_a_run_of_another_scene_is_not_gone_on_with(tmp_path) -> None:
     name = next(iter(few.points))
     scene = few.write(tmp_path, name)
     pretend(tmp_path, name)
-    assert point_runs._begun(Scene.load(scene), tmp_path / name)
+    assert study_runs._begun(Scene.load(scene), tmp_path / name)
     scene.write_text(few.points[name].replace("draft", "fine"))
-    assert not point_runs._begun(Scene.load(scene), tmp_path / name)
+    assert not study_runs._begun(Scene.load(scene), tmp_path / name)
 
 
 def test_points_are_a_list_and_settings_reach_any_table(tmp_path) -> None:
@@ -254,7 +254,7 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
             return future
 
     said: list[str] = []
-    statuses = point_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=Losing())
+    statuses = study_runs.run_points(tmp_path, dict.fromkeys("abc", ""), log=said.append, pool=Losing())
     assert statuses == {"a": "done", "b": "stopped", "c": "stopped"}
     assert sum("its worker was lost (node down)" in line for line in said) == 1
 

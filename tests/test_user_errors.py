@@ -26,7 +26,7 @@ from coupler.measures import STICKS
 from coupler.physics.adhesion import PairFormula
 from coupler.plan.planning import plan
 from coupler.spray.window import Spray
-from coupler.studies.points import of_another_scene
+from coupler.studies.runs import of_another_scene
 from coupler.studies.sweep import Sweep
 
 COATING = """[coating]

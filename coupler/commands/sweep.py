@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_folder
     from ..progress import Progress
     from ..ranks.executors import executor
-    from ..studies.points import of_another_scene, run_points, stopping
+    from ..studies.runs import of_another_scene, run_points, stopping
     from ..studies.sweep import Sweep
 
     sweep = Sweep.load(arguments.sweep)

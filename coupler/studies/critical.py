@@ -22,7 +22,7 @@ from ..physics.adhesion import PairFormula
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
-from .points import how_ended, run_point, run_points
+from .runs import how_ended, run_point, run_points
 from .sweep import toml_text
 from .table import write_rows
 

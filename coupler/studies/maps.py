@@ -24,7 +24,7 @@ from .. import units
 from ..errors import StoreError
 from ..files.inputs import read_text, read_toml
 from ..measures import REBOUNDS, STICKS, UNDECIDED, measure
-from .points import run_point
+from .runs import run_point
 from .runs_table import AXES, COLUMNS, KEYS, MEASURES, Row, scene_file
 from .sweep import point_name, set_key, toml_text
 

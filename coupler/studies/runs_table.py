@@ -14,7 +14,7 @@ from ..files.inputs import read_toml, reading
 from ..files.result import Result
 from ..measures import CONVERGING
 from ..plan.record import read_plan
-from .points import how_ended
+from .runs import how_ended
 from .table import write_rows
 
 AXES = ("velocity_m_s", "diameter_m", "temperature_K")  # in the order in which they become x and y of a map

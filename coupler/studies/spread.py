@@ -10,7 +10,7 @@ from ..measures import CONVERGING, measure
 from ..physics import materials
 from ..plan.reading import Scene
 from ..report.words import errors_of, shown
-from .points import run_points
+from .runs import run_points
 from .table import in_columns
 
 FOLDER = "strength"  # of the runs with other sets, in that of the run

@@ -16,7 +16,7 @@ from ..plan.reading import Scene
 from ..scene.model import safe_name
 from ..units import UnitError, nearest, parse, rounded
 from .ensemble import Distribution, distribution_of, draws
-from .points import run_points, write_scene
+from .runs import run_points, write_scene
 
 MOST_POINTS = 10_000
 SUBSTRATE = {"diameter": 8.0, "height": 4.0}  # over the particle's diameter: 200 x 100 um for 25 um

@@ -160,7 +160,7 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
 
 
 def main(arguments: list[str]) -> int:
-    """`python -m coupler.studies.points SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
+    """`python -m coupler.studies.runs SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
     scene, status = map(Path, arguments)
     with stopping():
         try:
