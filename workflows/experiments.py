@@ -12,23 +12,13 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import (
-    PAGES,
-    column,
-    figure_path,
-    markdown,
-    number,
-    options,
-    study_table,
-    table_rows,
-    versions,
-    write_parts,
-)
+from pages import PAGES, column, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
 
 from coupler import Scene, run
 from coupler.errors import ColdsprayError
@@ -105,11 +95,6 @@ def rebounds(preset: str) -> Iterator[Case]:
                 for v, _ in REBOUND[metal]["e"]:
                     if in_window(v) == inside:
                         yield Case(metal, name, v, REBOUND[metal]["diameter_um"], metal, preset)
-
-
-def restitution() -> Iterator[Case]:
-    """The measured velocities with all sets."""
-    return rebounds("draft")
 
 
 def fine() -> Iterator[Case]:
@@ -246,24 +231,22 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     save(figure, path)
 
 
-TABLES_OF = {
-    "restitution": "restitution_sets",
-    "fine": "restitution_sets",
-    "band": "restitution_sets",
-    "splats": "splats_4340",
-}
-PARTS = {"restitution": restitution, "band": band, "splats": splats, "fine": fine}
+PARTS = {  # name: table, cases
+    "restitution": ("restitution_sets", partial(rebounds, "draft")), "band": ("restitution_sets", band),
+    "splats": ("splats_4340", splats), "fine": ("restitution_sets", fine),
+}  # fmt: skip
 
 
 def main() -> None:
     """Run what is missing, write the page."""
     a = options(__doc__, "docs", only=list(PARTS))
     for part in () if a.docs else a.only:
-        table = study_table(TABLES_OF[part], COLUMNS, KEY, "python workflows/experiments.py")
-        for case in PARTS[part]():
+        name, cases = PARTS[part]
+        table = study_table(name, COLUMNS, KEY, "python workflows/experiments.py")
+        for case in cases():
             if case.key not in table:
                 row = table.add(row_of(case))
-                print({name: row[name] for name in (*KEY, "restitution", "flattening", "cpu_s", "failed")}, flush=True)
+                print({key: row[key] for key in (*KEY, "restitution", "flattening", "cpu_s", "failed")}, flush=True)
     rebound, splat = table_rows("restitution_sets"), table_rows("splats_4340")
     draw(rebound, figure_path("experiments", "restitution_sets.png"))
     write_parts(PAGES["experiments"], {"restitution": restitution_part(rebound), "splats": splat_part(splat)})

@@ -1,6 +1,6 @@
 """Random scenes over the whole allowed range of every field: python workflows/fuzz.py [--n 100] [--seed 1] [--keep DIR]
 
-Each is computed by the command, coarse and for a short time, in a process that computes many. Allowed ends: a result (exit code 0; 4:
+Each is computed by the command, coarse and for a short time, in a forked process. Allowed ends: a result (exit code 0; 4:
 not at rest in its time, which it says) in which `verify.check` finds no fault, or one message (2: the scene is refused, 3: the solver
 gives up), within the time. All else (a fault, a traceback, a signal, no end) is printed and kept in DIR, and the exit code is then 1.
 DIR/table.csv has a row for each seed; its seeds are not computed again.
@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import json
 import math
-import multiprocessing
 import os
 import random
 import resource
@@ -20,7 +19,6 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +26,12 @@ import verify
 
 from coupler import Result, report
 from coupler.commands.main import main as coldspray
+from coupler.errors import StoreError
 from coupler.studies.table import StudyTable
 
 MATERIALS = ("Ni", "Ti", "SS304", "OFHC_Cu", "Al", "42CrMo4")
 SHAPES = ("sphere", "hollow_sphere", "oblate", "rod", "flake", "angular")
-PATIENCE = 600  # s of processor time; of wall time ten times as many: no end means that nothing goes on
-SCENES = 25  # by one process, at most: what it forgets to give back stays small
+PATIENCE = 600  # s of wall time
 ENDS = {0: "a result", 2: "refused", 3: "given up", 4: "undecided"}
 COLUMNS = ("seed", "end", "seconds", "message")
 Played = tuple[int | None, str, list[str], float]  # exit code (None: no end), what was said, faults of the result, s
@@ -140,7 +138,7 @@ def toml(said: dict[str, Any]) -> str:
 
 def verdict(code: int | None, said: str, faults: list[str]) -> str:
     """What is wrong with an end; nothing if it is allowed."""
-    if code is None or code in (-signal.SIGXCPU, -signal.SIGALRM):
+    if code is None:
         return f"no end in {PATIENCE} s"
     if code not in ENDS:
         return f"exit code {code}"
@@ -152,38 +150,58 @@ def verdict(code: int | None, said: str, faults: list[str]) -> str:
     return f"silently wrong: {'; '.join(faults)}" if faults else ""
 
 
+def ended(
+    command: list[str], log: Path, patience: int, memory: int = resource.RLIM_INFINITY
+) -> tuple[int | None, float]:
+    """Run a command in a forked process. Returns its exit code (negative: a signal; None: no end) and the wall time, s.
+
+    log: file of all that it says. patience: s of wall time. memory: bytes of address space.
+    """
+    started = time.monotonic()
+    if (pid := os.fork()) == 0:
+        _run(command, log, patience, memory)
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(pid, signal.SIGKILL)  # processes that it has left
+    return None if code == -signal.SIGALRM else code, time.monotonic() - started
+
+
+def _run(command: list[str], log: Path, patience: int, memory: int) -> None:
+    """Run a command in this forked process, and end it with the command's exit code; 99 for an exception."""
+    code = 99
+    try:
+        os.setpgid(0, 0)
+        signal.alarm(patience)
+        with open(log, "w") as stream:
+            os.dup2(stream.fileno(), 1)
+            os.dup2(stream.fileno(), 2)
+        sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", buffering=1) for k in (1, 2))
+        resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        try:
+            code = coldspray(command)
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 1
+        except BaseException:
+            traceback.print_exc()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(code)
+
+
 def played(seed: int, folder: Path) -> Played:
-    """Compute the scene of a seed in this process, and check its result."""
-    started = time.process_time()
-    resource.setrlimit(resource.RLIMIT_CPU, (int(started) + PATIENCE, resource.RLIM_INFINITY))
-    signal.alarm(10 * PATIENCE)
-    (folder / "scene.toml").write_text(toml(scene(seed)))
+    """Compute the scene of a seed, and check its result."""
+    path, out, log = folder / "scene.toml", folder / "out", folder / "said.txt"
+    path.write_text(toml(scene(seed)))
+    code, seconds = ended(["run", str(path), "--out", str(out), "--quiet", "--threads", "1"], log, PATIENCE)
     faults: list[str] = []
-    with (folder / "said.txt").open("w+") as said:
-        os.dup2(said.fileno(), 1)
-        os.dup2(said.fileno(), 2)
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            try:
-                report.section_picture = lambda result: None  # it costs as much as the run
-                code = coldspray(
-                    ["run", str(folder / "scene.toml"), "--out", str(folder / "out"), "--quiet", "--threads", "1"]
-                )
-            except SystemExit as end:
-                code = end.code if isinstance(end.code, int) else 1
-            except Exception:
-                code = 1
-                traceback.print_exc()
-        if code in (0, 4):
-            faults = verify.check(Result(folder / "out")).faults
-        said.flush()
-        return code, (folder / "said.txt").read_text(), faults, time.process_time() - started
-
-
-def serve(seeds: list[int], results: Connection) -> None:
-    """Compute the scenes of some seeds, one after another; send each end."""
-    for seed in seeds:
-        with tempfile.TemporaryDirectory() as folder:
-            results.send(played(seed, Path(folder)))
+    if code in (0, 4):
+        try:
+            faults = verify.check(Result(out)).faults
+        except StoreError as problem:
+            faults = [str(problem)]
+    return code, log.read_text(errors="replace"), faults, seconds
 
 
 def main() -> int:
@@ -194,38 +212,17 @@ def main() -> int:
     parser.add_argument(
         "--keep", type=Path, default=Path("runs/fuzz"), help="for the table and the scenes with a bad end"
     )
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="compute bad ends of the table again")
     a = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    report.section_picture = lambda result: None  # it costs as much as the run
     table = StudyTable(a.keep / "table.csv", COLUMNS, ("seed",), "random scenes: workflows/fuzz.py")
     done = {row["seed"] for row in table.rows if not (a.again and row["end"] == "BAD")}
-    waiting = [seed for seed in range(a.seed, a.seed + a.n) if str(seed) not in done]
-    context = multiprocessing.get_context("spawn")
-    running: dict[
-        Connection, tuple[Any, list[int]]
-    ] = {}  # results of a process -> it, and the seeds it has still to play
-    while waiting or running:
-        while waiting and len(running) < a.workers:
-            seeds, waiting = waiting[:SCENES], waiting[SCENES:]
-            results, sender = context.Pipe(duplex=False)
-            process = context.Process(target=serve, args=(seeds, sender))
-            process.start()
-            sender.close()
-            running[results] = process, seeds
-        for results in wait(list(running)):
-            process, seeds = running[results]
-            try:
-                end: Played = results.recv()
-            except EOFError:  # it is done, or has died of the scene it was at
-                process.join()
-                del running[results]
-                if not seeds:
-                    continue
-                end = process.exitcode, "", [], math.nan
-                waiting = seeds[1:] + waiting
-            record(table, seeds.pop(0), end, a.keep)
-    chosen = [row for row in table.rows if a.seed <= int(row["seed"]) < a.seed + a.n]
+    seeds = range(a.seed, a.seed + a.n)
+    for seed in (seed for seed in seeds if str(seed) not in done):
+        with tempfile.TemporaryDirectory() as folder:
+            record(table, seed, played(seed, Path(folder)), a.keep)
+    chosen = [row for row in table.rows if int(row["seed"]) in seeds]
     print("; ".join(f"{count} {end}" for end, count in sorted(Counter(row["end"] for row in chosen).items())))
     return int(any(row["end"] == "BAD" for row in chosen))
 

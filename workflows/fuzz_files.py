@@ -13,13 +13,9 @@ import json
 import os
 import random
 import re
-import resource
 import shutil
-import signal
 import sys
 import tempfile
-import time
-import traceback
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -33,8 +29,8 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import h5py  # noqa: E402
 import meshio  # noqa: E402
 import numpy as np  # noqa: E402
+from fuzz import ended  # noqa: E402
 
-from coupler.commands.main import main as coldspray  # noqa: E402
 from coupler.files import checkpoint  # noqa: E402
 from coupler.files.store import Store  # noqa: E402
 from coupler.plan.planning import plan  # noqa: E402
@@ -94,6 +90,7 @@ class Kind:
     commands: Sequence[Sequence[str]]
 
 
+SHOW = [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]
 KINDS = (
     Kind("scene", "scene.toml", 6, [["check", "FILE"]]),
     Kind("coating scene", "coating.toml", 3, [["check", "FILE"]]),
@@ -114,14 +111,9 @@ KINDS = (
     Kind("particle", "runs/one/particle.vtkhdf", 5, RUN_COMMANDS),
     Kind("surface", "runs/one/surface.vtkhdf", 4, RUN_COMMANDS),
     Kind("target", "runs/one/target.vtkhdf", 4, RUN_COMMANDS),
-    Kind("end of a point", "sweep/Ni_a.json", 2, [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]),
-    Kind(
-        "summary of a point",
-        "sweep/Ni_a/summary.json",
-        3,
-        [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]],
-    ),
-    Kind("scene of a point", "sweep/Ni_a.toml", 3, [["map", "SWEEP", "--out", "OUT", "--show", "flattening_ratio"]]),
+    Kind("end of a point", "sweep/Ni_a.json", 2, SHOW),
+    Kind("summary of a point", "sweep/Ni_a/summary.json", 3, SHOW),
+    Kind("scene of a point", "sweep/Ni_a.toml", 3, SHOW),
     Kind("checkpoint", "broken/checkpoint-000002.ckpt", 5, [["resume", "BROKEN", "--quiet"]]),
 )
 
@@ -129,10 +121,8 @@ KINDS = (
 def prepare(folder: Path) -> None:
     """One sound file of each kind."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("scene.toml", "coating.toml"):
-        shutil.copy(
-            ROOT / "workflows" / {"scene.toml": "fast_ni.toml", "coating.toml": "coating_ni.toml"}[name], folder / name
-        )
+    shutil.copy(ROOT / "workflows" / "fast_ni.toml", folder / "scene.toml")
+    shutil.copy(ROOT / "workflows" / "coating_ni.toml", folder / "coating.toml")
     text = (ROOT / "coupler" / "spray" / "nozzles.toml").read_text().replace("[D42PBI]", "[Mine]")
     (folder / "nozzles.toml").write_text(text)
     rng = np.random.default_rng(1)
@@ -169,7 +159,7 @@ def prepare(folder: Path) -> None:
         with h5py.File(folder / name / "target.vtkhdf", "r+", locking=False) as file:
             data, offsets = file["VTKHDF/CellData"], file["VTKHDF/Steps/CellDataOffsets"]
             data["body"], offsets["body"] = np.zeros(len(data["T"]), np.float32), offsets["T"][()]
-    for k, name in enumerate(("Ni_a", "Ni_b", "Ni_c", "Ni_d", "Ni_e", "Ni_f", "Ni_g", "Ni_h")):
+    for k, name in enumerate(f"Ni_{letter}" for letter in "abcdefgh"):
         scene = made_up_run.SCENE.replace("500 m/s", f"{400 + 50 * (k % 4)} m/s").replace(
             "25 um", f"{20 + k // 4 * 10} um"
         )
@@ -180,14 +170,9 @@ def prepare(folder: Path) -> None:
         found = made_up_run.summary(end={"flattening_ratio": 0.4 + 0.02 * k}, rebound_velocity_m_s=20.0 + k)
         (folder / "sweep" / name / "summary.json").write_text(json.dumps(found))
     made_up_run.write(folder / "broken", 2, 300, 20.0)
-    state = {
-        "running": None,
-        "records": [],
-        "store": {"columns": ["time"], "history": np.ones((3, 1)), "steps": {"target": 1}},
-        "n": 3,
-    }
+    store = {"columns": ["time"], "history": np.ones((3, 1)), "steps": {"target": 1}}
     for _ in range(2):
-        checkpoint.write(folder / "broken", state, {"version": "0", "scene": "x"})
+        checkpoint.write(folder / "broken", {"records": [], "store": store, "n": 3}, {"version": "0", "scene": "x"})
 
 
 # --- mutations: a function of (dice, path) that damages the file there and says how
@@ -404,47 +389,12 @@ def case(seed: int, sound: Path, folder: Path, quick: bool) -> tuple[str, list[s
     return f"{kind.name}: {said}", command
 
 
-def child(command: list[str], log: Path) -> None:
-    """Run a command in this forked process, and end it with the command's exit code; 99 for an exception."""
-    code = 99
-    try:
-        with open(log, "w") as stream:
-            os.dup2(stream.fileno(), 1)
-            os.dup2(stream.fileno(), 2)
-            sys.stdout, sys.stderr = (os.fdopen(os.dup(k), "w", buffering=1) for k in (1, 2))
-            resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-            os.setpgid(0, 0)
-            try:
-                code = coldspray(command)
-            except SystemExit as end:
-                code = end.code if isinstance(end.code, int) else 1
-            except BaseException:
-                traceback.print_exc()
-            sys.stdout.flush()
-            sys.stderr.flush()
-    finally:
-        os._exit(code)
-
-
 def run(command: list[str], log: Path) -> tuple[str, float]:
     """What is wrong with how a command ends, "" if nothing; and the seconds it took."""
-    started = time.monotonic()
-    pid = os.fork()
-    if pid == 0:
-        child(command, log)
-    while True:
-        done, status = os.waitpid(pid, os.WNOHANG)
-        took = time.monotonic() - started
-        if done:
-            break
-        if took > PATIENCE:
-            os.killpg(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
-            return f"no end after {PATIENCE} s", took
-        time.sleep(0.005)
+    code, took = ended(command, log, PATIENCE, MEMORY)
     text = log.read_text(errors="replace")
-    code = os.waitstatus_to_exitcode(status)
+    if code is None:
+        return f"no end after {PATIENCE} s", took
     if code not in (0, 2, 3, 4):
         return f"exit code {code}", took
     if "Traceback" in text or "Warning" in text:

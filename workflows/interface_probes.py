@@ -24,30 +24,14 @@ from coupler.studies.critical import at_velocity
 from coupler.studies.sweep import toml_text
 
 SPRINGS = (
-    "metal",
-    "velocity_m_s",
-    "preset",
-    "contact_stiffness",
-    "springs_J_m2",
-    "rebound_J_m2",
-    "restitution",
-    "steps",
-)
-SPRING_CASES = (
-    *(("ni", 10.0, 665.0, preset, factor) for preset in ("draft", "standard") for factor in (1.0, 8.0, 16.0)),
-)
+    "metal", "velocity_m_s", "preset", "contact_stiffness", "springs_J_m2", "rebound_J_m2", "restitution", "steps",
+)  # fmt: skip
 PROFILE = (
-    "metal",
-    "diameter_um",
-    "velocity_m_s",
-    "preset",
-    "zone_r_over_R",
-    "clean_share",
-    "strength_MPa",
-    "over_flow_stress",
+    "metal", "diameter_um", "velocity_m_s", "preset", "zone_r_over_R", "clean_share", "strength_MPa", "over_flow_stress",
     "energy_J_m2",
-)
-PROFILE_CASES = (("al", 22.0, 1100.0, "standard"),)
+)  # fmt: skip
+SIZE_NI, VELOCITY_NI = 10.0, 665.0  # um and m/s, of the springs
+SIZE_AL, VELOCITY_AL = 22.0, 1100.0  # of the profile
 ZONES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)  # of the particle's radius, at the greatest deformation
 
 
@@ -93,34 +77,34 @@ def compute(text: str, probe: Callable[[Impact], None], **numerics: float) -> di
         return dict(run(scene, Path(place) / "run", threads=1, probe=probe, progress=quiet, numerics=numerics).values)
 
 
-def springs(name: str, size: float, velocity: float, preset: str, factor: float) -> dict[str, object]:
-    """One impact without bonds; energies over the section of the particle."""
-    scene, probe = scene_of(name, size, preset=preset), Springs()
-    data = tomllib.loads(at_velocity(scene, velocity)) | {"adhesion": {"kind": "none"}}
+def springs(preset: str, factor: float) -> dict[str, object]:
+    """One impact without bonds; energies over the section of the particle. factor: on the stiffness of the contact."""
+    scene, probe = scene_of("ni", SIZE_NI, preset=preset), Springs()
+    data = tomllib.loads(at_velocity(scene, VELOCITY_NI)) | {"adhesion": {"kind": "none"}}
     s = compute(toml_text(data), probe, contact_stiffness=factor)
     section = 0.25 * np.pi * scene.particle.diameter**2
     rebound = 0.5 * s["particle_mass_kg"] * s["velocity_z_m_s"] ** 2
     values = (
-        scene.particle.material, velocity, preset, factor, round((probe.energy or 0.0) / section, 1), round(rebound / section, 1),
+        scene.particle.material, VELOCITY_NI, preset, factor, round((probe.energy or 0.0) / section, 1), round(rebound / section, 1),
         round(s["restitution"], 4), s["steps"],
     )  # fmt: skip
     return dict(zip(SPRINGS, values, strict=True))
 
 
-def profile(name: str, size: float, velocity: float, preset: str) -> list[dict[str, object]]:
+def profile() -> list[dict[str, object]]:
     """Means over the bonded area of each zone."""
-    scene, probe = scene_of(name, size, preset=preset), Profile()
-    compute(at_velocity(scene, velocity), probe)
+    scene, probe = scene_of("al", SIZE_AL, preset="standard"), Profile()
+    compute(at_velocity(scene, VELOCITY_AL), probe)
     assert probe.values is not None
     radius, area, *fields = probe.values
     rows = []
     for low, high in itertools.pairwise(ZONES):
-        zone = (radius >= 0.5e-6 * size * low) & (radius < 0.5e-6 * size * high)
+        zone = (radius >= 0.5e-6 * SIZE_AL * low) & (radius < 0.5e-6 * SIZE_AL * high)
         if not area[zone].any():  # nothing has bonded there
             continue
         strength, flow, energy, clean = (float(np.average(field[zone], weights=area[zone])) for field in fields)
         values = (
-            scene.particle.material, size, velocity, preset, f"{low:g} to {high:g}", round(clean, 3),
+            scene.particle.material, SIZE_AL, VELOCITY_AL, "standard", f"{low:g} to {high:g}", round(clean, 3),
             round(strength * 1e-6), round(strength / flow, 2), round(energy, 1),
         )  # fmt: skip
         rows.append(dict(zip(PROFILE, values, strict=True)))
@@ -132,14 +116,12 @@ def main() -> None:
     remake = "python workflows/interface_probes.py"
     held = study_table("contact_springs", SPRINGS, SPRINGS[:4], remake)
     computed = {(row["preset"], float(row["contact_stiffness"])) for row in held.rows}
-    for case in SPRING_CASES:
-        if case[3:] not in computed:
+    for case in itertools.product(("draft", "standard"), (1.0, 8.0, 16.0)):
+        if case not in computed:
             print(held.add(springs(*case)), flush=True)
     profiles = study_table("bond_profile", PROFILE, PROFILE[:5], remake)
-    for run_of in PROFILE_CASES:
-        if not any(row["preset"] == run_of[3] and float(row["velocity_m_s"]) == run_of[2] for row in profiles.rows):
-            for line in profile(*run_of):
-                print(profiles.add(line), flush=True)
+    for line in () if profiles.rows else profile():
+        print(profiles.add(line), flush=True)
 
 
 if __name__ == "__main__":

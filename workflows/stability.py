@@ -112,6 +112,11 @@ def battery() -> dict[str, Table]:
 
 def kinds() -> dict[str, dict[str, Table]]:
     """Scenes by kind and name, the hardest kinds first."""
+    return of_particles() | of_targets()
+
+
+def of_particles() -> dict[str, dict[str, Table]]:
+    """Scenes that are hard for their particle: metals, angle, temperature and shape."""
     p, groups = particle, dict[str, dict[str, Table]]()
     materials = {
         "materials": {
@@ -161,6 +166,12 @@ def kinds() -> dict[str, dict[str, Table]]:
         points = {"flake": 1200, "hollow_sphere": 600}.get(shape, POINTS)
         name = f"{material} {shape.replace('_', ' ')}, tilt {tilt}, on {on}, {velocity} m/s"
         cases[name] = scene(p(material, shape=shape, tilt=tilt, velocity=velocity), on=on, points=points)
+    return groups
+
+
+def of_targets() -> dict[str, dict[str, Table]]:
+    """Scenes that are hard for contact or target, and extremes of size, velocity and resolution."""
+    p, groups = particle, dict[str, dict[str, Table]]()
     cases = groups["friction of 0 to 2"] = {}
     for friction, velocity, angle in ((0, 500, 0), (0, 1000, 0), (1, 800, 60), (2, 500, 0), (2, 1000, 75)):
         cases[f"Ni friction {friction}, {velocity} m/s, {angle} degrees"] = scene(

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from coupler import Result, Scene
 from coupler.files.fields import Fields
 from coupler.files.result import COLD, DOMAINS
+from coupler.geometry.library import open3d
 from coupler.impact.summary import STUCK
 from coupler.physics.materials import Material
 from coupler.plan.planning import plan
@@ -45,6 +46,7 @@ UNDERSHOOT = 0.015
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
 AMBIENT = 5.0  # K from ambient after the closing stage, of any element: what flows as it comes to rest warms
 DISSIPATION = 0.25  # both schemes together; more needs a warning
+LENGTH = 1e-6  # m: unit of distances, for open3d computes in single precision
 STORED = (
     "kinetic", "elastic_particle", "elastic_target", "plastic_particle", "plastic_target", "numerical_particle",
     "numerical_target", "contact", "friction", "boundary", "bodies", "bond",
@@ -102,25 +104,10 @@ def depths(points: Array, nodes: Array, cells: NDArray[np.int64], near: int = 64
     inside = np.any((weights.min(axis=2) > 1e-9) & (weights.sum(axis=2) < 1.0 - 1e-9), axis=1)
     depth = np.zeros(len(points))
     if inside.any():
-        faces = nodes[boundary_faces(cells)]
-        nearest = np.atleast_2d(cKDTree(faces.mean(axis=1)).query(points[inside], min(near, len(faces)))[1])
-        depth[inside] = _to_triangles(points[inside][:, None], faces[nearest]).min(axis=1)
+        surface = open3d().t.geometry.RaycastingScene(nthreads=1)
+        surface.add_triangles(np.float32(nodes / LENGTH), np.uint32(boundary_faces(cells)))
+        depth[inside] = LENGTH * surface.compute_distance(np.float32(points[inside] / LENGTH), nthreads=1).numpy()
     return depth
-
-
-def _to_triangles(p: Array, triangles: Array) -> Array:
-    """Distance (...,) of points p (...,3) to triangles (...,3,3): to the plane where the foot lies inside, else to the edges."""
-    a, b, c = (triangles[..., k, :] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    height = np.einsum("...i,...i", p - a, normal)
-    foot = p - height[..., None] * normal
-    sides = [np.einsum("...i,...i", np.cross(e - s, foot - s), normal) for s, e in ((a, b), (b, c), (c, a))]
-    edges = []
-    for s, e in ((a, b), (b, c), (c, a)):
-        t = np.clip(np.einsum("...i,...i", p - s, e - s) / np.einsum("...i,...i", e - s, e - s), 0.0, 1.0)
-        edges.append(np.linalg.norm(p - s - t[..., None] * (e - s), axis=-1))
-    return np.where(np.min(sides, axis=0) >= 0.0, np.abs(height), np.min(edges, axis=0))
 
 
 def thermal_pressure(metal: Material, T: Array, T_0: float) -> Array:

@@ -1,6 +1,6 @@
 """The fields of a run as files of other formats, for tools that cannot read VTKHDF in time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -27,57 +27,54 @@ _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy
 def write_fields(
     result: Result, folder: Path, form: str, stage: Callable[[str], None] = lambda text: None
 ) -> list[Path]:
-    """Write the stored steps of each domain in a format of FORMATS, SI units. Returns the files to open. stage(text): called with the
-    name of each step. Raises StoreError."""
-    return (write_pvd if form == "pvd" else write_xdmf)(result, folder, stage)
+    """Write the stored steps of each domain in a format of FORMATS, SI units. Returns the files to open.
 
-
-def write_pvd(result: Result, folder: Path, stage: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write each stored step of each domain as a .vtu file, and a .pvd file for each domain that names its steps with their times.
-
-    stage(text): called with the name of each step. Returns the .pvd files. SI units.
+    "pvd": a .vtu file for each step, and a .pvd file that names them with their times. "xdmf": an .h5 file of the arrays of all steps,
+    each with its own mesh, and an .xdmf file (XDMF 3) that names them. stage(text): called with the name of each step.
+    Raises StoreError.
     """
-    collections = []
-    for domain in WRITTEN:
-        times = result.times(domain)
-        for step in range(len(times)):
-            stage(f"{domain}, step {step + 1} of {len(times)}")
-            with replacing(folder / _step(domain, step)) as part:
-                meshio.write(part, as_mesh(result.fields(step, domain)), file_format="vtu")
-                with part.open("a", encoding="utf-8") as file:
-                    file.write(f"<!-- {MARK} -->\n")
-        if len(times):
-            with replacing(folder / f"{domain}.pvd") as part:
-                part.write_text(_collection(domain, times.tolist()), encoding="utf-8")
-            collections.append(folder / f"{domain}.pvd")
-    return collections
+    write = {"pvd": _write_pvd, "xdmf": _write_xdmf}[form]
+    opened = []
+    for domain in (domain for domain in WRITTEN if len(result.times(domain))):
+        opened.append(folder / f"{domain}.{form}")
+        text = write(folder, domain, _steps(result, domain, stage))
+        with replacing(opened[-1]) as part:
+            part.write_text(text, encoding="utf-8")
+    return opened
 
 
-def write_xdmf(result: Result, folder: Path, stage: Callable[[str], None] = lambda text: None) -> list[Path]:
-    """Write each domain as an .xdmf file (XDMF 3) of all its steps, each with its own mesh, and an .h5 file of the arrays.
+def _steps(result: Result, domain: str, stage: Callable[[str], None]) -> Iterator[Fields]:
+    """The stored steps of a domain, one after the other."""
+    count = len(result.times(domain))
+    for step in range(count):
+        stage(f"{domain}, step {step + 1} of {count}")
+        yield result.fields(step, domain)
 
-    stage(text): called with the name of each step. Returns the .xdmf files. SI units.
-    """
-    written = []
-    for domain in WRITTEN:
-        times = result.times(domain)
-        if not len(times):
-            continue
-        grids = []
-        with replacing(folder / f"{domain}.h5") as part, h5py.File(part, "w") as file:
-            file.attrs["comment"] = MARK
-            for step in range(len(times)):
-                stage(f"{domain}, step {step + 1} of {len(times)}")
-                grids.append(_grid(file, f"{domain}.h5", step, result.fields(step, domain)))
-        with replacing(folder / f"{domain}.xdmf") as part:
-            part.write_text(
-                f'<?xml version="1.0"?>\n<!-- {MARK} -->\n<Xdmf Version="3.0">\n<Domain>\n'
-                f'<Grid Name="{domain}" GridType="Collection" CollectionType="Temporal">\n{"".join(grids)}</Grid>\n'
-                "</Domain>\n</Xdmf>\n",
-                encoding="utf-8",
-            )
-        written.append(folder / f"{domain}.xdmf")
-    return written
+
+def _write_pvd(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
+    """Write the .vtu file of each step. Returns the text of the .pvd file."""
+    entries = []
+    for step, fields in enumerate(steps):
+        name = f"{domain}_{step:04d}.vtu"
+        with replacing(folder / name) as part:
+            meshio.write(part, as_mesh(fields), file_format="vtu")
+            with part.open("a", encoding="utf-8") as file:
+                file.write(f"<!-- {MARK} -->\n")
+        entries.append(f'<DataSet timestep="{fields.time:.9g}" part="0" file={quoteattr(name)}/>\n')
+    head = f'<?xml version="1.0"?>\n<!-- {MARK} -->\n<VTKFile type="Collection" version="1.0">\n<Collection>\n'
+    return f"{head}{''.join(entries)}</Collection>\n</VTKFile>\n"
+
+
+def _write_xdmf(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
+    """Write the .h5 file of all steps. Returns the text of the .xdmf file."""
+    with replacing(folder / f"{domain}.h5") as part, h5py.File(part, "w") as file:
+        file.attrs["comment"] = MARK
+        grids = [_grid(file, f"{domain}.h5", step, fields) for step, fields in enumerate(steps)]
+    return (
+        f'<?xml version="1.0"?>\n<!-- {MARK} -->\n<Xdmf Version="3.0">\n<Domain>\n'
+        f'<Grid Name="{domain}" GridType="Collection" CollectionType="Temporal">\n{"".join(grids)}</Grid>\n'
+        "</Domain>\n</Xdmf>\n"
+    )
 
 
 def _grid(file: h5py.File, name: str, step: int, fields: Fields) -> str:
@@ -114,16 +111,3 @@ def as_mesh(fields: Fields) -> meshio.Mesh:
     at_points, in_cells = fields.split()
     cells = [(CELLS[fields.cells.shape[1]], fields.cells)]
     return meshio.Mesh(fields.points, cells, at_points, {name: [values] for name, values in in_cells.items()})
-
-
-def _step(domain: str, step: int) -> str:
-    return f"{domain}_{step:04d}.vtu"
-
-
-def _collection(domain: str, times: Sequence[float]) -> str:
-    steps = "".join(
-        f'<DataSet timestep="{time:.9g}" part="0" file={quoteattr(_step(domain, k))}/>\n'
-        for k, time in enumerate(times)
-    )
-    head = f'<?xml version="1.0"?>\n<!-- {MARK} -->\n<VTKFile type="Collection" version="1.0">\n<Collection>\n'
-    return f"{head}{steps}</Collection>\n</VTKFile>\n"

@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import h5py
 import numpy as np
-from h5py import h5d, h5g, h5l, h5o, h5p, h5s
 from numpy.typing import NDArray
 
 from ..errors import ColdsprayError, StoreError, UnreadableError
@@ -23,7 +22,7 @@ from .inputs import check_regular, require_memory
 CELL_COLUMNS = {1: 1, 5: 3, 10: 4}  # VTK cell type -> points per cell
 DEFLATE_LIMIT = 1100  # gzip cannot shrink further: a file that claims more data than this times its size is not honest
 FARTHEST = 1e3  # m from the origin: no run has a point beyond it
-H = TypeVar("H")
+H = TypeVar("H", h5py.Group, h5py.Dataset)
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ def opened(path: Path) -> Iterator[Root]:
     check_regular(path)
     try:
         with h5py.File(path, "r", locking=False) as file:
-            yield Root(child(file.id, "VTKHDF", h5g.GroupID), path)
+            yield Root(child(file, "VTKHDF", h5py.Group), path)
     except (IndexError, ColdsprayError, MemoryError):
         raise
     except PermissionError as error:
@@ -62,81 +61,57 @@ def opened(path: Path) -> Iterator[Root]:
 
 @dataclass(frozen=True)
 class Root:
-    """The VTKHDF group of a file. What a data set claims is compared with what is stored of it, and with the free memory.
+    """The VTKHDF group of a file. What a data set claims is compared with what is stored of it, and with the free memory."""
 
-    Data sets are read by h5py's functions of HDF5 itself: a step has some twenty numbers and tables, and those of h5py's own classes
-    take twice as long for them.
-    """
-
-    group: h5g.GroupID
+    group: h5py.Group
     path: Path
-    _groups: dict[str, h5g.GroupID] = field(default_factory=dict)  # that were opened, by their path
 
     def rows(self, name: str, start: int = 0, count: int | None = None, kinds: str = "iuf") -> NDArray:
         """Rows start..start+count of a plain numeric data set (all without count)."""
-        data, stored, shape = self._found(name, start, count, kinds)
-        item = data.dtype.itemsize
-        size = math.prod(shape) * item
-        chunk = math.prod(stored.get_chunk()) * item if stored.get_layout() == h5d.CHUNKED else 0
-        if max(size, chunk) > DEFLATE_LIMIT * data.get_storage_size() + 2**20:
+        data = self.plain(name, start, count, kinds)
+        count = len(data) - start if count is None else count
+        row = math.prod(data.shape[1:]) * data.dtype.itemsize
+        chunk = math.prod(data.chunks) * data.dtype.itemsize if data.chunks else 0
+        if max(count * row, chunk) > DEFLATE_LIMIT * data.id.get_storage_size() + 2**20:
             raise ValueError(f"{name} claims more data than the file can hold")
-        require_memory(3 * size + chunk, f"to read {name} of {self.path}")
-        values = np.empty(shape, data.dtype)
-        if values.size:
-            part = data.get_space()
-            part.select_hyperslab((start, *[0] * len(shape[1:])), shape)
-            data.read(h5s.create_simple(shape), part, values)
-        return values
+        require_memory(3 * count * row + chunk, f"to read {name} of {self.path}")
+        return data[start : start + count]
 
-    def plain(self, name: str, count: int) -> h5py.Dataset:
-        """A plain numeric data set that has so many rows."""
-        return h5py.Dataset(self._found(name, 0, count, "iuf")[0])
-
-    def _found(
-        self, name: str, start: int, count: int | None, kinds: str
-    ) -> tuple[h5d.DatasetID, h5p.PropDCID, tuple[int, ...]]:
-        """A plain numeric data set that has rows start..start+count; how it is stored; the shape of these rows."""
+    def plain(self, name: str, start: int, count: int | None, kinds: str = "iuf") -> h5py.Dataset:
+        """A plain numeric data set that has rows start..start+count. Raises ValueError for any other."""
         *folders, last = name.split("/")
-        data = child(self._folder(folders), last, h5d.DatasetID)
-        stored = data.get_create_plist()
-        if stored.get_layout() == h5d.VIRTUAL or stored.get_external_count():
+        group = self.group
+        for folder in folders:
+            group = child(group, folder, h5py.Group)
+        data = child(group, last, h5py.Dataset)
+        if data.is_virtual or data.external:
             raise ValueError(f"{name} points to another file")
-        length, *tail = data.shape or (0,)
-        if data.dtype.kind not in kinds or data.rank not in (1, 2):
+        if data.dtype.kind not in kinds or data.ndim not in (1, 2):
             raise ValueError(f"{name} has an unexpected type or shape")
-        count = length - start if count is None else count
-        if start < 0 or count < 0 or start + count > length:
-            raise ValueError(f"{name} has {length} rows, rows {start} to {start + count} are asked for")
-        return data, stored, (count, *tail)
-
-    def _folder(self, folders: list[str]) -> h5g.GroupID:
-        path = "/".join(folders)
-        if not folders:
-            return self.group
-        if path not in self._groups:
-            self._groups[path] = child(self._folder(folders[:-1]), folders[-1], h5g.GroupID)
-        return self._groups[path]
+        end = len(data) if count is None else start + count
+        if not 0 <= start <= end <= len(data):
+            raise ValueError(f"{name} has {len(data)} rows, rows {start} to {end} are asked for")
+        return data
 
     def number(self, name: str, row: int) -> int:
         return int(self.rows(name, row, 1, kinds="iu").ravel()[0])
 
     def names(self, name: str) -> list[str]:
-        return list(h5py.Group(child(self.group, name, h5g.GroupID)))
+        return list(child(self.group, name, h5py.Group))
 
 
-def child(group: h5g.GroupID, name: str, kind: type[H]) -> H:
+def child(group: h5py.Group, name: str, kind: type[H]) -> H:
     # A link may lead into another file of the reader's machine; ours never do.
-    place, links = name.encode(), group.links
-    if not links.exists(place) or links.get_info(place).type != h5l.TYPE_HARD:
+    if not isinstance(group.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name} is missing or leads elsewhere")
-    item = h5o.open(group, place)
+    item = group[name]
     if not isinstance(item, kind):
         raise ValueError(f"{name} is not what it should be")
     return item
 
 
 def times_of(root: Root) -> NDArray[np.float64]:
-    attributes = h5py.Group(child(root.group, "Steps", h5g.GroupID)).attrs
+    attributes = child(root.group, "Steps", h5py.Group).attrs
     if attributes.get_id("NSteps").shape not in ((), (1,)):
         raise ValueError("NSteps is not a number")
     count = int(np.ravel(attributes["NSteps"])[0])

@@ -312,7 +312,7 @@ def _chunks(path: Path, rows: Mapping[str, int]) -> Iterator[tuple[str, h5py.Dat
     """The first rows of the data sets of a file: name, data set, first row of a chunk, the chunk as it is stored."""
     with opened(path) as old:
         for name, count in rows.items():
-            data = old.plain(name, count)
+            data = old.plain(name, 0, count)
             for first in range(0, count, data.chunks[0]):
                 yield name, data, first, data.id.read_direct_chunk((first,) + (0,) * (data.ndim - 1))
 
