@@ -1,7 +1,7 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make test   format, lint, types and tests, those marked slow left out
 # make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
-# make bench  what a step costs, part by part, and what ranks gain, into docs/tables (10 minutes)
+# make bench  what a step costs, and what ranks gain, into docs/tables (10 minutes)
 # make studies  Taylor bars, and the particle as finite elements, into docs/tables (hours)
 # make accuracy  what accuracy costs in time, and whether the errors of runs are true, into docs/evidence/accuracy.md (hours; rows in the table are not computed again)
 # make effects  what each effect changes, and everything on against auto, into docs/evidence/effects.md (half an hour; rows in the tables are not computed again)

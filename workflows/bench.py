@@ -1,10 +1,9 @@
-"""What a step costs, part by part: python workflows/bench.py   # docs/tables/bench.csv
+"""What a step costs: python workflows/bench.py   # docs/tables/bench.csv
 
-Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines, and part by part in an impact
+Elements elastic and plastic; scikit-fem's own forms for the same forces; points with all engines, and in an impact
 (medians; the rest: the fastest of several repeats). Machines differ, ratios within a table compare.
 """
 
-import statistics
 import time
 from collections.abc import Callable
 from typing import Any
@@ -135,59 +134,42 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
 
 
 def points(rows: list[tuple[str, float, str]], count: int) -> None:
-    """Microseconds per point and step of a real impact, part by part.
-
-    LAMMPS itself: its integration and calling back. Contact, surface and search are the coupler's.
-    """
+    """Microseconds per point and step of a real impact, and per element and step of its target."""
     domains = build_domains(plan(Scene.from_text(single_impact("Ni", 25.0, 500.0, spacing=spacing_of(count)), "bench")))
     p = domains.particle
     impact = Impact(domains)
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
         advance_window(impact)
 
-    parts = ("LAMMPS itself", "stress and internal forces", "contact", "surface to points and back", "search")
-    spent = dict.fromkeys((*parts, "target", "callback"), 0.0)
+    spent = 0.0  # s, in the target
 
-    def timed(original: Callable[..., Any], part: str) -> Callable[..., Any]:
+    def timed(original: Callable[..., Any]) -> Callable[..., Any]:
         def wrapper(*args: Any, **options: Any) -> Any:
+            nonlocal spent
             start = clock()
             value = original(*args, **options)
-            spent[part] += clock() - start
+            spent += clock() - start
             return value
 
         return wrapper
 
-    for owner, names, part in (
-        (impact.target, ("advance", "finish", "stable_dt"), "target"),
-        (p.local, ("_update_stress",), "stress and internal forces"),
-        (p.local.lmp, ("command",), "LAMMPS itself"),
-        (domains.contact, ("forces",), "contact"),
-        (domains.contact, ("search",), "search"),
-        (domains.surface, ("contacts", "moving_contacts", "spread", "support"), "surface to points and back"),
-    ):
-        for name in names:
-            setattr(owner, name, timed(getattr(owner, name), part))
-    p.local.lmp.set_fix_external_callback("coupler", timed(p.local._callback, "callback"), None)
+    for name in ("advance", "finish", "stable_dt"):
+        setattr(impact.target, name, timed(getattr(impact.target, name)))
 
-    def stretch() -> dict[str, float]:
-        """Seconds per step of everything, over STEPS steps or a little more."""
-        spent.update(dict.fromkeys(spent, 0.0))
-        before, start = p.steps, clock()
+    def stretch() -> tuple[float, float]:
+        """Seconds per step of the target and of all else, over STEPS steps or a little more."""
+        nonlocal spent
+        spent, before, start = 0.0, p.steps, clock()
         while p.steps < before + STEPS:
             advance_window(impact)
         whole, steps = clock() - start, p.steps - before
-        spent["LAMMPS itself"] -= spent["callback"]
-        return {part: seconds / steps for part, seconds in (spent | {"whole": whole - spent["target"]}).items()}
+        return spent / steps, (whole - spent) / steps
 
     stretch()
-    samples = [stretch() for _ in range(2 * REPEATS)]
-    median = {part: statistics.median(times[part] for times in samples) for part in samples[0]}
-    point, per_point = "us per point and step", 1e6 / p.n
+    target, others = np.median([stretch() for _ in range(2 * REPEATS)], axis=0)
     rows.append(("points of the impact", float(p.n), ""))
-    rows += [(f"{part}, in the impact", median[part] * per_point, point) for part in parts]
-    rows.append(("all but the target, in the impact", median["whole"] * per_point, point))
-    elements = len(impact.target.mesh.conn)
-    rows.append(("target, in the impact", median["target"] / elements * 1e6, "us per element and step"))
+    rows.append(("all but the target, in the impact", others / p.n * 1e6, "us per point and step"))
+    rows.append(("target, in the impact", target / len(impact.target.mesh.conn) * 1e6, "us per element and step"))
     p.local.close()
 
 

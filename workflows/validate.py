@@ -19,14 +19,13 @@ import numpy as np
 import validation_page as page
 from numpy.typing import NDArray
 from pages import options, study_table
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.stats import norm, qmc
 
 from coupler import Result, Scene, run
 from coupler.errors import ColdsprayError
+from coupler.geometry.graph import connected_parts
 from coupler.geometry.tetrahedra import volumes
 from coupler.impact.exchange import Impact
 
@@ -148,10 +147,8 @@ def widths_of(result: Result, least: float) -> list[float]:
     Bodies are told apart by their nodes, which they do not share; the largest is the substrate.
     """
     f = result.fields(-1, "target")
-    n, cells = len(f.points), f.cells
-    rows = np.repeat(cells[:, :1], 3, axis=1).ravel()
-    graph = coo_matrix((np.ones(len(rows)), (rows, cells[:, 1:].ravel())), shape=(n, n))
-    owner = connected_components(graph, directed=False)[1][cells[:, 0]]
+    cells = f.cells
+    owner = connected_parts(cells[:, [0, 1, 0, 2, 0, 3]].reshape(-1, 2), len(f.points))[1][cells[:, 0]]
     volume = np.bincount(owner, np.abs(volumes(f.points, cells)))
     splats = [b for b in np.flatnonzero(volume > least) if b != volume.argmax()]
     middle = {b: f.points[cells[owner == b]][..., 2].mean() for b in splats}

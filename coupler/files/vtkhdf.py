@@ -50,7 +50,6 @@ class _State:
     steps: int = 0
     rows: dict[str, int] = field(default_factory=dict)  # data set -> rows in use
     cells: NDArray[np.int64] | None = None
-    source: object = None  # the caller's own array, where it cannot change
     points: int = -1
     part: int = -1
     cell_offset: int = 0
@@ -187,15 +186,11 @@ class VtkHdfWriter:
     def _topology(self, state: _State, cells: ArrayLike, points: int) -> dict[str, NDArray]:
         """Begin a new part with the cells, unless they and the number of points are those of the last step; returns the connectivity
         that is to be stored, by name."""
-        if cells is state.source and points == state.points:
-            return {}
         table = np.array(cells, dtype=np.int64)  # a copy: the caller may change its array later
         if table.ndim != 2 or table.shape[1] not in CELL_TYPES:
             raise ValueError(f"cells must be (m, 1), (m, 3) or (m, 4), got {table.shape}")
         if table.size and (table.min() < 0 or table.max() >= points):
             raise ValueError(f"cells refer to points outside 0..{points - 1}")
-        # An array that can be written to may change in place, so only a frozen one is known by its identity.
-        state.source = cells if isinstance(cells, np.ndarray) and not cells.flags.writeable else None
         if points == state.points and state.cells is not None and np.array_equal(table, state.cells):
             return {}
         state.cells, state.points = table, points
@@ -305,7 +300,7 @@ def _state_at(old: Root, steps: int) -> _State:
         for name in fields:
             offsets = f"{group}Offsets/{name}"
             rows |= {f"Steps/{offsets}": steps, f"{group}/{name}": old.number(f"Steps/{offsets}", n) + count}
-    return _State(steps, rows, last.cells, None, points, part, old.number("Steps/CellOffsets", n), connectivity, names)
+    return _State(steps, rows, last.cells, points, part, old.number("Steps/CellOffsets", n), connectivity, names)
 
 
 def _chunks(path: Path, rows: Mapping[str, int]) -> Iterator[tuple[str, h5py.Dataset, int, tuple[int, bytes]]]:

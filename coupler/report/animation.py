@@ -52,35 +52,26 @@ def animate(
         raise StoreError(f"{result.directory} holds no step of particle, surface and target: nothing to animate yet")
     if field not in have:
         raise StoreError(f"{result.directory} has no field {field!r} to animate; has {', '.join(have)}")
-    count = stored_steps(result)
-    rate = fps or float(np.clip(count / SECONDS, *RATES))
+    rate = fps or float(np.clip(stored_steps(result) / SECONDS, *RATES))
     write = _mp4 if path.suffix.lower() == ".mp4" else _gif
     with replacing(path) as part:
-        pictures = _told(frames(result, field), count, stage)
-        write(part, pictures, rate, round(REST * rate))
+        write(part, frames(result, field, stage), rate, round(REST * rate))
     return path
 
 
-def frames(result: Result, field: str) -> Iterator[NDArray[np.uint8]]:
+def frames(result: Result, field: str, told: Callable[[str], None] = lambda text: None) -> Iterator[NDArray[np.uint8]]:
     """The pictures, (rows, columns, 3) each, all of one size with even numbers of rows and columns, as films need."""
     at, steps = stage(result), range(stored_steps(result))
     seen = view(result, steps, at)
     cuts = [cut(result, step, (field,), at, seen, PIXELS) for step in steps]
     ranges, heading = {field: colour_range(cuts, field)}, title(result)
-    for section in cuts:
+    for number, section in enumerate(cuts, 1):
+        told(f"picture {number} of {len(cuts)}")
         canvas = FigureCanvasAgg(panels(section, ranges, heading))
         canvas.draw()
         picture = np.asarray(canvas.buffer_rgba())[..., :3]
         rows, columns = (length - length % 2 for length in picture.shape[:2])
         yield np.ascontiguousarray(picture[:rows, :columns])
-
-
-def _told(
-    pictures: Iterator[NDArray[np.uint8]], count: int, stage: Callable[[str], None]
-) -> Iterator[NDArray[np.uint8]]:
-    for number, picture in enumerate(pictures, 1):
-        stage(f"picture {number} of {count}")
-        yield picture
 
 
 def ffmpeg() -> str | None:

@@ -16,7 +16,7 @@ from ..files.result import Result
 from ..measures import BALANCE
 from . import charts, parts, picture
 from .page import Page, embedded
-from .words import Block, fill_table, plain, table_lines, title
+from .words import fill_table, plain, table_lines, title
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
@@ -48,18 +48,13 @@ def differences(results: Sequence[Result]) -> list[tuple[str, list[str]]]:
     return [(key, values) for key, values in entries if key != "name" and len(set(values)) > 1]
 
 
-def measured(result: Result) -> Block:
-    """The measures of a run, those of its end where it has several; none of an unfinished one."""
-    return plain(result.values)
-
-
 def comparison_table(results: Sequence[Result]) -> Table:
     """Scenes where they differ and all measures, a column for each run; of two runs also the change in %.
 
     Raises StoreError if a summary is damaged or the runs are too few or too many.
     """
     check_count(len(results))
-    entries = [measured(result) for result in results]
+    entries = [plain(result.values) for result in results]
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
     for name, result in zip(names_of(results), results, strict=True):
@@ -140,7 +135,7 @@ def comparison_page(results: Sequence[Result]) -> str:
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Scenes, where they differ", parts.table(["", *names], rows) if rows else "")
-    page.section("measures", "Measures", parts.several([measured(result) for result in results], names))
+    page.section("measures", "Measures", parts.several([plain(result.values) for result in results], names))
     histories = {n: r.history() for n, r in of_name.items() if (r.directory / "history.csv").is_file()}
     curves = [page.chart(column, charts.compared(histories, column, label, factor)) for column, label, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")

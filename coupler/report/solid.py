@@ -116,10 +116,7 @@ def _box(skins: Sequence[NDArray], top: float, at: Stage) -> NDArray:
     plane, D = at.plane * MICRO, at.diameter
     half = max(plane - low[:, 1].min(), high[:, 1].max() - plane) + 0.9 * D
     return np.array(
-        [
-            [low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D],
-            [high[:, 0].max() + 0.9 * D, plane + half, top],
-        ]
+        [[low[:, 0].min() - 0.9 * D, plane - half, at.level - 1.1 * D], [high[:, 0].max() + 0.9 * D, plane + half, top]]
     )
 
 

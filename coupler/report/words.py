@@ -281,12 +281,8 @@ def remarks(summary: Summary) -> list[str]:
                 if remark is not None and key not in said:
                     said.add(key)
                     lines.setdefault(f"{moment}, {remark}", []).append(number)
-    return [_of_impacts(numbers) + text if len(records) > 1 else text for text, numbers in lines.items()]
-
-
-def _of_impacts(numbers: Sequence[int]) -> str:
-    """Numbers of impacts in ascending order before a remark: [1, 2, 3, 5] is "impacts 1 to 3, 5: "."""
-    return f"{_numbers(numbers, 'impact')}: "
+    several = len(records) > 1
+    return [f"{_numbers(numbers, 'impact')}: {text}" if several else text for text, numbers in lines.items()]
 
 
 def _numbers(numbers: Sequence[int], name: str = "particle") -> str:
