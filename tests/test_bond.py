@@ -386,7 +386,7 @@ def test_a_wave_crosses_a_tied_interface_as_through_one_body() -> None:
         t.nodes.v[:, 2] = np.exp(-(((t.nodes.x[:, 2] - 0.5) / 0.25) ** 2))
         far = np.flatnonzero(t.nodes.x[:, 2] > 2 * L - 1e-9)
         seen: list[tuple[float, float]] = []
-        b.run(4e-4, watch=lambda t=t, far=far, seen=seen: seen.append((t.time, float(t.v[far, 2].mean()))))
+        b.run(4e-4, watch=lambda t=t, far=far, seen=seen: seen.append((t.time, float(t.nodes.v[far, 2].mean()))))
         ends[name] = (np.array(seen)[:, 0], np.array(seen)[:, 1])
     grid = np.linspace(0, 4e-4, 400)
     one = np.interp(grid, *ends["one"])
