@@ -397,7 +397,8 @@ def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
     monkeypatch.setattr(deposition_batches, "wait", wait)
     spare.touch()  # of a batch before
     options = RunOptions(Progress(True), Path("log"), threads=threads, jobs=jobs)
-    task = SimpleNamespace(i=0, plan=SimpleNamespace(shares=[(0.0, 0.0)]))
+    monkeypatch.setattr(deposition_batches, "forecast", lambda _: SimpleNamespace(shares=[(0.0, 0.0)]))
+    task = SimpleNamespace(i=0, plan=None)
     found = iter([(task, None)] * 5)
     assert len(deposition_batches.side_by_side(Waiting(), found, tmp_path, options, lambda: None)) == 5
     assert seen == {left: left <= few for left in range(1, 6)}
