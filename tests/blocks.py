@@ -14,6 +14,9 @@ from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
+from coupler.physics.materials import material
+from coupler.target.bodies import Bodies
+from coupler.target.domain import BodyState
 
 Place = tuple[tuple[float, float, float], float, tuple[float, float, float]]  # edges, element size, lowest corner
 
@@ -133,3 +136,25 @@ def pinched(mesh: meshes.TetMesh, share: float) -> meshes.TetMesh:
     points = mesh.points.copy()
     points[mesh.conn[e][0]] -= share * np.dot(a - b, normal) * normal
     return meshes.prepare(points, mesh.conn.astype(np.int64))
+
+
+def block(corner: tuple[float, float, float], stress: float, J: float, law: np.ndarray) -> BodyState:
+    """A cube of 20 um, its lowest corner there, under a uniform state."""
+    points, tets = mesher.box((20e-6, 20e-6, 20e-6), 5e-6)
+    edge = points[tets[:, 1:]] - points[tets[:, :1]]
+    turned = np.linalg.det(edge) < 0
+    tets[turned, 2:] = tets[turned, 2:][:, ::-1]
+    n, m = len(points), len(tets)
+    deviator = np.tile([stress, -stress, 0.0, 0.0, 0.0, 0.0], (m, 1))
+    mass = float(law["rho"][0]) * 8e-15 / J
+    return BodyState(
+        points + np.array(corner), tets, deviator, np.full(m, J), np.zeros((n, 3)), np.zeros(n), mass, law,
+        eps_p=np.full(m, 0.3), T=np.full(m, 400.0), eps_gradient=np.zeros((m, 3)),
+    )  # fmt: skip
+
+
+def substrate() -> Bodies:
+    points, tets = mesher.box((60e-6, 60e-6, 20e-6), 6e-6)
+    mesh = meshes.prepare(points - np.array([30e-6, 30e-6, 20e-6]), tets)
+    target = Target(mesh, law_record(material("SS304"), rate_filter=1e-9), 300.0, fixed=("bottom",), track_wave=False)
+    return Bodies(target, np.zeros(len(mesh.conn), np.int32), ("bottom",), (), 0.3)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from coupler import Result, Scene, run
+from coupler.deposition.run import resume
 from coupler.geometry.apart import apart
 
 MPIEXEC = Path(sys.executable).parent / "mpiexec"
@@ -173,3 +174,21 @@ def on_ranks(ranks: int, code: str) -> None:
 
 def summary_of(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "summary.json").read_text())  # type: ignore[no-any-return]
+
+
+def assert_goes_on(text: str, whole: Result, out: Path, at: float | None, every: float = 0.0) -> None:
+    """Broken off at `at` s after the start of the run, or right after the join, and resumed: the same to 1e-9. every: s of wall time
+    between checkpoints within an impact; there is one after each join."""
+    seen = []
+
+    def probe(impact: Any) -> None:
+        seen.append(impact.time)
+        joined = len(seen) > 1 and seen[-1] < seen[-2]
+        if (at is None and joined) or (at is not None and sum(np.diff([0.0, *seen]).clip(0)) > at):
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(Scene.from_text(text, "shared"), out, probe=probe, checkpoint_every=every)
+    result = resume(out)
+    assert_same_numbers(whole.summary, result.summary, rel=1e-9)
+    assert_same_files(whole, result)

@@ -1,5 +1,39 @@
 """Scenes that several test files run, coarse enough for about a second of processor time each."""
 
+import pytest
+
+from coupler.errors import SceneError
+from coupler.plan.reading import Scene
+
+LEAST = {
+    "particle": {"material": "Ni", "diameter": "25 um", "velocity": "500 m/s"},
+    "substrate": {"material": "SS304"},
+}
+
+
+def scene_with(**changes):
+    """The least scene with some values changed, as particle__diameter="30 um"."""
+    data = {key: dict(table) for key, table in LEAST.items()}
+    for path, value in changes.items():
+        section, _, field = path.partition("__")
+        if field:
+            data.setdefault(section, {})[field] = value
+        else:
+            data[section] = value
+    return Scene.from_dict(data)
+
+
+def several(*particles, **changes):
+    """A scene of several impacts, each given by what differs from the particle of the least scene."""
+    return scene_with(particle=[LEAST["particle"] | dict(particle) for particle in particles], **changes)
+
+
+def problems_with(**changes):
+    with pytest.raises(SceneError) as caught:
+        scene_with(**changes)
+    return caught.value.problems
+
+
 STEEL = """[substrate]
 material = "SS304"
 diameter = "{diameter} um"
@@ -49,3 +83,26 @@ WHOLE = scene(("Ni", 25, 500), **TINY, every=5)  # 200 points, to its end at abo
 SHORT = scene(("Ni", 25, 500), **TINY, end=10, every=2)
 # the first splat becomes a body, the second particle is in contact with it for its last 10 ns
 SHORT_DOUBLE = scene(("Ni", 25, 500), ("Ti", 25, 450), **TINY, end=15, every=2)
+# two splats, to ambient
+COLD = scene(("Ni", 20, 550), ("Ni", 20, 550), **TINY | {"spacing": 2.7, "element_size": 5.0})
+COLD = COLD.replace("[substrate]", '[substrate]\nsides = "half_space"\nbottom = "half_space"')
+COLD = COLD.replace('dwell = "0 us"', "").replace('at = "rest"', 'at = "cold"')
+COATING = """
+preset = "draft"
+[coating]
+material = "Ni"
+number = 40
+layers = 4
+radius = "36 um"
+diameter = "22 um"
+spread = 1.16
+smallest = "18 um"
+largest = "27 um"
+velocity = [["18 um", "610 m/s"], ["25 um", "500 m/s"]]
+velocity_spread = "20 m/s"
+temperature = "400 K"
+shapes = { sphere = 0.5, oblate = 0.5 }
+seed = 3
+[substrate]
+material = "SS304"
+"""

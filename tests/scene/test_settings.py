@@ -1,0 +1,117 @@
+"""Keys of a scene set on the command line: read as in a file, and the file's own comments stay."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from coupler.commands.main import main
+from coupler.plan.reading import Scene
+
+WORKFLOWS = Path(__file__).parents[2] / "workflows"
+SCENES = sorted(
+    path
+    for path in WORKFLOWS.glob("*.toml")
+    if path.stem not in ("map_ni", "paper_values", "in718_nozzle", "measurements")
+)
+SINGLE, TRIPLE = (str(WORKFLOWS / f"{name}_ni.toml") for name in ("single", "triple"))
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["check", *arguments]) == 2
+    return capsys.readouterr().err
+
+
+def test_settings_take_the_place_of_the_file(capsys: pytest.CaptureFixture[str]) -> None:
+    settings = ["particle[2].velocity=600 m/s", 'particle[3].material="Ti"', "contact.friction=0.25", "adhesion.kind="]
+    assert main(["check", TRIPLE, "--preset", "draft", *(f"--set={text}" for text in settings)]) == 0
+    text = capsys.readouterr().out
+    for words in ("(draft)", "impact 2   Ni sphere 22 um, 600 m/s", "impact 3   Ti", "friction   0.25", "critical one"):
+        assert words in text
+
+
+def test_a_preset_takes_the_place_of_the_scene_s_own_resolution(tmp_path: Path) -> None:
+    path = tmp_path / "fine.toml"
+    path.write_text(Path(SINGLE).read_text() + '[resolution]\nspacing = "0.5 um"\ngrowth = 0.2\n')
+    assert main(["check", str(path), "--preset", "draft"]) == 0
+    scene = Scene.load(path, [("preset", "draft"), ("resolution.spacing", None)])
+    assert (scene.resolution.spacing, scene.resolution.growth) == (None, 0.2)
+
+
+def test_all_problems_of_settings_are_those_of_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+    text = refused(
+        capsys, TRIPLE, "--set", "particle[2].velocity=600", "--set", "contact.friktion=1", "--set", "preset=rough"
+    )
+    assert "3 problems" in text
+    for words in (
+        "particle[2].velocity = 600 needs a velocity",
+        'did you mean "friction"',
+        "one of draft, standard, fine",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("particle.velocity=1 m/s", 'say which, as "particle[1]"'),
+        ("particle[4].velocity=1 m/s", 'say which, as "particle[1]"'),
+        ("substrate[2].height=1 um", "no table substrate[2]"),
+        ("preset.x=1", "preset is no table"),
+        ("a..b=1", "is not a key of a scene"),
+        ("particle[1]=1", "is not a key of a scene"),
+        ("effects=" + 2000 * "[", "effects = "),
+    ],
+)
+def test_keys_that_cannot_be_set(capsys: pytest.CaptureFixture[str], setting: str, words: str) -> None:
+    assert words in refused(capsys, TRIPLE, "--set", setting)
+
+
+def test_a_setting_needs_a_value(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["check", SINGLE, "--set", "particle.velocity"])
+    assert "expected KEY=VALUE" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_the_scene_written_out_is_equal_and_keeps_the_comments(path: Path) -> None:
+    scene = Scene.load(path, [("preset", "draft")])
+    text = scene.to_toml()
+    assert Scene.from_text(text, path.stem) == scene
+    comments = [line.partition("#")[2] for line in path.read_text().splitlines() if "#" in line]
+    assert comments
+    assert all(comment in text for comment in comments)
+    assert tomllib.loads(text)["preset"] == "draft"
+    assert "# gap = " in text
+    assert Scene.from_text(text, path.stem).to_toml().count("# gap = ") == text.count("# gap = ")
+
+
+def test_tables_in_one_line_and_dotted_keys_are_written_out_too() -> None:
+    text = (
+        'particle = { material = "Ni", diameter = "25 um", velocity = "500 m/s" }  # short\nsubstrate.material = "Al"\n'
+    )
+    scene = Scene.from_text(text, "short", [("particle.velocity", "450 m/s"), ("substrate.height", "90 um")])
+    assert Scene.from_text(scene.to_toml(), "short") == scene
+    assert (scene.particle.velocity, scene.substrate.height) == (450.0, 90e-6)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_completion_knows_commands_and_files(capsys: pytest.CaptureFixture[str], shell: str) -> None:
+    assert main(["completion", shell]) == 0
+    text = capsys.readouterr().out
+    assert "accuracy" in text
+    assert "--preset" in text
+    if shell == "bash":
+        assert "_run_pos_0_COMPGEN=_shtab_compgen_files" in text
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_check_fits_on_one_screen(capsys: pytest.CaptureFixture[str], path: Path) -> None:
+    assert main(["check", str(path)]) == 0
+    brief = capsys.readouterr().out.splitlines()
+    assert len(brief) <= 30
+    assert max(map(len, brief)) <= 125
+    assert main(["check", str(path), "-v"]) == 0
+    assert set(line for line in brief if "effects  " not in line and "..." not in line) <= set(
+        capsys.readouterr().out.splitlines()
+    )
