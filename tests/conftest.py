@@ -92,7 +92,7 @@ def _few_kernels() -> Iterator[None]:
         return special if special.dtype == usual else laws
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("coupler.sph.particle", "coupler.fe.explicit"):
+        for module in ("coupler.particle.particle", "coupler.fe.explicit"):
             patch.setattr(f"{module}.specialised", few)
         yield
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from coupler.sph.packing import FCC, Lattice
+from coupler.particle.packing import FCC, Lattice
 
 BCC = Lattice((1.0, 1.0, 1.0), ((0, 0, 0), (0.5, 0.5, 0.5)), (0.5, 0.5, 0.5), 0.0785433)
 HCP = Lattice(

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from pages import TABLES, machine, options, single_impact, spacing_of, write_table
 
+from coupler.core.threads import second_thread
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
+from coupler.particle import packing
+from coupler.particle.engine import ENGINES
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
-from coupler.sph import packing
-from coupler.sph.engine import ENGINES
-from coupler.state.threads import second_thread
 
 STEPS, REPEATS = 40, 7
 

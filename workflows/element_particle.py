@@ -27,10 +27,10 @@ from coupler.impact.domains import build_target
 from coupler.impact.ending import EndCriterion
 from coupler.impact.exchange import WINDOW
 from coupler.impact.measure import crater_depth
+from coupler.particle.packing import surface
 from coupler.physics.constitutive import law_record
 from coupler.plan.cost import ELEMENT_SIZE_OVER_SPACING
 from coupler.plan.planning import Plan, plan
-from coupler.sph.packing import surface
 from coupler.studies.table import Row
 from coupler.target.domain import BodyState, domain_now, domain_of, merge
 

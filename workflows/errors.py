@@ -17,6 +17,7 @@ from matplotlib.ticker import NullFormatter
 from pages import PAGES, ROOT, figure_path, markdown, number, options, study_table, versions, write_parts
 
 from coupler import Result, Scene, run
+from coupler.core.executors import executor
 from coupler.deposition.error import Companions
 from coupler.deposition.run import _alone
 from coupler.errors import ColdsprayError
@@ -24,7 +25,6 @@ from coupler.measures import CONVERGING, MEASURES
 from coupler.measures import measure as record
 from coupler.plan.planning import plan
 from coupler.plan.refinement import FORECAST_AT, has_error
-from coupler.ranks.executors import executor
 from coupler.report.picture import blank, save
 from coupler.studies.ladder import spent
 from coupler.studies.table import Row, StudyTable

@@ -33,10 +33,10 @@ from fuzz import ended  # noqa: E402
 
 from coupler.files import checkpoint  # noqa: E402
 from coupler.files.store import Store  # noqa: E402
+from coupler.particle import packing  # noqa: E402
 from coupler.plan.planning import plan  # noqa: E402
 from coupler.plan.reading import Scene  # noqa: E402
 from coupler.plan.record import plan_text  # noqa: E402
-from coupler.sph import packing  # noqa: E402
 from tests import made_up_run  # noqa: E402
 
 PRELOADED = (

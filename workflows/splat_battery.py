@@ -19,8 +19,8 @@ from pages import PAGES, figure_path, markdown, options, study_table, versions, 
 
 from coupler.errors import ColdsprayError, SplatError
 from coupler.geometry.sections import crossing, cut_tets
+from coupler.particle import packing
 from coupler.report.picture import blank, save
-from coupler.sph import packing
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
 from coupler.studies.ladder import spent

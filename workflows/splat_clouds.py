@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from coupler import Scene, run
 from coupler.deposition.joining import cloud_of
 from coupler.impact.exchange import Impact
+from coupler.particle import packing, shapes
+from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics.materials import material
-from coupler.sph import packing, shapes
-from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
 Map = Callable[[np.ndarray], np.ndarray]

@@ -19,15 +19,15 @@ from scipy.spatial import ConvexHull
 from coupler.fe.explicit import Target
 from coupler.fe.mesh import prepare
 from coupler.geometry.mesher import cylinder
+from coupler.particle import shapes
+from coupler.particle.carried_surface import CarriedSurface
+from coupler.particle.engine import ENGINES
+from coupler.particle.particle import Numerics
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.physics.strength import Strength
 from coupler.plan.planning import RATE_FILTER_OVER_CROSSING
 from coupler.report.picture import blank, save
-from coupler.sph import shapes
-from coupler.sph.carried_surface import CarriedSurface
-from coupler.sph.engine import ENGINES
-from coupler.sph.particle import Numerics
 
 LADDER = {"42CrMo4": (0.8, 0.57, 0.4, 0.28), "copper": (0.8, 0.57, 0.4)}  # mm; a quarter of an hour on one core
 POINTS = (500, 1000, 2000, 4000, 8000, 16000)  # some ten minutes

@@ -78,12 +78,12 @@ def of_run(folder: Path, step: int = -1, spacing: float | None = None) -> tuple[
     """The particle of a run's folder at a stored step, with its carried surface; and remarks. Raises StoreError."""
     import numpy as np
 
+    from ..core.records import rows_of
     from ..files.result import Result
     from ..physics.metal import MetalState
     from ..physics.shapes import sphere_volume
     from ..plan.record import read_plan
     from ..splat.cloud import Cloud
-    from ..state.records import rows_of
 
     result = Result(folder)
     try:
@@ -127,10 +127,10 @@ def of_file(
     """
     import numpy as np
 
+    from ..core.records import rows_of
     from ..files.clouds import read_points
     from ..geometry.points import cleaned, is_shell
     from ..splat.cloud import Cloud
-    from ..state.records import rows_of
 
     names = None if columns is None else columns.replace(",", " ").split()
     shapes = {name: spec.shape[1:] for name, spec in rows_of(Cloud).items() if name != "x"}
@@ -226,9 +226,9 @@ def write(path: Path, splat: "Splat") -> None:
     import meshio
     import numpy as np
 
+    from ..core.records import rows_of
     from ..files.outputs import MARK, replacing
     from ..physics.metal import MetalState
-    from ..state.records import rows_of
 
     offsets = np.cumsum([0, *(len(body.points) for body in splat.bodies)])
     points = np.concatenate([body.points for body in splat.bodies])

@@ -49,10 +49,10 @@ def _slurm_option(text: str) -> tuple[str, str]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
+    from ..core.executors import executor
     from ..errors import PlacementError, StoreError
     from ..files.outputs import claim_folder
     from ..progress import Progress
-    from ..ranks.executors import executor
     from ..studies.runs import of_another_scene, run_points, stopping
     from ..studies.sweep import Sweep
 

@@ -6,9 +6,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from ..core.arrays import Histories, SpringTable
+from ..core.records import Shape
 from ..errors import CheckpointError, SolverError
-from ..state.arrays import Histories, SpringTable
-from ..state.records import Shape
 from . import broad
 from .bond import Bond
 from .contact import Contact, ContactState

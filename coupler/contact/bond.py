@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from ..core.arrays import SpringTable
+from ..core.records import Rows, collect, concatenate, rows_of, take
 from ..errors import SolverError
-from ..state.arrays import SpringTable
-from ..state.records import Rows, collect, concatenate, rows_of, take
 from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
 

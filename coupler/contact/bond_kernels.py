@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Bools, Floats, Ints
 from ..geometry.vector_kernels import add, area_vector, from_foot
-from ..state.arrays import Bools, Floats, Ints
 from .closest import closest_on_triangle
 
 

@@ -5,8 +5,8 @@ from math import inf, sqrt
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Bools, Faces, Floats, Ints
 from ..geometry.vector_kernels import area_vector, from_foot
-from ..state.arrays import Bools, Faces, Floats, Ints
 from .broad import box_of
 from .model import ANY, Candidates, Meeting, Points
 

@@ -6,11 +6,11 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core.arrays import Floats, Ints, SpringTable
+from ..core.loops import PARTS
+from ..core.records import Shape, assign, collect
+from ..core.threads import together
 from ..errors import CheckpointError, SolverError
-from ..state.arrays import Floats, Ints, SpringTable
-from ..state.loops import PARTS
-from ..state.records import Shape, assign, collect
-from ..state.threads import together
 from . import broad, closest
 from . import kernels as k
 from .model import ANY, FACE, HISTORY, Candidates, Meeting, Nodes, Points, motion, new_history

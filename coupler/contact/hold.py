@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..state.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints
 from .bond import Bond, BondState
 from .bond_kernels import in_contact
 from .contact import Contact

@@ -5,9 +5,9 @@ from math import inf, sqrt
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Faces, Floats, Histories, History, Ints, Vector
+from ..core.loops import ranges
 from ..geometry.vector_kernels import add, area_vector, from_foot
-from ..state.arrays import Faces, Floats, Histories, History, Ints, Vector
-from ..state.loops import ranges
 from .closest import closest_faces
 from .law import TANGENTIAL, friction_force, normal_force, stored
 from .model import ALL, ANY, UNKNOWN, Candidates, Meeting, Motion, Nodes, Points

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..state.arrays import Floats, Histories, Ints
+from ..core.arrays import Floats, Histories, Ints
 
 ANY = -1  # body
 # m, depths that are ignored: of a point that has no contact, and of one that no search has found near a face

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.executors import executor
 from ..errors import ColdsprayError, WorkerError
 from ..impact.run import RunOptions
 from ..impact.stop import Stopped, StopSignals
 from ..plan.batches import Batch
 from ..plan.forecast import forecast
 from ..plan.planning import Plan
-from ..ranks.executors import executor
 from ..target.bodies import Bodies
 from ..target.cut import Cut, cut_out
 from .joining import points_of_impact

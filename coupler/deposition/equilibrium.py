@@ -13,13 +13,13 @@ from functools import partial
 
 import numpy as np
 
+from ..core.loops import PARTS
+from ..core.threads import share, together
 from ..fe.coarse import CoarseGrid
 from ..fe.explicit import Target
 from ..fe.relaxed import Relaxation
 from ..fe.stability import HighestFrequency
 from ..physics import motion
-from ..state.loops import PARTS
-from ..state.threads import share, together
 from ..target.bodies import Bodies
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion

@@ -10,6 +10,7 @@ from multiprocessing import get_context
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from ..core.executors import end_with, without_interrupts
 from ..errors import ColdsprayError
 from ..files.inputs import read_json_object
 from ..files.outputs import write_text
@@ -20,7 +21,6 @@ from ..measures import CONVERGING
 from ..plan.planning import Plan
 from ..plan.reading import Scene
 from ..plan.refinement import at_points, error, has_error
-from ..ranks.executors import end_with, without_interrupts
 
 FOLDER = "coarser"  # of the coarser runs, in that of the run; removed once the error is known
 Compute = Callable[

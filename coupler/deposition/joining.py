@@ -12,12 +12,12 @@ from ..files.summary import Values
 from ..geometry.extent import shape_measures
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
+from ..particle.carried_surface import CarriedSurface
 from ..physics.constitutive import sound_speed, von_mises
 from ..physics.metal import carried
 from ..plan.batches import Batch
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..sph.carried_surface import CarriedSurface
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
 from ..target.bodies import Bodies, heights_at

@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from ..files.summary import Values
+from ..particle.inertia import ENOUGH
 from ..plan.planning import Plan
-from ..sph.inertia import ENOUGH
 from ..target.bodies import Bodies
 from ..target.domain import Point
 

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from .. import __version__, report
+from ..core.threads import cores, second_thread
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.provenance import command
@@ -15,14 +16,13 @@ from ..impact.domains import build_particle
 from ..impact.exchange import Impact
 from ..impact.run import RunOptions
 from ..impact.stop import terminable
+from ..particle.start import whole_process
 from ..plan.planning import Plan, plan
 from ..plan.reading import Scene
 from ..plan.record import plan_text, read_plan
 from ..plan.text import describe
 from ..progress import Progress
 from ..ranks import ranks as parallel
-from ..sph.start import whole_process
-from ..state.threads import cores, second_thread
 from .batches import workers
 from .error import Companions
 from .fold import Deposition
@@ -54,7 +54,7 @@ def run(
     out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how far it is; a bar
     or lines on standard error by default, nothing with quiet. threads: 2 computes the target beside the particle on a second core, 1
     in turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the scheme, values in
-    place of the defaults of `coupler.sph.particle.Numerics`. probe(impact): called after every few steps with the
+    place of the defaults of `coupler.particle.particle.Numerics`. probe(impact): called after every few steps with the
     `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
     skip_failed: of several impacts, leave out those that fail, in one process. jobs: impacts of a batch at a time (`plan.batches`),
     each in a process of its own; the numbers are the same. error: measure the error of each measure by coarser runs beside this one

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..core.threads import add_second_thread, second_thread
 from ..errors import ColdsprayError, NoContactError, SolverError
 from ..files import checkpoint
 from ..files.store import Store, StoreState
@@ -15,7 +16,6 @@ from ..impact.run import ImpactStart, RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..state.threads import add_second_thread, second_thread
 from ..target.bodies import BodiesState
 from ..target.domain import Point
 from .joining import join

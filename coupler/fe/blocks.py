@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiling import njit
+from ..core.arrays import Floats, Ints, Matrix, Symmetric
 from ..physics.constitutive import von_mises_squared
-from ..state.arrays import Floats, Ints, Matrix, Symmetric
 
 BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
 ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN

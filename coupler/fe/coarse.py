@@ -19,8 +19,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints, Laws, SpringTable
-from ..state.threads import share
+from ..core.arrays import Floats, Ints, Laws, SpringTable
+from ..core.threads import share
 from .blocks import edge_cofactors
 from .explicit import Target
 from .products import times_rows

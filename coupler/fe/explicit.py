@@ -12,13 +12,13 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core.arrays import occurring
+from ..core.loops import PARTS
+from ..core.records import Shape, assign, check_indices, collect, copied, new_rows, put
+from ..core.threads import share, together
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import FLOW, LAW, PRESSURE, sound_speed, specialised, yield_stresses
-from ..state.arrays import occurring
-from ..state.loops import PARTS
-from ..state.records import Shape, assign, check_indices, collect, copied, new_rows, put
-from ..state.threads import share, together
 from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
 from .heat import Conduction, ConductionState, take_heat

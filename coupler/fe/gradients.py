@@ -6,9 +6,9 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Floats, Ints
 from ..geometry.matrix_kernels import applied, inverse, polar, product, transposed
 from ..geometry.vector_kernels import add
-from ..state.arrays import Floats, Ints
 from .explicit import Target
 
 

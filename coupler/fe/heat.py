@@ -18,10 +18,10 @@ from typing import Annotated
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Floats, Ints, Laws
+from ..core.records import Shape, assign, collect
+from ..core.threads import share
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
-from ..state.arrays import Floats, Ints, Laws
-from ..state.records import Shape, assign, collect
-from ..state.threads import share
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
 

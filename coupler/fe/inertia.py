@@ -15,8 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core.records import Shape
 from ..errors import CheckpointError
-from ..state.records import Shape
 from .mesh import FiniteElements
 
 MOST = 150  # elements: the matrix of their nodes is inverted in each window

@@ -11,10 +11,10 @@ from math import acos, cos, log, sqrt
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Arrays, Floats, Ints, Laws, Vector
+from ..core.loops import ranges
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
-from ..state.arrays import Arrays, Floats, Ints, Laws, Vector
-from ..state.loops import ranges
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
 
 LEAST_ELEMENTS, LEAST_NODES = 250, 400  # in a range of a loop that threads share

@@ -6,10 +6,10 @@ from typing import Annotated, Protocol
 import numpy as np
 from skfem import Basis, ElementTetP1, LinearForm, MeshTet, asm
 
+from ..core.records import Shape
 from ..errors import SolverError
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
-from ..state.records import Shape
 from .state import ElementState, NodeState
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from scipy.sparse import csr_array, csr_matrix
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints
-from ..state.threads import share
+from ..core.arrays import Floats, Ints
+from ..core.threads import share
 
 LEAST = 2000  # rows in a range, at least
 

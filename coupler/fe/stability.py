@@ -13,13 +13,13 @@ from typing import Annotated, Protocol
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Arrays, Floats, Ints, Laws
+from ..core.loops import ranges
+from ..core.records import Shape
+from ..core.threads import together
 from ..errors import CheckpointError
 from ..geometry.tetrahedra import lumped
 from ..physics.constitutive import bulk_stiffness
-from ..state.arrays import Arrays, Floats, Ints, Laws
-from ..state.loops import ranges
-from ..state.records import Shape
-from ..state.threads import together
 from .blocks import edge_cofactors
 from .inertia import ElementInertia
 from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 
+from ..core.records import Rows, Shape
 from ..physics.metal import MetalState
-from ..state.records import Rows, Shape
 
 
 @dataclass(frozen=True)

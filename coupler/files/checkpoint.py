@@ -1,7 +1,7 @@
 """Checkpoints of a run: the whole state in one file, whole or not at all, and known to be whole when it is read.
 
 A file is an uncompressed .npz of arrays, each with the checksum of its zip archive; "header" is a JSON text: format, what the file
-belongs to, and the tree of the state. The state is a record (a frozen dataclass, see `state.records`) of arrays, numbers, strings,
+belongs to, and the tree of the state. The state is a record (a frozen dataclass, see `core.records`) of arrays, numbers, strings,
 None, lists, dicts and other records; numbers travel exactly. It is read by the type hints of the record: every field must be there,
 with the type and shape that it says.
 """
@@ -20,8 +20,8 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.lib.npyio import NpzFile
 
+from ..core.records import Shape, rows_of, shapes_of
 from ..errors import CheckpointError, StoreError, UnreadableError
-from ..state.records import Shape, rows_of, shapes_of
 
 FORMAT = 22
 KEPT = 2

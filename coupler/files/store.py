@@ -30,8 +30,8 @@ from typing import Annotated, TextIO
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..core.records import Shape
 from ..errors import CheckpointError, StoreError, UnreadableError
-from ..state.records import Shape
 from . import checkpoint
 from .outputs import ELSEWHERE, REPLACE, RUN_FILES, check_folder, claim_folder, write_text
 from .result import COLD, DOMAINS, HISTORY

@@ -25,7 +25,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..state.threads import share
+from ..core.threads import share
 from .fields import Root, opened, read_step, times_of
 
 Data = Mapping[str, ArrayLike]

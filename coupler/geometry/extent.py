@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints
 
 #: Share of the volume that lies within an extent. A jet holds less than the rest of it, and a section shows the splat as wide and high.
 SHARE = 0.99

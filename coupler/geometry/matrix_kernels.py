@@ -1,7 +1,7 @@
 """3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
 
 from ..compiling import njit
-from ..state.arrays import Matrix, Vector
+from ..core.arrays import Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.arrays import occurring
 from ..errors import SplatError
-from ..state.arrays import occurring
 from .library import open3d
 from .triangles import area_vectors, open_or_double
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints
 from .triangles import edges as directed_edges
 from .triangles import vertex_normals
 

@@ -1,7 +1,7 @@
 """Vectors of three numbers in kernels (numba): what is written once there, inlined where it is used."""
 
 from ..compiling import njit
-from ..state.arrays import Floats, Vector
+from ..core.arrays import Floats, Vector
 
 
 @njit(cache=True, nogil=True, inline="always")

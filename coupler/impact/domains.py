@@ -14,17 +14,17 @@ from ..fe.explicit import Target
 from ..fe.mesh import prepare
 from ..geometry import mesher
 from ..geometry.apart import apart
+from ..particle import shapes
+from ..particle.carried_surface import CarriedSurface
+from ..particle.engine import engine
+from ..particle.heat import PointConduction
+from ..particle.inertia import ENOUGH
+from ..particle.particle import Numerics, Particle
 from ..physics.constitutive import law_record
 from ..physics.materials import Material
 from ..plan.planning import Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
-from ..sph import shapes
-from ..sph.carried_surface import CarriedSurface
-from ..sph.engine import engine
-from ..sph.heat import PointConduction
-from ..sph.inertia import ENOUGH
-from ..sph.particle import Numerics, Particle
 from ..target.bodies import Bodies, BodiesState, level_under
 from .folding import Folding, folding
 from .heat import HeatPaths
@@ -91,7 +91,7 @@ def build_domains(
 ) -> Domains:
     """Pack the particle of impact i above the bodies (default: the bare substrate), with contact between. Starts LAMMPS.
 
-    log_file: LAMMPS's log. numerics: values in place of the defaults of `sph.particle.Numerics`. ranks:
+    log_file: LAMMPS's log. numerics: values in place of the defaults of `particle.particle.Numerics`. ranks:
     default this process alone. level: height (m) of the surface where the particle first touches it; None: as the bodies lie.
     """
     ranks, bodies = ranks or parallel.Ranks(), bodies if bodies is not None else build_target(plan)

@@ -16,6 +16,7 @@ from ..contact.bond import Bond, BondState
 from ..contact.contact import ContactState
 from ..contact.hold import SECURE, Hold, bonds_at
 from ..contact.model import Nodes
+from ..core.records import Shape, assign, check_indices, collect
 from ..errors import SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
@@ -26,7 +27,6 @@ from ..physics.materials import Material
 from ..plan.cost import WINDOW
 from ..plan.planning import ImpactPlan, Plan
 from ..ranks.distributed import ParticleState
-from ..state.records import Shape, assign, check_indices, collect
 from ..target.bodies import BodiesState
 from .domains import Domains
 from .ending import Grip

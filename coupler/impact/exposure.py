@@ -6,9 +6,9 @@ from typing import Annotated
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from ..core.records import Shape, assign, collect
 from ..geometry.triangles import areas, rings, vertex_areas
 from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, sound_fraction
-from ..state.records import Shape, assign, collect
 from .domains import Domains
 from .touching import Touching
 

@@ -4,11 +4,11 @@ import numpy as np
 
 from ..contact.contact import Contact, ContactState
 from ..contact.model import Nodes
+from ..core.arrays import Floats, Ints
+from ..particle.carried_surface import CarriedSurface
+from ..particle.shapes import Body
 from ..plan.planning import ImpactPlan
 from ..ranks.distributed import DistributedParticle
-from ..sph.carried_surface import CarriedSurface
-from ..sph.shapes import Body
-from ..state.arrays import Floats, Ints
 
 SHAPES = ("hollow_sphere", "rod", "flake", "file")  # whose parts can meet
 APART = 2.5  # spacings in the undeformed body: what was nearer is the same part of the surface

@@ -8,10 +8,10 @@ from ..contact.contact import Contact
 from ..contact.hold import Hold
 from ..fe.explicit import Target
 from ..geometry.triangles import areas, vertex_areas
+from ..particle.carried_surface import CarriedSurface
+from ..particle.heat import PointConduction
 from ..physics.constitutive import conductivities, heat_capacities
 from ..ranks.distributed import DistributedParticle
-from ..sph.carried_surface import CarriedSurface
-from ..sph.heat import PointConduction
 from .folding import Folding
 
 

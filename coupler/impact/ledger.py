@@ -6,8 +6,8 @@ from typing import Annotated
 import numpy as np
 
 from ..contact.hold import Hold
+from ..core.records import Shape, assign, collect
 from ..errors import SolverError
-from ..state.records import Shape, assign, collect
 from .domains import Domains
 
 DRIFT_BOUND = 0.01  # of the initial kinetic energy: a run that ends beyond it has failed

@@ -7,10 +7,10 @@ from ..fe.explicit import Target
 from ..geometry.extent import shape_measures
 from ..geometry.raycast import RaySurface
 from ..geometry.triangles import enclosed_volume
+from ..particle.carried_surface import CarriedSurface
+from ..particle.shapes import Body
 from ..physics.constitutive import von_mises
 from ..ranks.distributed import DistributedParticle
-from ..sph.carried_surface import CarriedSurface
-from ..sph.shapes import Body
 
 FAR = 2.0  # spacings: a vertex of the surface so far from any point lies in a jet that no point resolves
 YIELDED = 0.002  # plastic strain from which on an element counts as yielded: the offset of the 0.2 % proof stress

@@ -6,13 +6,13 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.records import Shape, collect
 from ..errors import SolverError
 from ..files.store import Store
 from ..geometry.extent import UP, extent
 from ..physics.constitutive import von_mises
 from ..plan.planning import Plan
 from ..progress import Progress
-from ..state.records import Shape, collect
 from ..target.bodies import Bodies
 from .exchange import Impact
 from .ledger import DRIFT_ALARM

@@ -21,7 +21,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints, Laws
+from ..core.arrays import Floats, Ints, Laws
 from . import strength
 from .materials import Material
 from .strength import on as on

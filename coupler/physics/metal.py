@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..state.records import Rows, rows_of
+from ..core.records import Rows, rows_of
 
 UNKNOWN: Any = None  # in a cloud of points that does not have a field
 

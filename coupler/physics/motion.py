@@ -1,8 +1,8 @@
 """What both domains do with positions, velocities and forces: arrays (n,3), rows [lo, hi), SI units (numba)."""
 
 from ..compiling import njit
-from ..state.arrays import Bools, Floats, Ints, Vector
-from ..state.loops import ranges
+from ..core.arrays import Bools, Floats, Ints, Vector
+from ..core.loops import ranges
 
 LEAST = 2000  # rows in a range of a shared loop, at least
 

@@ -102,7 +102,7 @@ class Plan:
     """All decisions about a run; written to plan.json. Times in s, lengths in m.
 
     impacts: one after another; batches: which of them are computed side by side. contact_stiffness: factor on the penalty stiffness.
-    gas: lines about what the gas gives. engine: of the particles (`coupler.sph.engine`). solids: shapes from files, by the name of
+    gas: lines about what the gas gives. engine: of the particles (`coupler.particle.engine`). solids: shapes from files, by the name of
     the file. ambient: temperature (K) to which all cools after the last impact, None where it does not; surface_heat: heat transfer
     coefficient (W/(m2 K)) and temperature (K) of the jet on the surface between impacts; spray: about the time between impacts, ""
     for one. decisions: about each effect. companions: points of the coarser runs that measure the error, none where it is not

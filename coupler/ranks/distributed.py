@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ..sph.particle import LocalState, Particle, PointState, PointTotals
-from ..state.records import scatter
+from ..core.records import scatter
+from ..particle.particle import LocalState, Particle, PointState, PointTotals
 from .ranks import STEP, Ranks, RemoteFailure, caught
 
 R = TypeVar("R")
@@ -23,7 +23,7 @@ class ParticleState:
 
 
 class DistributedParticle:
-    """The particle as the root sees it: all its points, wherever they are. Has what one `sph.particle.Particle` has.
+    """The particle as the root sees it: all its points, wherever they are. Has what one `particle.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
     the rest of the last window of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
@@ -79,7 +79,7 @@ class DistributedParticle:
         return values
 
     def whole(self, name: str) -> np.ndarray:
-        """A field of all points (n, ...), by its name in `sph.particle.Particle`."""
+        """A field of all points (n, ...), by its name in `particle.particle.Particle`."""
         return self._joined(self.ask("get", name))
 
     def _joined(self, parts: list[np.ndarray]) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 from mpi4py.MPI import COMM_SELF, COMM_WORLD, Comm, Intracomm
 
 from ..errors import ColdsprayError, SolverError
-from ..sph.particle import Particle
+from ..particle.particle import Particle
 
 STEP = 7  # tag of the messages of a step
 R = TypeVar("R")
@@ -82,7 +82,7 @@ class RemoteFailure(SolverError):
 def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str, float]) -> None:
     """On the root rank: have the others build their parts of the particle of impact i, its centre at place (3,) m, too.
 
-    numerics: of `sph.particle.Numerics`, which a retry changes: all ranks compute by the same.
+    numerics: of `particle.particle.Numerics`, which a retry changes: all ranks compute by the same.
     """
     if ranks.size > 1:
         ranks.comm.bcast(("impact", (i, place, dict(numerics)), None), root=ranks.root)

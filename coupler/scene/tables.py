@@ -349,8 +349,8 @@ class SplatTable(Section):
 
 class Resolution(Section):
     """Overrides of the preset. spacing of the points and smallest element size, m; growth: element size gained per unit
-    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.sph.engine`). error: whether it
-    is measured by coarser runs (None: by `coldspray run` alone)."""
+    of distance away from the impact. engine: of the particle's stress and internal forces (`coupler.particle.engine`). error: whether
+    it is measured by coarser runs (None: by `coldspray run` alone)."""
 
     spacing: Annotated[float | None, Quantity("um", "0.01 um", "20 um")] = None
     element_size: Annotated[float | None, Quantity("um", "0.01 um", "50 um")] = None

@@ -6,10 +6,10 @@ from typing import Annotated, Any, TypedDict
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.records import Rows, arrays_of, rows_of
 from ..errors import SplatError
 from ..geometry.triangles import open_or_double
 from ..physics.metal import MetalState
-from ..state.records import Rows, arrays_of, rows_of
 
 MIN_POINTS = 50  # of a body
 

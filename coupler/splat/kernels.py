@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiling import njit
-from ..state.arrays import Floats, Ints
+from ..core.arrays import Floats, Ints
 
 
 @njit(cache=True, nogil=True)

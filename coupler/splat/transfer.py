@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.records import rows_of
 from ..geometry.tetrahedra import lumped, volumes
 from ..physics.metal import carried
-from ..state.records import rows_of
 from .cloud import Cloud
 from .kernels import least_squares_weights
 

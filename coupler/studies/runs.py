@@ -19,12 +19,12 @@ from concurrent.futures import Executor, as_completed
 from pathlib import Path
 from types import FrameType
 
+from ..core.executors import executor, own_environment
 from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, read_json_object, read_text
 from ..files.outputs import claim_folder, write_text
 from ..plan.reading import Scene
 from ..plan.text import duration
-from ..ranks.executors import executor, own_environment
 
 _STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
 REFUSED = 2  # exit code of a run whose scene or folder is refused

@@ -15,14 +15,14 @@ from ..contact.hold import HeldPlaces
 from ..contact.model import new_history
 from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
+from ..core.arrays import SpringTable, occurring
+from ..core.records import Shape, check_indices
 from ..errors import CheckpointError
 from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
 from ..geometry.raycast import RaySurface
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
-from ..state.arrays import SpringTable, occurring
-from ..state.records import Shape, check_indices
 from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
 from .placing import NEAR, placed_on
 

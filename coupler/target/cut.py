@@ -14,10 +14,10 @@ import numpy as np
 from ..contact.bodies import ContactPast
 from ..contact.bond import Bond, BondRows, BondState
 from ..contact.model import new_history
+from ..core.arrays import occurring
+from ..core.records import arrays_of, collect, concatenate, take
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
-from ..state.arrays import occurring
-from ..state.records import arrays_of, collect, concatenate, take
 from .bodies import Bodies
 from .domain import SPLAT, Point, Selection, domain_now, merge, select
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..core.arrays import occurring
+from ..core.records import concatenate, new_rows, take
 from ..fe.explicit import Target
 from ..fe.mesh import TetMesh, prepare_ordered
 from ..fe.state import ElementState, NodeState
@@ -17,8 +19,6 @@ from ..geometry.points import morton
 from ..geometry.tetrahedra import boundary_faces, least_at_corners, lumped
 from ..physics.constitutive import pressures, yield_stresses
 from ..physics.metal import MetalState, carried
-from ..state.arrays import occurring
-from ..state.records import concatenate, new_rows, take
 
 Point = tuple[float, float, float]
 SPLAT = "splat"  # name of the facets of body b: SPLATb

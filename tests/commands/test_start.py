@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from coupler.errors import PlacementError
-from coupler.sph.start import whole_process
+from coupler.particle.start import whole_process
 
 HALF = """
 import locale
-from coupler.sph.start import lammps, whole_process
+from coupler.particle.start import lammps, whole_process
 locale.setlocale(locale.LC_ALL, "de_DE.UTF-8")
 with whole_process():
     lmp = lammps(cmdargs=["-screen", "none", "-log", "none"])

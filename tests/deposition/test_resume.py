@@ -19,6 +19,7 @@ from scenes import SHORT, WHOLE
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
+from coupler.core.records import Rows, Shape
 from coupler.deposition.fold import Deposition
 from coupler.deposition.run import resume
 from coupler.errors import CheckpointError, StoreError
@@ -30,7 +31,6 @@ from coupler.impact.run import RunOptions
 from coupler.impact.summary import ImpactRecord
 from coupler.plan.record import read_plan
 from coupler.progress import Progress
-from coupler.state.records import Rows, Shape
 
 
 @pytest.fixture

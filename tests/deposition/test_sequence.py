@@ -30,13 +30,13 @@ from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.ending import EndCriterion
 from coupler.impact.summary import ImpactRecord
 from coupler.impact.verdict import efficiency_range
+from coupler.particle import compiled, frequency, shapes
+from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.ranks.ranks import Ranks
-from coupler.sph import compiled, frequency, shapes
-from coupler.sph.carried_surface import CarriedSurface
 from coupler.splat.convert import convert
 from coupler.studies.coating import first_step
 from coupler.target.bodies import Bodies, level_under

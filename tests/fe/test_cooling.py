@@ -7,13 +7,13 @@ import pytest
 from blocks import join
 from conftest import elastic
 
+from coupler.core.threads import second_thread
 from coupler.fe import mesh as meshes
 from coupler.fe.cooling import Film, Links, cool
 from coupler.fe.explicit import Target
 from coupler.fe.heat import LEAST
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
-from coupler.state.threads import second_thread
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)

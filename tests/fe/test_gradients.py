@@ -17,6 +17,9 @@ from coupler.fe.explicit import Target
 from coupler.fe.gradients import growing
 from coupler.geometry import mesher
 from coupler.impact.exchange import Impact
+from coupler.particle import packing
+from coupler.particle.compiled_kernels import grow_gradients
+from coupler.particle.engine import ENGINES
 from coupler.physics import constitutive
 from coupler.physics.dislocations import NYE_FACTOR
 from coupler.physics.materials import Material, from_table, material
@@ -24,9 +27,6 @@ from coupler.plan.cost import STRAIN_OF_FLOW
 from coupler.plan.effects import Decision
 from coupler.plan.planning import plan
 from coupler.progress import Progress
-from coupler.sph import packing
-from coupler.sph.compiled_kernels import grow_gradients
-from coupler.sph.engine import ENGINES
 
 D = 25e-6
 SLOPE = np.array([3e4, -2e4, 5e4])  # 1/m

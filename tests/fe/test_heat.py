@@ -7,6 +7,7 @@ import pytest
 from blocks import join
 from conftest import elastic
 
+from coupler.core.records import new_rows
 from coupler.errors import SolverError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
@@ -15,7 +16,6 @@ from coupler.fe.state import ElementState, NodeState
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material, names
-from coupler.state.records import new_rows
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)

@@ -18,11 +18,11 @@ from coupler.files.surfaces import read_surface
 from coupler.geometry.raycast import RaySurface
 from coupler.geometry.solid import MOST_TRIANGLES, solid_of
 from coupler.geometry.triangles import areas, enclosed_volume, open_or_double
+from coupler.particle import packing, shapes
 from coupler.plan.planning import plan
 from coupler.plan.record import plan_text, read_plan
 from coupler.plan.solids import form_of, load
 from coupler.plan.text import describe
-from coupler.sph import packing, shapes
 
 D, SPHERE = 25e-6, np.pi / 6.0
 Surface = tuple[np.ndarray, np.ndarray]

@@ -5,8 +5,8 @@ import pytest
 
 from coupler.geometry.triangles import enclosed_volume
 from coupler.impact.measure import crater_depth
-from coupler.sph import packing
-from coupler.sph.carried_surface import CarriedSurface
+from coupler.particle import packing
+from coupler.particle.carried_surface import CarriedSurface
 
 D = 25e-6
 

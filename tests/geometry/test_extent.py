@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from coupler.geometry.extent import SHARE, UP, extent, shape_measures
-from coupler.sph.packing import surface
+from coupler.particle.packing import surface
 
 D = 25e-6
 

@@ -6,7 +6,7 @@ import pytest
 from coupler.errors import SplatError
 from coupler.geometry.raycast import RaySurface
 from coupler.geometry.solid import check_solid
-from coupler.sph import packing
+from coupler.particle import packing
 
 UM = 1e-6
 

@@ -12,15 +12,15 @@ from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.impact.ledger import Ledger
+from coupler.particle import packing
+from coupler.particle.compiled import KERNEL, CompiledParticle
+from coupler.particle.machdyn import MachdynParticle
+from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive as law
 from coupler.physics.constitutive import heat_capacities
 from coupler.physics.materials import material
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
-from coupler.sph import packing
-from coupler.sph.compiled import KERNEL, CompiledParticle
-from coupler.sph.machdyn import MachdynParticle
-from coupler.sph.particle import Numerics, Particle
 
 D = 25e-6
 DT = 2e-11

@@ -6,8 +6,8 @@ from typing import Any, cast
 import numpy as np
 
 from coupler.impact.folding import Folding, folding
-from coupler.sph import shapes
-from coupler.sph.carried_surface import CarriedSurface
+from coupler.particle import shapes
+from coupler.particle.carried_surface import CarriedSurface
 
 STIFFNESS = 1e4  # N/m
 

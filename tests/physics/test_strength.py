@@ -10,11 +10,11 @@ import pytest
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
+from coupler.particle import shapes
+from coupler.particle.engine import ENGINES
 from coupler.physics import constitutive as law
 from coupler.physics import materials, strength
 from coupler.physics.materials import Material, material
-from coupler.sph import shapes
-from coupler.sph.engine import ENGINES
 
 SETS = [(name, other.strength.set) for name in materials.names() for other in materials.entry(name).materials]
 ONE_OF_EACH = [

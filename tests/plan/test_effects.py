@@ -13,12 +13,12 @@ from coupler.fe import mesh as meshes
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.impact.validity import Extremes, greatest_compression, merged, pressure
+from coupler.particle import law as points_law
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 from coupler.plan import effects
 from coupler.plan.planning import plan
 from coupler.scene.effects import NAMES
-from coupler.sph import law as points_law
 
 
 def test_conductivity_is_that_of_the_first_temperature_without_its_effect() -> None:
@@ -312,7 +312,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     from coupler.impact.exchange import Impact
     from coupler.impact.heat import HeatPaths
     from coupler.impact.loop import advance_window
-    from coupler.sph.heat import PointConduction
+    from coupler.particle.heat import PointConduction
 
     called: list[str] = []
 

@@ -76,7 +76,7 @@ def break_once(impact):
 run(short, out + "/retried", probe=break_once, **options)
 run(Scene.from_text({enriched!r}, "shared"), out + "/enriched", numerics={inertia!r}, **options)
 """
-INERTIA = {"inertia": 0.8}  # of all cells: see `sph.inertia`
+INERTIA = {"inertia": 0.8}  # of all cells: see `particle.inertia`
 ENRICHED = 'effects = ["auto", "+gradient_hardening"]\n' + SHORT.replace(
     "[resolution]", '[resolution]\nengine = "enriched"'
 )
@@ -194,7 +194,7 @@ if MPI.COMM_WORLD.rank == {rank}:
 sys.exit(cli.main(sys.argv[1:]))
 """
 LAW_FAILS = """
-    from coupler.sph.compiled import CompiledParticle as Particle
+    from coupler.particle.compiled import CompiledParticle as Particle
     good = Particle._update_stress
     def bad(self):
         good(self)
@@ -254,7 +254,7 @@ def test_a_rank_that_raises_ends_all(
 def test_a_point_that_fails_on_one_rank_leaves_no_other_waiting(tmp_path: Path) -> None:
     """Ranks that share the particle exchange between the passes of each step: the one that fails goes on with that."""
     patch = """
-    import coupler.sph.compiled_kernels as k
+    import coupler.particle.compiled_kernels as k
     good, calls = k.stress_of_all, []
     def bad(team, n, failed, of_points):
         calls.append(good(team, n, failed, of_points))

@@ -14,8 +14,8 @@ from mesher_that_fails import dies, hangs
 from coupler.errors import DependencyError, SplatError
 from coupler.geometry import tetrahedra
 from coupler.geometry.triangles import open_or_double
-from coupler.sph import packing, shapes
-from coupler.sph.carried_surface import CarriedSurface
+from coupler.particle import packing, shapes
+from coupler.particle.carried_surface import CarriedSurface
 from coupler.splat import meshing, quality, surface
 from coupler.splat.cloud import Body, Cloud
 from coupler.splat.convert import convert

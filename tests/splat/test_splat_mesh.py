@@ -10,10 +10,10 @@ from coupler.commands import mesh as mesh_command
 from coupler.commands.main import main
 from coupler.errors import StoreError
 from coupler.files.store import Store
+from coupler.particle import packing
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.plan.record import plan_text
-from coupler.sph import packing
 
 D = 25e-6
 SCENE = """

@@ -7,7 +7,7 @@ from coupler.errors import SplatError
 from coupler.geometry import remesh
 from coupler.geometry.tetrahedra import boundary_faces, volumes
 from coupler.geometry.triangles import enclosed_volume, open_or_double
-from coupler.sph import packing
+from coupler.particle import packing
 from coupler.splat import field as fields
 from coupler.splat import quality, surface
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from coupler.geometry.tetrahedra import volumes
+from coupler.particle import packing
 from coupler.physics.materials import material
-from coupler.sph import packing
 from coupler.splat.cloud import Cloud
 from coupler.splat.convert import convert
 from coupler.splat.transfer import Fit, transfer, with_energy, with_momentum, with_sum

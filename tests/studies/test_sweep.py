@@ -16,9 +16,9 @@ from sweeps import SHARED, made, points, pretend
 
 from coupler.commands import main as cli
 from coupler.commands import sweep as sweep_command
+from coupler.core.executors import WITH_PARENT
 from coupler.errors import InterruptedRunError, SceneError
 from coupler.plan.reading import Scene
-from coupler.ranks.executors import WITH_PARENT
 from coupler.studies import runs as study_runs
 from coupler.studies.runs_table import table
 from coupler.studies.sweep import Sweep
@@ -271,8 +271,8 @@ def test_the_server_of_the_slurm_jobs_ends_with_the_sweep() -> None:
 
 
 def test_executors(tmp_path, monkeypatch) -> None:
+    from coupler.core.executors import executor, own_environment
     from coupler.errors import PlacementError
-    from coupler.ranks.executors import executor, own_environment
 
     for known, expected in (None, "glibc.malloc.hugetlb=1"), ("glibc.malloc.perturb=1", "glibc.malloc.perturb=1"):
         monkeypatch.delenv("GLIBC_TUNABLES", raising=False)

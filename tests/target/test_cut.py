@@ -19,6 +19,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from coupler import Result, Scene
 from coupler.contact.bodies import ContactPast
 from coupler.contact.model import new_history
+from coupler.core.records import rows_of
+from coupler.core.threads import PARTS, share
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
 from coupler.deposition.joining import point_of_impact
@@ -36,15 +38,13 @@ from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_window
 from coupler.impact.run import RunOptions
 from coupler.impact.summary import peak_memory
+from coupler.particle.inertia import ENOUGH
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
 from coupler.plan.batches import LARGEST_BATCH, MEET, Landing, batches, side_by_side
 from coupler.plan.planning import plan
 from coupler.progress import Progress
-from coupler.sph.inertia import ENOUGH
-from coupler.state.records import rows_of
-from coupler.state.threads import PARTS, share
 from coupler.target.bodies import Bodies
 from coupler.target.cut import cut_out, put_back
 

@@ -13,7 +13,7 @@ from coupler.commands.mesh import of_file
 from coupler.errors import SplatError
 from coupler.files.clouds import read_points
 from coupler.files.inputs import InputError
-from coupler.sph import packing
+from coupler.particle import packing
 
 BALL = np.round(packing.sphere(12.0, 300)[0], 4)  # um
 T = np.arange(len(BALL)) + 300.5

@@ -1,8 +1,7 @@
 """The impacting particle: total-Lagrangian SPH whose points LAMMPS keeps, integrates and shares among ranks.
 
-`fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1
-and velocities at n+1/2. There stress and internal forces move on (in one of two engines: `sph.machdyn`, `sph.compiled`), and the
-coupler fills in `f_ext`.
+`fix external` calls back between LAMMPS's pair forces and its kick, when positions are at n+1 and velocities at n+1/2. There stress
+and internal forces move on (by an engine: `particle.machdyn`, `particle.compiled`, `particle.enriched`); the coupler fills in `f_ext`.
 """
 
 from abc import ABC, abstractmethod
@@ -14,11 +13,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from mpi4py import MPI
 
+from ..core.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..physics.metal import MetalState, carried
-from ..state.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
 from . import law as k
 from .start import H, silence, start
 
@@ -31,7 +30,7 @@ class Numerics:
     and converges more slowly). Q1: linear viscosity. hourglass: amplitude; control: 1 for hourglass control in place of residuals.
     courant: bound on c dt / dx, and `stretch`: that bound as a share of the smallest principal stretch. frequency: bound of the
     enriched scheme, as a share of the step that its highest frequency allows. inertia: step, in spacings over the speed of sound, that
-    crushed cells of the enriched scheme are to bear (`sph.inertia`); 0 for none.
+    crushed cells of the enriched scheme are to bear (`particle.inertia`); 0 for none.
     """
 
     kernel_radius: float = 0.75

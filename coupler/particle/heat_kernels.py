@@ -1,13 +1,13 @@
-"""Passes of the conduction among points (`sph.heat`), over ranges [lo, hi) of points (numba).
+"""Passes of the conduction among points (`particle.heat`), over ranges [lo, hi) of points (numba).
 
 start (n+1,), columns (m,), weights (m,4): the operators G (x, y, z, 1/m) and R of `heat.PointConduction` in one list of rows. The other
 way around: start, rows, weights of their transposed. D, kD (n,6): symmetric tensors xx yy zz yz xz xy. SI units.
 """
 
 from ..compiling import njit
+from ..core.arrays import Arrays, Floats, Ints, Laws
+from ..core.loops import ranges
 from ..physics.constitutive import conductivity, heat_capacity
-from ..state.arrays import Arrays, Floats, Ints, Laws
-from ..state.loops import ranges
 
 LEAST_POINTS = 200  # in a range of a loop that threads share
 SMOOTHING = 0.5  # c, in units of V tr(k J F^-1 F^-T) / spacing^2

@@ -13,12 +13,12 @@ from conftest import elastic
 from coupler.contact.contact import Contact
 from coupler.contact.law import stiffness
 from coupler.contact.model import Nodes
+from coupler.particle import packing, shapes, start
+from coupler.particle.carried_surface import CarriedSurface
+from coupler.particle.engine import ENGINES
+from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import packing, shapes, start
-from coupler.sph.carried_surface import CarriedSurface
-from coupler.sph.engine import ENGINES
-from coupler.sph.particle import Numerics, Particle
 
 HERE = Path(__file__).parents[1]
 PUBLISHED = tomllib.loads((HERE / "data" / "sph_references.toml").read_text())

@@ -1,6 +1,6 @@
 """The particle with sub-cell deformation: what F does not see of the neighbours resists and flows like the metal.
 
-Two changes of the scheme of `sph.compiled`, with which it has no hourglass control:
+Two changes of the scheme of `particle.compiled`, with which it has no hourglass control:
 
 - *Residuals*. e_ij = R_i^T (x_j - x_i - F_i (X_j - X_i)) is zero for a linear field. Its elastic part e has the energy
   V G ACROSS / 2 sum_j omega_ij e^2 / r_ij^2, omega_ij = w_ij r_ij^2 / sum_j w_ij r_ij^2: that of the deviatoric strain within the
@@ -22,8 +22,8 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.records import Rows
 from ..errors import SolverError
-from ..state.records import Rows
 from .compiled import CompiledParticle, CompiledPoints
 from .frequency import LONGEST, PointFrequency, Sides
 from .inertia import CellInertia
@@ -145,7 +145,7 @@ class EnrichedParticle(CompiledParticle):
             self.points.f[:] = total - self.f_ext
 
     def stable_dt(self) -> float:
-        """Largest stable time step in s, by the highest frequency of the points (`sph.frequency`).
+        """Largest stable time step in s, by the highest frequency of the points (`particle.frequency`).
 
         Raises SolverError as that of the other schemes does.
         """
@@ -171,8 +171,8 @@ class EnrichedParticle(CompiledParticle):
 
 
 class ControlledParticle(CompiledParticle):
-    """The scheme of `sph.compiled` for the state of an enriched particle, whose residuals rest: a remedy of `impact.retry`, for rims
-    that are stretched very far."""
+    """The scheme of `particle.compiled` for the state of an enriched particle, whose residuals rest: a remedy of `impact.retry`, for
+    rims that are stretched very far."""
 
     POINTS = EnrichedPoints
 

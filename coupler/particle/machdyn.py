@@ -1,12 +1,12 @@
-"""The particle with MACHDYN's own pair style, into which our law is put through yield stress and energy (`sph.law`)."""
+"""The particle with MACHDYN's own pair style, into which our law is put through yield stress and energy (`particle.law`)."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
+from ..core.records import Rows
 from ..errors import SolverError
-from ..state.records import Rows
 from . import law as k
 from .particle import Particle, PointState
 from .start import H

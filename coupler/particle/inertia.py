@@ -18,8 +18,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..compiling import njit
+from ..core.arrays import Floats, Ints, Laws
 from ..physics.constitutive import bulk_stiffness
-from ..state.arrays import Floats, Ints, Laws
 from . import compiled_kernels as k
 
 ENOUGH = 0.25  # spacings over wave speed: cells whose safe step is that long do not limit the particle

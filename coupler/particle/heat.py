@@ -17,8 +17,8 @@ from math import ceil
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..state.loops import PARTS
-from ..state.threads import together
+from ..core.loops import PARTS
+from ..core.threads import together
 from . import heat_kernels as k
 
 SUPPORT = 1.6  # spacings: of a face-centred cubic lattice (nearest 1.12) the 12 and 6 nearest neighbours

@@ -1,4 +1,4 @@
-"""The particle with our own two passes over points and pairs (`sph.compiled_kernels`), in the form that MACHDYN has.
+"""The particle with our own two passes over points and pairs (`particle.compiled_kernels`), in the form that MACHDYN has.
 
 LAMMPS keeps, integrates and distributes the points. Neighbours are those of the reference configuration for good, so that lists
 are made once. On several ranks LAMMPS brings x and vest of the neighbours' points; between the passes the ranks exchange
@@ -13,10 +13,10 @@ from typing import Annotated, ClassVar
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.loops import PARTS
+from ..core.records import Rows
+from ..core.threads import together
 from ..errors import SolverError
-from ..state.loops import PARTS
-from ..state.records import Rows
-from ..state.threads import together
 from . import compiled_kernels as k
 from .particle import Particle, PointState
 from .start import H

@@ -14,17 +14,17 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import coupler
 from coupler import Scene, run
+from coupler.core.arrays import Ints
+from coupler.core.loops import ranges
+from coupler.core.threads import SecondThread, second_thread, together
 from coupler.errors import SolverError
+from coupler.particle import compiled_kernels, packing, start
+from coupler.particle.compiled import CompiledParticle
+from coupler.particle.machdyn import MachdynParticle
+from coupler.particle.packing import FCC, Lattice
+from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import compiled_kernels, packing, start
-from coupler.sph.compiled import CompiledParticle
-from coupler.sph.machdyn import MachdynParticle
-from coupler.sph.packing import FCC, Lattice
-from coupler.sph.particle import Numerics, Particle
-from coupler.state.arrays import Ints
-from coupler.state.loops import ranges
-from coupler.state.threads import SecondThread, second_thread, together
 
 D = 25e-6
 DT = 1e-11

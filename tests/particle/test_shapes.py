@@ -13,12 +13,12 @@ from scipy.spatial import cKDTree
 from coupler import Scene, run
 from coupler.geometry.triangles import enclosed_volume, surface_area
 from coupler.impact.measure import share_inside_itself
+from coupler.particle import packing, shapes
+from coupler.particle.carried_surface import CarriedSurface
 from coupler.physics import shapes as morphology
 from coupler.plan.planning import plan
 from coupler.plan.text import describe
 from coupler.scene.model import SHAPES, Shape
-from coupler.sph import packing, shapes
-from coupler.sph.carried_surface import CarriedSurface
 
 D = 25e-6
 V = np.pi / 6 * D**3

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from coupler.errors import SolverError
+from coupler.particle import packing
+from coupler.particle.engine import ENGINES
+from coupler.particle.particle import Numerics, Particle
 from coupler.physics import constitutive
 from coupler.physics.materials import material
-from coupler.sph import packing
-from coupler.sph.engine import ENGINES
-from coupler.sph.particle import Numerics, Particle
 
 D = 25e-6
 

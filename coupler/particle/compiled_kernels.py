@@ -11,11 +11,11 @@ gives the same numbers to the last bit. Arrays n of this rank's points, N of the
 from math import sqrt
 
 from ..compiling import njit
+from ..core.arrays import Arrays, Floats, Ints, Laws, Matrix
+from ..core.loops import ranges
 from ..geometry.matrix_kernels import ROUNDING, applied, inverse, polar, product, transposed
 from ..geometry.vector_kernels import add
 from ..physics.constitutive import harden, hugoniot_pressure, mie_gruneisen, norm, on
-from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
-from ..state.loops import ranges
 
 LEAST_POINTS, LEAST_PAIRS = 100, 600  # in a range of a loop that threads share
 TURNED = 1e-14  # rad: the rotation is exact to rounding
@@ -161,7 +161,7 @@ def stress_points(
 
     As in MACHDYN the deviator returns to the yield stress of the step before, and the heat in the pressure lags by one step.
 
-    The enriched scheme (`sph.enriched`) has four arrays more: gradient (m,3) 1/m in place of w (X_j - X_i) K^-1;
+    The enriched scheme (`particle.enriched`) has four arrays more: gradient (m,3) 1/m in place of w (X_j - X_i) K^-1;
     plastic and residual (m,3) of `_residuals` and `_residual_forces`; unseen (n,) J/m3
     receives the elastic energy of the residuals. Q then
     is -V J R sigma B, and what balances the residuals' forces. Its strain increment is that of U from n to n+1, not of v.

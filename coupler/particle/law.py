@@ -11,8 +11,8 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Floats, Laws
 from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
-from ..state.arrays import Floats, Laws
 
 
 @njit(cache=True, nogil=True, inline="always")

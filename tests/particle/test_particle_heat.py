@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from conftest import elastic
 
+from coupler.particle import shapes
+from coupler.particle.engine import ENGINES
+from coupler.particle.heat import PointConduction
+from coupler.particle.packing import sphere
 from coupler.physics.constitutive import law_record
-from coupler.sph import shapes
-from coupler.sph.engine import ENGINES
-from coupler.sph.heat import PointConduction
-from coupler.sph.packing import sphere
 
 CP, K, RHO = 450.0, 50.0, 7800.0  # of `elastic`
 ALPHA = K / (RHO * CP)
@@ -130,7 +130,7 @@ def test_two_half_spaces_in_perfect_contact_meet_at_the_temperature_of_their_eff
     from coupler.fe.explicit import Target
     from coupler.geometry import mesher
     from coupler.impact.heat import HeatPaths
-    from coupler.sph.carried_surface import CarriedSurface
+    from coupler.particle.carried_surface import CarriedSurface
 
     body = shapes.cylinder(1.0, 2.0, 4000)
     lift = np.array([0.0, 0.0, -body.vertices[:, 2].min()])

@@ -8,12 +8,12 @@ import pytest
 from conftest import elastic
 from lattices import BCC, HCP
 
+from coupler.particle import packing
+from coupler.particle.enriched import EnrichedParticle
+from coupler.particle.packing import FCC, Lattice
+from coupler.particle.particle import Numerics
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
-from coupler.sph import packing
-from coupler.sph.enriched import EnrichedParticle
-from coupler.sph.packing import FCC, Lattice
-from coupler.sph.particle import Numerics
 
 D = 25e-6
 E, NU = 200e9, 0.3

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..compiling import njit
+from ..core.arrays import Arrays, Floats, Ints, Laws, Matrix
+from ..core.loops import ranges
+from ..core.threads import share, together
 from ..physics.constitutive import bulk_stiffness
-from ..state.arrays import Arrays, Floats, Ints, Laws, Matrix
-from ..state.loops import ranges
-from ..state.threads import share, together
 from . import compiled_kernels as k
 
 LONGEST = 3.0  # times the bound of the smallest stretch: the most that is ever taken

@@ -1,8 +1,8 @@
 """Points to a surface that they carry, and forces on it back to them: a sparse matrix and its transpose (numba)."""
 
 from ..compiling import njit
-from ..state.arrays import Arrays, Floats, Ints
-from ..state.loops import ranges
+from ..core.arrays import Arrays, Floats, Ints
+from ..core.loops import ranges
 
 LEAST_ROWS = 50  # in a range of a loop that threads share
 

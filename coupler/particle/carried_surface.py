@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import cKDTree
 
-from ..state.threads import together
+from ..core.threads import together
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
