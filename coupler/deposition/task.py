@@ -21,7 +21,7 @@ from ..target.domain import Point
 from .joining import join
 from .mass_scaling import prepare
 
-# files beside the folders of tasks, which those that run look for at each window of steps
+# files beside the folders of tasks, which those that run look for at each chunk of steps
 STOP = "stop"  # they stop
 SPARE = "spare"  # cores are idle: each has a second thread from now on
 

@@ -39,7 +39,7 @@ class Domains:
 
     particle: all its points, on whichever ranks they are; bodies: substrate and splats; surface: the particle's, carried by its
     points; body: the undeformed particle about its centre; place (3,) m: of that centre at the start; level: height (m) of the
-    surface where the particle first touches it; paths: where heat flows between windows of steps; folding: contact of the particle with
+    surface where the particle first touches it; paths: where heat flows between chunks of steps; folding: contact of the particle with
     itself.
     """
 

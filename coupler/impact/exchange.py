@@ -34,7 +34,7 @@ from .exposure import Exposure, ExposureState
 from .ledger import Ledger, LedgerState
 from .touching import Touching
 
-APPROACH = 0.5  # spacings that a point may move in a window of steps, in which its stable step is not computed again
+APPROACH = 0.5  # spacings that a point may move in a chunk of steps, in which its stable step is not computed again
 LOST = 0.01  # share of the points that may lie deeper than a spacing in the target at the end
 
 

@@ -18,7 +18,7 @@ def advance_to_end(
     keep: Callable[[], None],
     probe: Callable[[Impact], None] | None,
 ) -> None:
-    """Advance an impact until it is over. keep(): called before each window of steps, to keep the state; probe(impact): after it.
+    """Advance an impact until it is over. keep(): called before each chunk of steps, to keep the state; probe(impact): after it.
 
     Raises SolverError when a domain fails or the energy ledger does not close, StoreError when a file cannot be written.
     """

@@ -84,7 +84,7 @@ class Recorder:
             self.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
-        """Write what is due after a window of steps of dt s, and everything after the last one.
+        """Write what is due after a chunk of steps of dt s, and everything after the last one.
 
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """

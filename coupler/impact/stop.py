@@ -34,7 +34,7 @@ def terminable() -> Iterator[None]:
 
 
 class StopSignals:
-    """While in use, SIGINT and SIGTERM are noted and the window of steps is completed; a second one interrupts at once."""
+    """While in use, SIGINT and SIGTERM are noted and the chunk of steps is completed; a second one interrupts at once."""
 
     def __init__(self) -> None:
         self.number = 0

@@ -170,13 +170,6 @@ class EnrichedParticle(CompiledParticle):
             self._inertia.weigh(state.points.x[self._tag - 1], self.points.J)
 
 
-class ControlledParticle(CompiledParticle):
-    """The scheme of `particle.compiled` for the state of an enriched particle, whose residuals rest: a remedy of `impact.retry`, for
-    rims that are stretched very far."""
-
-    POINTS = EnrichedPoints
-
-
 def _one_sided(X: np.ndarray, h: float) -> np.ndarray:
     """Which points (n,) of X (n,3) m have neighbours within h m whose third moment does not vanish."""
     pairs = cKDTree(X).query_pairs(h, output_type="ndarray")

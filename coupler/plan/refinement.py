@@ -99,12 +99,9 @@ def error(h: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
     return (SAFETY_UNCERTAIN * scatter / spread * (distance + scatter + off) if spread else 0.0), p
 
 
-def line(h: np.ndarray, y: np.ndarray, p: float, limit: float | None = None) -> tuple[float, float, np.ndarray]:
-    """Limit v, slope a and residuals (k,) of y = v + a h^p. limit: v where it is known."""
+def line(h: np.ndarray, y: np.ndarray, p: float) -> tuple[float, float, np.ndarray]:
+    """Limit v, slope a and residuals (k,) of y = v + a h^p."""
     power = h**p
-    if limit is not None:
-        a = float(power @ (y - limit) / (power @ power))
-        return limit, a, y - limit - a * power
     (v, a), *_ = np.linalg.lstsq(np.stack([np.ones_like(h), power], axis=1), y, rcond=None)
     return float(v), float(a), y - v - a * power
 

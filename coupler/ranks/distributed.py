@@ -26,7 +26,7 @@ class DistributedParticle:
     """The particle as the root sees it: all its points, wherever they are. Has what one `particle.particle.Particle` has.
 
     x, v, f_ext (n,3): of all points in the order they were given; x and v of the points that may touch are those of this step,
-    the rest of the last window of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
+    the rest of the last chunk of steps, as totals. dt s; time s; steps. waited: seconds this rank has waited for others in steps.
     """
 
     def __init__(self, ranks: Ranks, local: Particle | None, points: int, spacing: float):
@@ -54,7 +54,7 @@ class DistributedParticle:
         assert self.local is not None, "this rank has no points"
         return self.local
 
-    # ---- between windows of steps ------------------------------------------------------------------------------------------
+    # ---- between chunks of steps ------------------------------------------------------------------------------------------
 
     def ask(self, method: str, *arguments: object, each: Sequence[object] | None = None) -> list[Any]:
         """Have every rank with points call a method of its part of the particle; the results, in order. each: a further argument
@@ -102,7 +102,7 @@ class DistributedParticle:
 
     @property
     def points(self) -> PointState:
-        """State of all points between two windows of steps, in the order they were given: to be read."""
+        """State of all points between two chunks of steps, in the order they were given: to be read."""
         if self._alone:
             return self._part.points
         if self._points is None:
@@ -111,7 +111,7 @@ class DistributedParticle:
         return self._points
 
     def _field(self, name: str) -> np.ndarray:
-        """A field of all points, gathered when it is asked for, once between two windows of steps."""
+        """A field of all points, gathered when it is asked for, once between two chunks of steps."""
         if name not in self._fields:
             self._fields[name] = self.whole(name)
         return self._fields[name]

@@ -1,7 +1,7 @@
 """Who runs where: one process, or ranks under mpiexec. Only this package imports mpi4py, beside what LAMMPS needs.
 
 The last rank, the *root*, holds the target, the contact, the ledger and the files; the others share the particle in equal parts. The
-root leads: between windows of steps it asks them for what it needs (`DistributedParticle.ask`); within a window LAMMPS runs on each
+root leads: between chunks of steps it asks them for what it needs (`DistributedParticle.ask`); within a chunk LAMMPS runs on each
 of them, and in every step they send positions and velocities of the points that may touch to the root and receive forces. In one
 process the root has the whole particle, and the same code exchanges nothing.
 """
@@ -180,13 +180,13 @@ class _Worker:
             p.run(steps, dt, on_step)
         finally:
             outbox[0] = 1.0
-            for _ in range(steps - done):  # LAMMPS has stopped early: the root still counts to the end of the window
+            for _ in range(steps - done):  # LAMMPS has stopped early: the root still counts to the end of the chunk
                 comm.Send(outbox, dest=root, tag=STEP)
                 comm.Recv(inbox, source=root, tag=STEP)
 
 
 def attempt(worker: _Worker, method: str, arguments: tuple[object, ...], each: Sequence[object] | None) -> object:
-    """Call a method of a rank's part of the particle, or its side of a window of steps; the result or the error."""
+    """Call a method of a rank's part of the particle, or its side of a chunk of steps; the result or the error."""
     if each is not None:
         arguments = (*arguments, each[worker.ranks.rank])
     return caught(lambda: getattr(worker if method == "run_steps" else worker.local, method)(*arguments))
