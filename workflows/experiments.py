@@ -209,10 +209,10 @@ def splat_part(rows: Sequence[Row]) -> list[str]:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Restitution over velocity, measured and of every set, with the bands of both sides."""
-    figure = blank(11.0, 4.6, 110)
+    figure = blank(11.0, 5.6, 110)
     colours = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9")
     for left, metal in zip((0.07, 0.56), METALS, strict=True):
-        axis = figure.add_axes((left, 0.13, 0.42, 0.8))
+        axis = figure.add_axes((left, 0.3, 0.42, 0.65))
         v, e = np.array(REBOUND[metal]["e"]).T
         axis.errorbar(v, e, REBOUND["e_error"], REBOUND["velocity_error_m_s"], fmt="ks", ms=4, lw=1, label="measured")
         half = band_of(rows, metal)
@@ -227,7 +227,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axis.axvspan(*REBOUND["window_m_s"], color="0.95", zorder=0)
         axis.set(xlabel="velocity of impact (m/s)", ylabel="coefficient of restitution", ylim=(0, None))
         axis.set_title(f"{metal}, {REBOUND[metal]['diameter_um']:g} µm", fontsize=10)
-        axis.legend(fontsize=7)
+        axis.legend(fontsize=6.5, ncols=3, columnspacing=1.0, loc="upper center", bbox_to_anchor=(0.5, -0.13))
     save(figure, path)
 
 
