@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pages import TABLES, machine, options, single_impact, spacing_of, write_table
 
-from coupler.core.threads import second_thread
+from coupler.core.threads import threads_of
 from coupler.fe import mesh
 from coupler.fe.explicit import Target
 from coupler.geometry import mesher
@@ -74,7 +74,7 @@ def elements(rows: list[tuple[str, float, str]]) -> None:
             return fastest(lambda: [step(target, dt) for _ in range(STEPS)], 2 * REPEATS, time.perf_counter)
 
         one = wall()
-        with second_thread(2):
+        with threads_of(2):
             rows.append((f"{name}, one thread over two", one / wall(), "of wall time"))
         if plastic:
             rows.append(("share of elements that flow", float(np.mean(target.elements.rate > 0)), ""))
@@ -125,7 +125,7 @@ def engines(rows: list[tuple[str, float, str]], count: int) -> None:
             default._update_stress()
 
     one = fastest(passes, REPEATS, time.perf_counter)
-    with second_thread(2):
+    with threads_of(2):
         two = fastest(passes, REPEATS, time.perf_counter)
     rows.append((f"passes alone, {n} points, one thread", one / steps / n * 1e6, unit))
     rows.append((f"one thread over two, {n} points", one / two, "of wall time"))

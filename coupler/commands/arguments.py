@@ -122,6 +122,18 @@ def at_least_one(text: str, most: int | None = None) -> int:
     return int(text)
 
 
+def add_jobs(option: Option, text: str) -> None:
+    """The option --jobs, of which `jobs_of` has the default. text: what there are so many of."""
+    option("--jobs", type=at_least_one, metavar="N", help=f"{text} (default: all cores that this process may use)")
+
+
+def jobs_of(arguments: argparse.Namespace) -> int:
+    """How many computations at a time: as --jobs says, else as many as there are cores."""
+    from ..core.cores import cores
+
+    return arguments.jobs or cores()
+
+
 def share(text: str, option: str) -> float:
     """A percentage such as "2%" as a share. Raises StoreError with what was expected."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)

@@ -5,7 +5,18 @@ import shlex
 from functools import partial
 from pathlib import Path
 
-from .arguments import Commands, add_study, at_least_one, quantity, scene_of, share, study_folder, teller
+from .arguments import (
+    Commands,
+    add_jobs,
+    add_study,
+    at_least_one,
+    jobs_of,
+    quantity,
+    scene_of,
+    share,
+    study_folder,
+    teller,
+)
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
 _LIMITS = "10 m/s", "2000 m/s"  # those of a scene's particle
@@ -22,7 +33,7 @@ def add(commands: Commands) -> None:
                help=f'{text} velocity to compute, such as "300 m/s"')  # fmt: skip
     option("--repeat", type=partial(at_least_one, most=_MOST_PLACEMENTS), default=3, metavar="N",
            help="placements at each velocity, by which points and elements lie otherwise (default: 3)")  # fmt: skip
-    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+    add_jobs(option, "runs at a time")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -40,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     out, say = study_folder(arguments, scene, "critical", _NAMES), teller(arguments.quiet)
     about = f"remake: coldspray critical {shlex.join(_given(arguments, out))} (finished runs are not computed again)"
     try:
-        bracket, rows = critical.search(scene, out, limits, tolerance, say, arguments.repeat, arguments.jobs, about)
+        bracket, rows = critical.search(scene, out, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
     except KeyboardInterrupt:
         count = len(critical.rows_of(out / "runs"))
         say(f"stopped; go on with the same command: {out / 'runs'} has {count} finished runs")

@@ -23,10 +23,12 @@ from .arguments import (
     Option,
     add_command,
     add_force,
+    add_jobs,
     add_quiet,
     add_scene,
     add_verbose,
     at_least_one,
+    jobs_of,
     path,
     quantity,
     scene_of,
@@ -200,10 +202,9 @@ def _add_running(option: Option) -> None:
     """The options of `run` and `resume`."""
     add_quiet(option)
     add_verbose(option, "all measures at the end, not only those that converge")
-    option("--threads", type=int, choices=(1, 2), metavar="N",
-           help="2: two threads share the loops of a step; 1: one core (default: 2 if there)")  # fmt: skip
-    option("--jobs", type=at_least_one, default=1, metavar="N",
-           help="impacts of a batch at a time, each on one core; `check` prints the batches (default: 1)")  # fmt: skip
+    option("--threads", type=at_least_one, metavar="N",
+           help="threads that share the work (default: all cores that this process may use)")  # fmt: skip
+    add_jobs(option, "impacts of a batch at a time, which share the threads; `check` prints the batches")
     option("--checkpoint", type=seconds, default=60.0, metavar="SECONDS",
            help="wall time between two checkpoints (default: 60)")  # fmt: skip
     option("--skip-failed", action="store_true", help="of several impacts, leave out one that fails, and say so")
@@ -255,7 +256,7 @@ def _run(arguments: argparse.Namespace) -> int:
     computed = partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error)
     code = _compute(arguments, out, computed)
     if arguments.spread and code in (0, _UNDECIDED) and is_first_rank():
-        accuracy.spread_of_strength(scene, out, arguments.jobs, arguments.quiet)
+        accuracy.spread_of_strength(scene, out, jobs_of(arguments), arguments.quiet)
     return code
 
 
@@ -285,13 +286,12 @@ def _compute(arguments: argparse.Namespace, out: Path, work: "Callable[..., Resu
     from ..progress import Progress
 
     progress = Progress(quiet=arguments.quiet)
-    threads = max(arguments.threads, 1) if arguments.threads is not None else None
     try:
         result = work(
             progress=progress,
-            threads=threads,
+            threads=arguments.threads,
             checkpoint_every=arguments.checkpoint,
-            jobs=arguments.jobs,
+            jobs=jobs_of(arguments),
         )
     except KeyboardInterrupt as interrupt:
         number = interrupt.args[0] if interrupt.args else signal.SIGINT

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..measures import UNDECIDED
-from .arguments import Commands, add_command, add_quiet, at_least_one, path, working
+from .arguments import Commands, add_command, add_jobs, add_quiet, jobs_of, path, working
 
 if TYPE_CHECKING:
     from ..progress import Progress
@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
         "sweep", type=path, metavar="FILE", help="file of the sweep (TOML): coldspray new map NAME, or ensemble NAME"
     )
     option("--out", type=path, metavar="DIR", help="folder of the runs (default: runs/<name of the sweep>)")
-    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
+    add_jobs(option, "runs at a time")
     option("--executor", default="processes", metavar="WHERE",
            help="processes (here; default), mpi (ranks of one allocation: mpiexec -n N python -m mpi4py.futures -m coupler sweep ...),"
            " or slurm (jobs that take one run after another)")  # fmt: skip
@@ -66,13 +66,15 @@ def run(arguments: argparse.Namespace) -> int:
             f"{out} holds results of {len(others)} points, such as {others[0]}, for another scene: name another folder with"
             " --out, or compute them anew with --force"
         )
-    pool = executor(arguments.executor, arguments.jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
+    here = arguments.executor == "processes"
+    jobs = jobs_of(arguments) if here else arguments.jobs or 1
+    pool = executor(arguments.executor, jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
-        print(_forecast(sweep, arguments.jobs if arguments.executor == "processes" else 0), flush=True)
+        print(_forecast(sweep, jobs if here else 0), flush=True)
     with stopping(), Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
         progress.stage(f"{len(sweep.points)} points")
         tell = _teller(progress, len(sweep.points), arguments.quiet)
-        statuses = run_points(out, sweep.points, log=tell, refused=sweep.refused, pool=pool)
+        statuses = run_points(out, sweep.points, jobs, tell, sweep.refused, pool)
     with working("reading the runs", arguments.quiet):
         summary = summarise(sweep, out)
     if not arguments.quiet:

@@ -1,6 +1,6 @@
-"""Loops that two threads go through together (numba).
+"""Loops that several threads go through together (numba).
 
-Both threads call the same compiled function with the same `team`, each when it is free. Its loops are divided into ranges that either
+All threads call the same compiled function with the same `team`, each when it is free. Its loops are divided into ranges that any
 thread takes, and the next loop begins when all ranges of this one are done. What stands between the loops is done by every thread.
 """
 
@@ -17,9 +17,13 @@ from ..compiling import njit
 from .arrays import Ints
 
 LOOPS = 8  # in a compiled function, at most
-PARTS = 16  # ranges that a loop is divided into, at most
-SPINS = 20_000  # looks at a counter before another process may have the processor: some tenths of a millisecond
+PARTS = 64  # ranges that a loop is divided into, at most: four for each of sixteen threads
+SPINS = 20_000  # looks at a counter before another thread may have the processor: some tenths of a millisecond
 PATIENCE = 100_000  # looks, about a millisecond: longer than what one thread does alone between two loops of a step
+FAILED, LOOKS = (
+    2 * LOOPS,
+    2 * LOOPS + 1,
+)  # places in a team: not zero after a failure; SPINS, or 0 with more threads than cores
 
 _yield_processor = types.ExternalFunction("sched_yield", types.int32())
 
@@ -47,10 +51,10 @@ _add: Callable[[Ints, int, int], int] = intrinsic(_atomic_add)  # type: ignore[a
 def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int, int, int]]:
     """Ranges (lo, hi, part) that make up [0, count), `least` long or longer, left to this thread; ends when all are done.
 
-    team (2 LOOPS + 1,): how many ranges of each loop are taken and done, zero at the beginning; the last is not zero after a failure:
-    the other thread then stops waiting. The ranges depend on count and least alone: sums over parts, added in their order, have the
-    same value with any number of threads. The second thread may start after the caller has returned: it finds no ranges then, but
-    evaluates the counts again, which must not have changed.
+    team (2 LOOPS + 2,): how many ranges of each loop are taken and done, zero at the beginning; then FAILED, with which other threads
+    stop waiting, and LOOKS. The ranges depend on count and least alone: sums over parts, added in their order, have the same value
+    with any number of threads. A thread may start after the caller has returned: it finds no ranges then, but evaluates the counts
+    again, which must not have changed.
     """
     parts = max(1, min(PARTS, count // least))
     while True:
@@ -60,15 +64,15 @@ def ranges(team: Ints, loop: int, count: int, least: int) -> Iterator[tuple[int,
         yield count * part // parts, count * (part + 1) // parts, part
         _add(team, 2 * loop + 1, 1)
     looks = 0
-    while _add(team, 2 * loop + 1, 0) < parts and team[2 * LOOPS] == 0:
+    while _add(team, 2 * loop + 1, 0) < parts and team[FAILED] == 0:
         looks += 1
-        if looks > SPINS:
+        if looks > team[LOOKS]:
             _yield_processor()
 
 
 @njit(cache=True, nogil=True)
 def wait_for(team: Ints) -> None:
-    """Wait for another thread to take a range, without sleeping, but not for long."""
+    """Wait for another thread to take a range, without sleeping, but not for long; not at all with more threads than cores."""
     looks = 0
-    while _add(team, 0, 0) == 0 and looks < PATIENCE:
+    while _add(team, 0, 0) == 0 and looks < PATIENCE and team[LOOKS] > 0:
         looks += 1

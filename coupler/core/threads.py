@@ -1,13 +1,16 @@
-"""A second thread on a second core, for work that releases Python's lock (compiled kernels).
+"""Threads on further cores, for work that releases Python's lock (compiled kernels).
 
-A process has one second thread or none (`second_thread`, `add_second_thread`). Compiled functions whose loops are divided (`loops`)
-are called by both threads (`together`); loops over kernels in Python are divided into ranges (`share`). Either thread takes the next
-range as soon as it is free. A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
+A run has as many threads as `threads_of` or `at_least` gave it. Compiled functions whose loops are divided (`loops`) are called by all
+of them (`together`); loops over kernels in Python are divided into ranges (`share`). Any thread takes the next range when it is free.
+A kernel writes only the rows of its range, so that numbers do not depend on how many threads there are.
+
+Why not numba's `prange`: with OpenMP a loop waits for a core that another process has (10 to 30 times as long beside two others), with
+numba's own queue each loop takes 40 us more, and TBB, which is as fast as this, is a further package.
 """
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import TypeVar
@@ -16,9 +19,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .arrays import Ints
-from .loops import LOOPS, wait_for
+from .cores import cores
+from .loops import FAILED, LOOKS, SPINS, wait_for
 
-PARTS = 8  # ranges that a loop in Python is divided into, at most
+RANGES = 4  # of a loop in Python, for each thread, at most
 R = TypeVar("R")
 
 
@@ -44,27 +48,32 @@ class _Loop:
                     self.done.release()
 
 
-def _team() -> Ints:
-    return np.zeros(2 * LOOPS + 1, np.int64)
+class Team:
+    """`count` threads beside the calling one. Each runs all submitted tasks, in order, and returns at once from one that others have
+    already finished. spins: looks at a counter before a waiting thread lets others have the processor."""
 
+    def __init__(self, count: int, spins: int = SPINS):
+        self.count, self._spins = count, spins
+        self._next = self._team()  # of the work to come
+        self._begun = [SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]() for _ in range(count)]
+        self._threads = [Thread(target=self._serve, args=(q, self._next), daemon=True) for q in self._begun]
+        for thread in self._threads:
+            thread.start()
 
-class SecondThread:
-    """Runs each submitted task, in order. It returns at once from one that the main thread has already finished."""
-
-    def __init__(self) -> None:
-        self._begun: SimpleQueue[tuple[Callable[[Ints], object], Ints] | None] = SimpleQueue()
-        self._next = _team()  # of the work to come
-        self._thread = Thread(target=self._serve, args=(self._next,), daemon=True)
-        self._thread.start()
+    def _team(self) -> Ints:
+        team = np.zeros(LOOKS + 1, np.int64)
+        team[LOOKS] = self._spins
+        return team
 
     def join(self, work: Callable[[Ints], object]) -> Ints:
-        """Submit work(team) to the second thread. Returns the team, which the caller passes to its own call."""
-        team, self._next = self._next, _team()
-        self._begun.put((work, self._next))
+        """Submit work(team) to the other threads. Returns the team, which the caller passes to its own call."""
+        team, self._next = self._next, self._team()
+        for queue in self._begun:
+            queue.put((work, self._next))
         return team
 
     def share(self, work: Callable[[int], None], parts: int) -> None:
-        """Do work(0) to work(parts - 1), each once, here and there; all are done on return. Raises what one of them raised."""
+        """Do work(0) to work(parts - 1), each once, in any thread; all are done on return. Raises what one of them raised."""
         loop = _Loop(work, parts)
         self.join(lambda team: loop.take())[0] = 1
         loop.take()
@@ -73,50 +82,55 @@ class SecondThread:
             raise loop.error
 
     def close(self) -> None:
-        """End it, after what was begun."""
-        self._begun.put(None)
-        self._thread.join()
+        """End the threads, after what was begun."""
+        for queue in self._begun:
+            queue.put(None)
+        for thread in self._threads:
+            thread.join()
 
-    def _serve(self, team: Ints) -> None:
+    def _serve(self, queue: "SimpleQueue[tuple[Callable[[Ints], object], Ints] | None]", team: Ints) -> None:
         wait_for(team)
-        while (begun := self._begun.get()) is not None:
+        while (begun := queue.get()) is not None:
             work, following = begun
             del begun
-            with suppress(BaseException):  # the other thread raises it
+            with suppress(BaseException):  # the calling thread raises it
                 work(team)
             del work  # it holds arrays
             team = following
             wait_for(team)
 
 
-_second: SecondThread | None = None
+#: Of a run in this thread of Python: two runs in one process have a team each.
+_current: ContextVar[Team] = ContextVar("_current")
+_ALONE = Team(0)
+
+
+def _of(count: int) -> Team:
+    return Team(count - 1, SPINS if count <= cores() else 0)
 
 
 @contextmanager
-def second_thread(threads: int) -> Iterator[None]:
-    """With threads = 2, this process has a second thread meanwhile. BLAS has one: two would add up long products in another order,
-    and wait for a core that the second thread keeps busy."""
-    global _second
-    before = _second
-    _second = SecondThread() if threads > 1 else None
+def threads_of(count: int) -> Iterator[None]:
+    """Meanwhile, this process computes in `count` threads. BLAS has one: more would add up long products in another order, and wait for
+    cores that the others keep busy."""
+    before = _current.set(_of(count))
     try:
         with threadpool_limits(1, "blas"):
             yield
     finally:
-        if _second is not None:
-            _second.close()
-        _second = before
+        _current.get().close()
+        _current.reset(before)
 
 
-def add_second_thread() -> None:
-    """Give this process a second thread until the end of the `second_thread` that it is in, where it has none."""
-    global _second
-    if _second is None:
-        _second = SecondThread()
+def at_least(count: int) -> None:
+    """Compute in `count` threads, where there are fewer, until the end of the `threads_of` that the caller is in."""
+    if _current.get().count < count - 1:
+        _current.get().close()
+        _current.set(_of(count))
 
 
 def together(function: Callable[..., R], *arguments: object) -> R:
-    """function(team, *arguments), compiled, whose loops are `loops.ranges` of the team, in both threads where there are two.
+    """function(team, *arguments), compiled, whose loops are `loops.ranges` of the team, in all threads.
 
     Raises what it raises in one of them.
     """
@@ -127,25 +141,21 @@ def together(function: Callable[..., R], *arguments: object) -> R:
             return function(team, *arguments)
         except BaseException as error:
             errors.append(error)
-            team[-1] = 1
+            team[FAILED] = 1
             raise
 
-    result = call(_second.join(call) if _second is not None else _team())
+    result = call(_current.get(_ALONE).join(call))
     if errors:
         raise errors[0]
     return result
 
 
 def share(work: Callable[[int, int], None], count: int, least: int) -> None:
-    """Do work(lo, hi) over ranges that make up [0, count), `least` long or longer, in both threads where there are two."""
-    parts = max(1, min(PARTS, count // least)) if _second is not None else 1
-    bounds = [count * i // parts for i in range(parts + 1)]
-    if _second is None or parts == 1:
+    """Do work(lo, hi) over ranges that make up [0, count), `least` long or longer, in all threads."""
+    team = _current.get(_ALONE)
+    parts = max(1, min(RANGES * (team.count + 1), count // least)) if team.count else 1
+    if parts == 1:
         work(0, count)
-    else:
-        _second.share(lambda i: work(bounds[i], bounds[i + 1]), parts)
-
-
-def cores() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0))
+        return
+    bounds = [count * i // parts for i in range(parts + 1)]
+    team.share(lambda i: work(bounds[i], bounds[i + 1]), parts)

@@ -72,25 +72,32 @@ def tasks(
 def side_by_side(
     pool: Executor, found: Iterator[tuple[Task, Cut]], folder: Path, options: RunOptions, meanwhile: Callable[[], None]
 ) -> list[Done]:
-    """The tasks `found` in processes, which the file STOP in a folder ends. Each task begins as soon as its cut is made: workers do not
-    wait for the cuts of others. Where so few are left that cores are idle, the file SPARE gives each two threads. meanwhile(): called
-    once, while they compute. Raises Stopped after a signal, WorkerError where a process is ended from outside."""
+    """The tasks `found` in processes, which the file STOP in a folder ends.
+
+    Each task begins as soon as its cut is made: workers do not wait for the cuts of others. Those at a time share the threads of the
+    run; as tasks end the file SPARE gives more of them to each that is left. meanwhile(): called once, while they compute. Raises
+    Stopped after a signal, WorkerError where a process is ended from outside.
+    """
     begun = list[tuple[Task, Cut, Future[TaskResult | ColdsprayError]]]()
     stop, spare = folder / STOP, folder / SPARE
+    threads = max(options.threads // options.jobs, 1)
     for file in (stop, spare):
         file.unlink(missing_ok=True)
     with StopSignals() as signals:
         try:
             for task, cut in found:
-                future = pool.submit(run_alone, task, dict(options.numerics), options.checkpoint_every, options.until)
+                future = pool.submit(
+                    run_alone, task, dict(options.numerics), options.checkpoint_every, options.until, threads
+                )
                 begun.append((task, cut, future))
             first, last = begun[0][0].i + 1, begun[-1][0].i + 1
             before = forecast(begun[0][0].plan).shares[first - 1][0]
             options.progress.stage(f"impacts {first} to {last} side by side", of_impact=False, done=before)
             meanwhile()
             while left := [future for _, _, future in begun if not future.done()]:
-                if options.threads > 1 and 2 * len(left) <= options.jobs:
-                    spare.touch()
+                if options.threads // len(left) > threads:
+                    threads = options.threads // len(left)
+                    spare.write_text(str(threads))
                 wait(left, _LOOK, FIRST_COMPLETED)
                 if signals.number and not stop.exists():
                     stop.touch()

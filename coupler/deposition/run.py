@@ -6,7 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from .. import __version__, report
-from ..core.threads import cores, second_thread
+from ..core.cores import cores
+from ..core.threads import threads_of
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
 from ..files.provenance import command
@@ -30,6 +31,7 @@ from .log import logged
 
 CHECKPOINT_EVERY = 60.0  # s of wall time
 FEW_POINTS = 2000  # up to which a second thread saves some percent of a run (docs/evidence/speed.md)
+POINTS_OF_THREAD = 250  # that make it worth while to wake a thread in every step, which takes some 10 us
 
 Probe = Callable[[Impact], None]
 
@@ -52,8 +54,8 @@ def run(
     """Compute a scene (a Scene or the path of one) and return its Result.
 
     out: folder for the files, runs/<scene name> by default. force: replace a finished run there. progress: told how far it is; a bar
-    or lines on standard error by default, nothing with quiet. threads: 2 computes the target beside the particle on a second core, 1
-    in turn with it (default: 2 where there are two cores); the numbers are the same. numerics: for studies of the scheme, values in
+    or lines on standard error by default, nothing with quiet. threads: they share the loops of a step (default: as many as there are
+    cores, and points for them); the numbers are the same. numerics: for studies of the scheme, values in
     place of the defaults of `coupler.particle.particle.Numerics`. probe(impact): called after every few steps with the
     `impact.exchange.Impact`, on the rank that has the target. checkpoint_every: s of wall time.
     skip_failed: of several impacts, leave out those that fail, in one process. jobs: impacts of a batch at a time (`plan.batches`),
@@ -67,18 +69,14 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", None), scene.resolution.error if error is None else error)
-    if threads is None and decided.companions and max(impact.points for impact in decided.impacts) <= FEW_POINTS:
-        threads = 1  # the coarser runs make better use of the other core
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, None, skip_failed, jobs
+        decided, folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, None, skip_failed, jobs
     )
     companions = Companions(decided, folder, knobs, _alone)
 
     def create() -> Store:
         store = Store.create(folder, scene.to_toml(), force, plan_text(decided))
-        companions.begin(
-            on_another_core=options.ranks.size == 1 and cores() > max(min(options.threads, 2), options.jobs)
-        )
+        companions.begin(on_another_core=options.ranks.size == 1 and cores() > max(options.threads, options.jobs))
         return store
 
     try:
@@ -120,12 +118,13 @@ def resume(
     folder = Path(out)
     result = Result(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
+    decided = read_plan(folder)
     options = _options(
-        folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, until, skip_failed, jobs
-    )  # fmt: skip
+        decided, folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, until, skip_failed, jobs
+    )
     if result.finished and not result.undecided and (until is None or result.has_verdict):
         measured = not error or "error" in result.summary["run"] or not result.plan.get("companions")
-        return _complete(result, None if measured else Companions(read_plan(folder), folder, knobs, _alone), options)
+        return _complete(result, None if measured else Companions(decided, folder, knobs, _alone), options)
     if result.finished and until is not None and until <= float(result.end["time_s"]):
         raise CheckpointError(
             f"impact {len(result.impacts)} has come to {float(result.end['time_s']) * 1e9:.4g} ns: give a later time"
@@ -135,7 +134,6 @@ def resume(
             "has no checkpoint to go on from" if result.finished else "is not finished: resume it without --until first"
         )
         raise CheckpointError(f"{folder} {why}")
-    decided = read_plan(folder)
     companions = Companions(decided, folder, knobs, _alone) if error else None
     return _complete(deposit(decided, folder, options), companions, options)
 
@@ -145,9 +143,10 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
     with the impacts that their checkpoint has not seen finished. All ranks call it."""
     ranks = options.ranks
     if not ranks.is_root:
-        parallel.follow(
-            ranks, lambda i, place, numerics: build_particle(plan, i, place, ranks, numerics, options.log_file)
-        )
+        with threads_of(options.threads):
+            parallel.follow(
+                ranks, lambda i, place, numerics: build_particle(plan, i, place, ranks, numerics, options.log_file)
+            )
         return Result(folder)
     with (
         whole_process(),
@@ -155,7 +154,7 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
         parallel.leading(ranks),
         create() if create is not None else Store.reopen(folder) as store,
         logged(options.progress, store),
-        second_thread(options.threads),
+        threads_of(options.threads),
         workers(plan, options, folder) as pool,
     ):
         options.progress.record(f"coldspray {__version__}: {command()}\n{describe(plan)}")
@@ -189,6 +188,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
 
 
 def _options(
+    plan: Plan,
     folder: Path,
     progress: Progress,
     threads: int | None,
@@ -201,7 +201,12 @@ def _options(
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world())
-    threads = (threads or cores()) if ranks.size == 1 else 1
+    if threads is None:
+        points = max(impact.points for impact in plan.impacts)
+        free = cores() // ranks.size
+        if plan.companions and (points <= FEW_POINTS or free > 2):
+            free -= 1  # for the coarser runs
+        threads = max(min(free, points // POINTS_OF_THREAD), 1)
     return RunOptions(
         progress,
         folder / "log.lammps",

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.threads import add_second_thread, second_thread
+from ..core.threads import at_least, threads_of
 from ..errors import ColdsprayError, NoContactError, SolverError
 from ..files import checkpoint
 from ..files.store import Store, StoreState
@@ -23,7 +23,7 @@ from .mass_scaling import prepare
 
 # files beside the folders of tasks, which those that run look for at each chunk of steps
 STOP = "stop"  # they stop
-SPARE = "spare"  # cores are idle: each has a second thread from now on
+SPARE = "spare"  # cores are idle: each has as many threads as this file says from now on
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def attempt(task: Task, options: RunOptions, files: TaskFiles | None = None) -> 
 
 
 def run_alone(
-    task: Task, numerics: Mapping[str, float], every: float, until: float | None
+    task: Task, numerics: Mapping[str, float], every: float, until: float | None, threads: int = 1
 ) -> TaskResult | ColdsprayError:
     """`attempt` in a process of an executor."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
@@ -141,11 +141,13 @@ def run_alone(
         if stop.exists():
             signal.raise_signal(signal.SIGTERM)  # the impact writes a checkpoint and ends with `Stopped`
         if spare.exists():
-            add_second_thread()  # it does not change the numbers
+            at_least(
+                int(spare.read_text() or 1)
+            )  # it does not change the numbers; the file is empty while it is written
 
     options = RunOptions(
         Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
-        until=until, threads=1,
+        until=until, threads=threads,
     )  # fmt: skip
-    with second_thread(options.threads):
+    with threads_of(options.threads):
         return attempt(task, options)

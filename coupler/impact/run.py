@@ -30,10 +30,10 @@ from .verdict import is_tied
 class RunOptions:
     """How to run; `progress`, `ranks`, `threads`, `jobs` and files do not change the numbers.
 
-    threads: 2 divides loops between both; numerics: values in place of the defaults of `particle.particle.Numerics`; probe:
-    called with the `Impact` after every chunk of steps; checkpoint_every: s of wall time; log_file: LAMMPS's; until: time limit (s)
-    of an impact that goes on after its own one, None for as long again;
-    skip_failed: impacts that fail are left out; jobs: impacts of a batch at a time.
+    threads: that share the loops of a step, and of what lies between the impacts; numerics: values in place of the defaults of
+    `particle.particle.Numerics`; probe: called with the `Impact` after every chunk of steps; checkpoint_every: s of wall time;
+    log_file: LAMMPS's; until: time limit (s) of an impact that goes on after its own one, None for as long again; skip_failed: impacts
+    that fail are left out; jobs: impacts of a batch at a time.
     """
 
     progress: Progress

@@ -15,10 +15,11 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
 from types import FrameType
 
+from ..core.cores import cores
 from ..core.executors import executor, own_environment
 from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, read_json_object, read_text
@@ -43,8 +44,8 @@ def run_points(
     """Run the points (name -> scene as TOML) of a folder that have not been. Returns the status of each.
 
     A point that fails is marked and does not stop the others; "stopped": unfinished, the next call continues it. jobs: at a time, as
-    processes here, unless an executor is given as `pool`, which is shut down. log: called with a line as each point ends. refused:
-    points whose scene cannot be computed -> why; they are marked as failed.
+    processes here that share its cores, unless an executor is given as `pool`, which is shut down. log: called with a line as each
+    point ends. refused: points whose scene cannot be computed -> why; they are marked as failed.
     """
     folder = folder.resolve()
     pool = pool or executor("processes", max(jobs, 1), folder, starts_processes=True)
@@ -61,11 +62,12 @@ def run_points(
     if kept:
         log(f"{len(kept)} of {len(points)} points have ended before")
     begun, ended_before = time.monotonic(), len(statuses)
+    wanted = {point: text for point, text in points.items() if point not in statuses}
+    here = isinstance(pool, ThreadPoolExecutor)  # a worker elsewhere has one core
+    threads = max(cores() // max(min(jobs, len(wanted)), 1), 1) if here else 1
     try:
         futures = {
-            pool.submit(run_point, folder, point, text): point
-            for point, text in points.items()
-            if point not in statuses
+            pool.submit(run_point, folder, point, text, threads=threads): point for point, text in wanted.items()
         }
         for future in as_completed(futures):
             point = futures[future]
@@ -91,10 +93,10 @@ def run_points(
     return statuses
 
 
-def run_point(folder: Path, point: str, text: str, again: bool = False) -> dict[str, object]:
+def run_point(folder: Path, point: str, text: str, again: bool = False, threads: int = 1) -> dict[str, object]:
     """Run a scene (TOML) as a point of a folder, unless it is finished; how it ended (`compute`). again: continue an undecided one."""
     ended = None if again else _kept(folder, point, text)
-    return compute(write_scene(folder, point, text), folder / f"{point}.json") if ended is None else ended
+    return compute(write_scene(folder, point, text), folder / f"{point}.json", threads) if ended is None else ended
 
 
 def _kept(folder: Path, point: str, text: str) -> dict[str, object] | None:
@@ -126,8 +128,8 @@ def write_scene(folder: Path, point: str, text: str) -> Path:
     return path
 
 
-def compute(scene: Path, status: Path) -> dict[str, object]:
-    """Run a scene into the folder of its name, or continue there, on one core; write how it ended to `status` and return it.
+def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
+    """Run a scene into the folder of its name, or continue there; write how it ended to `status` and return it.
 
     {"status": "done", "undecided" or "failed", "reason": the message, "exit_code": int}. A run that was stopped from outside raises
     InterruptedRunError and leaves no status, so that the next attempt goes on with it.
@@ -137,7 +139,17 @@ def compute(scene: Path, status: Path) -> dict[str, object]:
     _wait_for(folder)
     known = _scene_of(scene)
     verb = ["resume", folder] if known and _begun(known, folder) else ["run", scene, "--out", folder, "--force"]
-    command = [sys.executable, "-m", "coupler", *map(str, verb), "--threads", "1", "--quiet"]
+    command = [
+        sys.executable,
+        "-m",
+        "coupler",
+        *map(str, verb),
+        "--threads",
+        str(threads),
+        "--jobs",
+        str(threads),
+        "--quiet",
+    ]
     command += [] if known and known.resolution.error is True else ["--no-error"]
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own_environment()

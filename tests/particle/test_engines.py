@@ -16,7 +16,7 @@ import coupler
 from coupler import Scene, run
 from coupler.core.arrays import Ints
 from coupler.core.loops import ranges
-from coupler.core.threads import SecondThread, second_thread, together
+from coupler.core.threads import Team, threads_of, together
 from coupler.errors import SolverError
 from coupler.particle import compiled_kernels, packing, start
 from coupler.particle.compiled import CompiledParticle
@@ -225,39 +225,40 @@ def test_what_lammps_refuses_is_an_error_of_the_solver(
         pair()
 
 
-def test_two_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]]) -> None:
+@pytest.mark.parametrize("threads", [2, 3, 8])  # also more than there are cores
+def test_threads_give_the_same_bits(pair: Callable[..., tuple[Particle, Particle]], threads: int) -> None:
     """Any split of points and pairs over threads gives the same forces, whoever computes which part."""
     (_, alone), (_, shared) = pair(), pair()
-    for p, threads in ((alone, 1), (shared, 2)):
+    for p, count in ((alone, 1), (shared, threads)):
         set_velocity((4e7, 3e7, -7e7))(p)
-        with second_thread(threads):
+        with threads_of(count):
             p.run(100, DT, lambda: None)
     for name in ("x", "v", "eps_p", "T", "p", "f", "sums"):
         assert np.array_equal(alone.get(name), shared.get(name)), name
 
 
 def test_blas_has_one_thread_in_a_run() -> None:
-    """Long products would be added up in another order, and wait for the core of the second thread."""
+    """Long products would be added up in another order, and wait for the cores of other threads."""
 
     def counts() -> list[int]:
         return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
 
     with threadpool_limits(2, "blas"):
         before = counts()
-        with second_thread(1):
+        with threads_of(1):
             assert set(counts()) == {1}
         assert counts() == before
 
 
 def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
-    second = SecondThread()
+    team = Team(3)
     blocked = Event()
     done: list[int] = []
-    second.join(lambda team: blocked.wait(10))[0] = 1
-    second.share(done.append, 5)  # the other thread is busy: this one does all parts
+    team.join(lambda counters: blocked.wait(10))[0] = 1
+    team.share(done.append, 5)  # the other threads are busy: this one does all parts
     assert done == [0, 1, 2, 3, 4]
     blocked.set()
-    second.share(done.append, 5)
+    team.share(done.append, 5)
     assert sorted(done[5:]) == [0, 1, 2, 3, 4]
 
     def fail(part: int) -> None:
@@ -265,8 +266,8 @@ def test_shared_work_is_done_once_and_its_error_comes_out() -> None:
             raise SolverError("part 3")
 
     with pytest.raises(SolverError, match="part 3"):
-        second.share(fail, 5)
-    second.close()
+        team.share(fail, 5)
+    team.close()
 
 
 @njit(cache=True, nogil=True)
@@ -281,8 +282,8 @@ def _count(team: Ints, fails_at: int, seen: Ints) -> None:
             seen[i] *= 10
 
 
-def test_functions_of_both_threads_release_the_lock_of_python() -> None:
-    """One that keeps it while it waits for the other thread waits for ever where that fails: the other needs it to say so."""
+def test_functions_of_all_threads_release_the_lock_of_python() -> None:
+    """One that keeps it while it waits for another thread waits for ever where that fails: the other needs it to say so."""
     heads = []
     for path in sorted(Path(coupler.__file__).parent.rglob("*.py")):
         heads += re.findall(r"@njit(.*)\ndef \w+\(\s*team: Ints", path.read_text())
@@ -290,10 +291,10 @@ def test_functions_of_both_threads_release_the_lock_of_python() -> None:
     assert all("nogil=True" in head for head in heads)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [1, 2, 8])
 def test_compiled_loops_are_gone_through_once_and_end_with_an_error(threads: int) -> None:
-    """The second loop begins when the first is done; where one thread fails the other does not wait for it."""
-    with second_thread(threads):
+    """The second loop begins when the first is done; where one thread fails the others do not wait for it."""
+    with threads_of(threads):
         for _ in range(100):
             seen = np.zeros(37, np.int64)
             together(_count, -1, seen)

@@ -93,7 +93,7 @@ def test_a_sweep_marks_what_is_refused_and_keeps_what_is_done_without_a_process(
 
 
 def test_a_point_that_was_refused_before_is_run_when_it_no_longer_is(tmp_path, monkeypatch) -> None:
-    def end(scene: Path, status: Path) -> dict[str, object]:
+    def end(scene: Path, status: Path, threads: int) -> dict[str, object]:
         status.write_text(json.dumps(ended := {"status": "done", "reason": "", "exit_code": 0}))
         return ended
 
@@ -243,7 +243,7 @@ def test_a_lost_worker_and_a_stopped_run_leave_points_without_an_end(tmp_path) -
     from concurrent.futures import Executor, Future
 
     class Losing(Executor):
-        def submit(self, function, folder, point, text):  # type: ignore[no-untyped-def, override]
+        def submit(self, function, folder, point, text, **options):  # type: ignore[no-untyped-def, override]
             future: Future[dict[str, object]] = Future()
             if point == "b":
                 future.set_exception(InterruptedRunError("stopped"))

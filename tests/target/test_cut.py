@@ -20,7 +20,7 @@ from coupler import Result, Scene
 from coupler.contact.bodies import ContactPast
 from coupler.contact.model import new_history
 from coupler.core.records import rows_of
-from coupler.core.threads import PARTS, share
+from coupler.core.threads import RANGES, share
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
 from coupler.deposition.joining import point_of_impact
@@ -378,11 +378,13 @@ def test_a_process_of_a_batch_lets_blas_have_one_thread(tmp_path: Path, monkeypa
         assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == {1}
 
 
-@pytest.mark.parametrize(("jobs", "threads", "few"), [(2, 2, 1), (4, 2, 2), (2, 1, 0)])
-def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
-    jobs: int, threads: int, few: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("jobs", "threads", "each"), [(2, 2, "2"), (4, 4, "4 2"), (8, 8, "8 4 2 2"), (2, 1, ""), (2, 8, "8")]
+)
+def test_the_last_impacts_of_a_batch_share_the_threads(
+    jobs: int, threads: int, each: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """few: with how many of five tasks left that begins."""
+    """each: how many threads an impact has when one, two ... of five tasks are left, as far as they are more than at the beginning."""
 
     class Waiting(Executor):
         def submit(self, *arguments: object, **options: object) -> Future[Any]:  # type: ignore[override]
@@ -391,7 +393,7 @@ def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
     spare, seen = tmp_path / deposition_task.SPARE, {}
 
     def wait(left: list[Future[Any]], *_: object) -> None:
-        seen[len(left)] = spare.exists()
+        seen[len(left)] = spare.read_text() if spare.exists() else None
         left[-1].set_result(None)
 
     monkeypatch.setattr(deposition_batches, "wait", wait)
@@ -401,12 +403,11 @@ def test_the_last_impacts_of_a_batch_have_two_threads_where_cores_are_idle(
     task = SimpleNamespace(i=0, plan=None)
     found = iter([(task, None)] * 5)
     assert len(deposition_batches.side_by_side(Waiting(), found, tmp_path, options, lambda: None)) == 5
-    assert seen == {left: left <= few for left in range(1, 6)}
+    said = dict(enumerate(each.split(), 1))
+    assert seen == {left: said.get(left) for left in range(1, 6)}
 
 
-def test_a_task_is_given_a_second_thread_on_its_way_and_leaves_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_task_is_given_threads_on_its_way_and_leaves_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def pieces(task: SimpleNamespace, options: RunOptions) -> list[int]:
         """How many ranges work is divided into: before the first window, and after it."""
         counts = []
@@ -414,12 +415,12 @@ def test_a_task_is_given_a_second_thread_on_its_way_and_leaves_none(
             ranges: list[tuple[int, int]] = []
             share(lambda lo, hi, ranges=ranges: ranges.append((lo, hi)), 100, 10)
             counts.append(len(ranges))
-            (tmp_path / deposition_task.SPARE).touch()
+            (tmp_path / deposition_task.SPARE).write_text("2")
             options.probe(None)
         return counts
 
     monkeypatch.setattr(deposition_task, "attempt", pieces)
-    assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == [1, PARTS]
+    assert deposition_task.run_alone(SimpleNamespace(folder=tmp_path / "00001"), {}, 60.0, None) == [1, 2 * RANGES]
     ranges: list[tuple[int, int]] = []
     share(lambda lo, hi: ranges.append((lo, hi)), 100, 10)
     assert len(ranges) == 1  # it is gone with the task

@@ -1,0 +1,19 @@
+"""How many processors there are for this process."""
+
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+
+CGROUP = Path("/sys/fs/cgroup")
+
+
+def cores() -> int:
+    """Processors that this process may use: those that it is bound to, or fewer where a container or Slurm grants it less."""
+    granted = [float(len(os.sched_getaffinity(0)))]
+    with suppress(OSError, ValueError):
+        quota, period = (CGROUP / "cpu.max").read_text().split()
+        granted.append(float(quota) / float(period))
+    with suppress(KeyError, ValueError):
+        granted.append(float(os.environ["SLURM_CPUS_PER_TASK"]))
+    return max(1, math.ceil(min(granted) - 1e-9))
