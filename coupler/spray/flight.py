@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from ..errors import ColdsprayError
 from ..physics.materials import Material
@@ -141,6 +140,8 @@ def integrate(
     the recovery temperature (White, Viscous Fluid Flow, 1991). points: stored in each piece. All spheres take the same steps in x, and
     the solver holds each of them to its tolerance.
     """
+    from scipy.integrate import solve_ivp
+
     D = np.asarray(diameters, np.float64)
     columns = []
     y = np.tile([v, T, 0.0], len(D))  # of one sphere after another: each depends on itself alone
