@@ -21,9 +21,9 @@ from scipy.sparse.linalg import splu
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws, SpringTable
 from ..core.threads import share
+from ..geometry.products import times_rows
 from .blocks import edge_cofactors
 from .explicit import Target
-from .products import times_rows
 
 FREQUENCY = 0.7  # omega dt of the grid's displacements: adds an eighth to the bound of the step, 4 / dt^2
 NODES, MOST = 100, 1500  # nodes in a box of the grid, and boxes, about: with more, solving costs what the steps save

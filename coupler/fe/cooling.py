@@ -20,10 +20,10 @@ from scipy.sparse.linalg import LinearOperator, cg
 from skfem import Basis, ElementTetP1, MeshTet
 
 from ..errors import SolverError
+from ..geometry.products import times
 from ..physics.constitutive import conductivities
 from .explicit import Target
 from .heat import gains, means, shares, take_heat
-from .products import times
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 STEP_GROWTH = (

@@ -312,8 +312,9 @@ class Target:
     def add_up(self, dt: float) -> None:
         """Internal and contact forces of the active nodes together, and the work of the internal ones in a step of dt s."""
         n = self.active_nodes
-        self.internal_work -= motion.work_of(0, n, dt, self.nodes.f_old, self.nodes.f, self.nodes.v)
-        motion.add_forces(0, n, self.nodes.f, self.f_ext, self.nodes.total)
+        work, nodes = np.zeros(PARTS), self.nodes
+        together(motion.add_up, n, dt, nodes.f_old, nodes.f, nodes.v, self.f_ext, nodes.total, work)
+        self.internal_work -= float(work.sum())
         # the inactive part supports the active part: forces of its elements on shared nodes, and external forces on its own nodes
         self.support = -self.force_suffix_sum[n] - motion.sum_over(n, len(self.nodes.x), self.f_ext)
 

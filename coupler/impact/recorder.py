@@ -20,7 +20,7 @@ from .measure import crater_depth, measure
 from .validity import Extremes
 
 FITTED = 16  # nodes that `crater_depth` fits
-ROWS = 400  # rows of the history in D / v
+ROWS = 50  # rows of the history in D / v
 VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
 
 
@@ -77,7 +77,7 @@ class Recorder:
         """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
         where not their end alone is written."""
         if self.next_output == 0.0:
-            self.met = impact.target.nodes.x[_surface_nodes(impact), 2]
+            self.met = impact.target.nodes.x[impact.surface_nodes, 2]
             self.touched_at = float(impact.particle.x[:, 2].mean())
             if self.i == 0 or np.isfinite(self.impact_plan.output_every):
                 self.write_fields(impact)
@@ -177,7 +177,7 @@ class Recorder:
         `crater_depth` fits the substrate's nodes; of a crater in splats, whose nodes are sparse, those in its lower half, and where
         these are too few, the lowest counts.
         """
-        x = impact.target.nodes.x[_surface_nodes(impact)]
+        x = impact.target.nodes.x[impact.surface_nodes]
         lowered = self.met - x[:, 2]
         inner = lowered > (0.5 * lowered.max(initial=0.0) if impact.bodies.count > 1 else -np.inf)
         if impact.bodies.count > 1 and inner.sum() < FITTED:
@@ -194,8 +194,3 @@ class Recorder:
         for f in fields(state):
             if f.name != "extremes":
                 setattr(self, f.name, getattr(state, f.name))
-
-
-def _surface_nodes(impact: Impact) -> np.ndarray:
-    """Nodes (k,) of the surface that the particle can hit."""
-    return np.unique(impact.target.mesh.facets[impact.bodies.reachable()])

@@ -10,10 +10,12 @@ import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import cKDTree
 
-from ..core.threads import together
+from ..core.threads import share, together
+from ..geometry.products import times, times_rows
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
+LEAST_ROWS = 1000  # in a range of a loop in Python that threads share
 BESIDE = 1.0  # spacings: a point so near to a vertex lies under it, in the outermost layer
 
 
@@ -54,7 +56,7 @@ class CarriedSurface:
 
     def positions(self, x: np.ndarray) -> np.ndarray:
         """Vertices (k,3) now, from the positions x (n,3) of the points."""
-        return self.weights @ x
+        return times_rows(self.weights, x)
 
     def contacts(self, x: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
         """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3).
@@ -63,7 +65,8 @@ class CarriedSurface:
         """
         if out is None:
             out = np.zeros((self.touching.shape[0], 3))
-        k.combine(self._rows if rows is None else rows, *self._touching, x, out)
+        rows = self._rows if rows is None else rows
+        share(lambda lo, hi: k.combine(rows[lo:hi], *self._touching, x, out), len(rows), LEAST_ROWS)
         return out
 
     def moving_contacts(
@@ -109,7 +112,7 @@ class CarriedSurface:
 
     def values(self, field: np.ndarray) -> np.ndarray:
         """A field of the points (n, ...) averaged at the vertices (never outside the range of the points' values)."""
-        return self.average @ field
+        return times(self.average, field) if field.ndim == 1 else self.average @ field
 
 
 def _under(tree: cKDTree, vertices: np.ndarray, spacing: float) -> csr_matrix:

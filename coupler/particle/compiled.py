@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ..core.loops import PARTS
 from ..core.records import Rows
-from ..core.threads import together
+from ..core.threads import share, together
 from ..errors import SolverError
 from . import compiled_kernels as k
 from .particle import Particle, PointState
@@ -23,6 +23,7 @@ from .start import H
 
 KERNEL = -14.0323944878  # of the kernel's slope W' = KERNEL (h - r)^2 / h^6, as MACHDYN has it
 THIRD = 0.333333333333  # W = -THIRD (h - r) W', as MACHDYN has it
+LEAST_POINTS, LEAST_PAIRS = 1000, 20_000  # in a range of a loop in Python that threads share
 RowsOfRanks = list[tuple[int, np.ndarray]]  # of each other rank: which rows it gets or sends
 
 
@@ -180,11 +181,18 @@ class CompiledParticle(Particle):
 
     def _end_chunk(self) -> None:
         """Book the losses of the chunk of steps, and turn them into heat of the points where the law says so."""
-        k.share_losses(0, self.n, self._first, self._signed, self._loss, self._heat)
+        share(
+            lambda lo, hi: k.share_losses(lo, hi, self._first, self._signed, self._loss, self._heat),
+            self.n,
+            LEAST_POINTS,
+        )
         self.sums[2:] += self._heat.sum(axis=0)
         if self.law[0]["dissipation"]:
             self.warm(self._heat.sum(axis=1))
-        self._strength[:], self._loss[:] = 0.0, 0.0
+        share(self._forget_losses, len(self._loss), LEAST_PAIRS)
+
+    def _forget_losses(self, lo: int, hi: int) -> None:
+        self._strength[lo:hi], self._loss[lo:hi] = 0.0, 0.0
 
     def _skip_step(self) -> None:
         """Exchange what pass 2 needs of points of other ranks."""
@@ -214,7 +222,7 @@ class CompiledParticle(Particle):
 
     def _strain(self) -> np.ndarray:
         strain = np.empty((self.n, 6))
-        k.green_lagrange(self.points.F, strain)
+        share(lambda lo, hi: k.green_lagrange(lo, hi, self.points.F, strain), self.n, LEAST_POINTS)
         return strain
 
     def carried(self) -> dict[str, np.ndarray]:

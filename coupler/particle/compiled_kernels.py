@@ -386,9 +386,9 @@ def grow_gradients(
 
 
 @njit(cache=True, nogil=True)
-def green_lagrange(F: Floats, strain: Floats) -> None:
+def green_lagrange(lo: int, hi: int, F: Floats, strain: Floats) -> None:
     """Green-Lagrange strain (n,6), xx yy zz xy xz yz, of deformation gradients F (n,9)."""
-    for i in range(len(strain)):
+    for i in range(lo, hi):
         f = F[i]
         strain[i, 0] = 0.5 * (f[0] * f[0] + f[3] * f[3] + f[6] * f[6] - 1.0)
         strain[i, 1] = 0.5 * (f[1] * f[1] + f[4] * f[4] + f[7] * f[7] - 1.0)

@@ -11,8 +11,11 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Floats, Laws
+from ..core.arrays import Floats, Ints, Laws
+from ..core.loops import ranges
 from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
+
+LEAST_POINTS = 1000  # in a range of a loop that threads share
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -79,23 +82,24 @@ def apply_law(
 
 @njit(cache=True, nogil=True)
 def warm_points(
-    laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, eps_p: Floats, T: Floats, energy:
-    Floats, sums: Floats,
+    team: Ints, laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, eps_p: Floats, T: Floats,
+    energy: Floats, pressing: Floats,
 ) -> None:  # fmt: skip
     """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
 
-    machdyn_eps (n,), written, prescribes sigma_y for the next step; sums[1] grows by what went into the energy, J.
+    machdyn_eps (n,), written, prescribes sigma_y for the next step; pressing (PARTS,): what went into the energy, J, part by part.
     """
     law = laws[0]
-    for i in range(len(heat)):
-        if heat[i] == 0.0:
-            continue
-        old = T[i]
-        T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
-        sigma_y[i] = softened(law, sigma_y[i], eps_p[i], old, T[i])
-        machdyn_eps[i] = sigma_y[i] / H
-        energy[i] += law.expansion * heat[i] / volume[i]
-        sums[1] += law.expansion * heat[i]
+    for lo, hi, part in ranges(team, 0, len(heat), LEAST_POINTS):
+        for i in range(lo, hi):
+            if heat[i] == 0.0:
+                continue
+            old = T[i]
+            T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
+            sigma_y[i] = softened(law, sigma_y[i], eps_p[i], old, T[i])
+            machdyn_eps[i] = sigma_y[i] / H
+            energy[i] += law.expansion * heat[i] / volume[i]
+            pressing[part] += law.expansion * heat[i]
 
 
 @njit(cache=True, nogil=True)
@@ -112,11 +116,11 @@ def stored_energy(laws: Laws, volume: Floats, stress: Floats, J: Floats, energy:
 
 
 @njit(cache=True, nogil=True)
-def smallest_stretch(strain: Floats) -> tuple[float, int]:
-    """Smallest principal stretch over all points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
+def smallest_stretch(lo: int, hi: int, strain: Floats) -> tuple[float, int]:
+    """Smallest principal stretch over points from Green-Lagrange strains (n,6), xx yy zz xy xz yz; and its point."""
     smallest = 1e300
     where = -1
-    for i in range(len(strain)):
+    for i in range(lo, hi):
         xx, yy, zz = 1.0 + 2.0 * strain[i, 0], 1.0 + 2.0 * strain[i, 1], 1.0 + 2.0 * strain[i, 2]
         xy, xz, yz = 2.0 * strain[i, 3], 2.0 * strain[i, 4], 2.0 * strain[i, 5]
         mean = (xx + yy + zz) / 3.0

@@ -13,12 +13,15 @@ from typing import Annotated, ClassVar
 import numpy as np
 from mpi4py import MPI
 
+from ..core.loops import PARTS
 from ..core.records import Rows, Shape, arrays_of, copied, new_rows, put, rows_of, take
+from ..core.threads import share, together
 from ..errors import CheckpointError, SolverError
 from ..physics import motion
 from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..physics.metal import MetalState, carried
 from . import law as k
+from .law import LEAST_POINTS
 from .start import H, silence, start
 
 
@@ -256,10 +259,9 @@ class Particle(ABC):
         try:
             self._add_inertia()
             if self.failure is None:
-                self.internal_work -= motion.work_of(
-                    0, self.n, self.dt, self.points.f_old, self.points.f, self.points.v
-                )
-                self.points.f_old[:] = self.points.f
+                work, p = np.zeros(PARTS), self.points
+                together(motion.book, self.n, self.dt, p.f_old, p.f, p.v, work)
+                self.internal_work -= float(work.sum())
                 f_out[:] = self.f_ext
         except BaseException as problem:
             self.failure = self.failure or problem
@@ -300,7 +302,9 @@ class Particle(ABC):
         """
         if self.n == 0:  # a rank that the balance left without points
             return np.inf
-        stretch, where = k.smallest_stretch(self._strain())
+        strain, found = self._strain(), list[tuple[float, int]]()
+        share(lambda lo, hi: found.append(k.smallest_stretch(lo, hi, strain)), self.n, LEAST_POINTS)
+        stretch, where = min(found)
         if not stretch > 0.02:
             raise SolverError(
                 self._failure(f"point {self.ids[where]} is compressed to {stretch:.3g} of its length", where)
@@ -334,11 +338,12 @@ class Particle(ABC):
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
-        p = self.points
-        k.warm_points(
-            self.law, H, self.volume, np.ascontiguousarray(heat, float), p.eff_plastic_strain, p.sigma_y, p.eps_p, p.T, p.energy,
-            self.sums,
+        p, pressing = self.points, np.zeros(PARTS)
+        together(
+            k.warm_points, self.law, H, self.volume, np.ascontiguousarray(heat, float), p.eff_plastic_strain, p.sigma_y, p.eps_p, p.T,
+            p.energy, pressing,
         )  # fmt: skip
+        self.sums[1] += float(pressing.sum())
 
     def totals(self) -> PointTotals:
         """Sums and extremes over these points; raises as `stable_dt` does."""

@@ -37,11 +37,25 @@ def work_of(lo: int, hi: int, dt: float, f_old: Floats, f: Floats, v: Floats) ->
 
 
 @njit(cache=True, nogil=True)
-def add_forces(lo: int, hi: int, f: Floats, more: Floats, total: Floats) -> None:
-    """total = f + more."""
-    for a in range(lo, hi):
-        for d in range(3):
-            total[a, d] = f[a, d] + more[a, d]
+def book(team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, work: Floats) -> None:
+    """`work_of` the first n rows, part by part, into work (PARTS,) J; f_old becomes f."""
+    for lo, hi, part in ranges(team, 0, n, LEAST):
+        work[part] = work_of(lo, hi, dt, f_old, f, v)
+        for a in range(lo, hi):
+            for d in range(3):
+                f_old[a, d] = f[a, d]
+
+
+@njit(cache=True, nogil=True)
+def add_up(
+    team: Ints, n: int, dt: float, f_old: Floats, f: Floats, v: Floats, more: Floats, total: Floats, work: Floats
+) -> None:
+    """total = f + more of the first n rows, and `work_of` them, part by part, into work (PARTS,) J."""
+    for lo, hi, part in ranges(team, 0, n, LEAST):
+        work[part] = work_of(lo, hi, dt, f_old, f, v)
+        for a in range(lo, hi):
+            for d in range(3):
+                total[a, d] = f[a, d] + more[a, d]
 
 
 @njit(cache=True, nogil=True)
