@@ -32,6 +32,7 @@ from .particle import LocalState
 MOST_SIDES = 18  # neighbours of a point at the most: the two nearest layers of a face-centred cubic lattice
 SECOND_LAYER = 1.65  # spacings: reach of the neighbours of points at the rim
 FIT_REACH = 1.9  # spacings: where the weight of the quadratic fit ends
+FITTED = 2000  # rim points whose gradients are fitted at a time
 RIDGE = 0.05  # on the second derivatives of that fit, for points with few neighbours
 SYMMETRIC = 1e-6  # third moment of the neighbours, relative: a larger one is that of a rim
 
@@ -122,11 +123,21 @@ class EnrichedParticle(CompiledParticle):
         x, y, z = D.T
         basis = np.stack([x, y, z, x * x, y * y, z * z, y * z, x * z, x * y], axis=1)
         ridge = np.diag([0.0] * 3 + [RIDGE] * 6)
-        for i in np.flatnonzero(self._rim[: self.n]):
-            side = slice(self._first[i], self._first[i + 1])
+        rim, first = np.flatnonzero(self._rim[: self.n]), self._first.astype(np.int64)
+        for points in np.array_split(rim, len(rim) // FITTED + 1):  # so many at a time, for their matrices' memory
+            if not len(points):
+                continue
+            counts = first[points + 1] - first[points]
+            start = np.cumsum(counts) - counts
+            of, side = (
+                np.repeat(np.arange(len(points)), counts),
+                np.arange(counts.sum()) + np.repeat(first[points] - start, counts),
+            )
             weighted = basis[side] * weight[side, None]
-            fit = np.linalg.pinv(weighted.T @ basis[side] + ridge)[:3] @ weighted.T
-            gradient[side] = (np.linalg.pinv(fit @ D[side]) @ fit).T / self.spacing  # exact for linear fields
+            A = np.add.reduceat(weighted[:, :, None] * basis[side, None, :], start) + ridge
+            fit = np.einsum("sij,sj->si", np.linalg.pinv(A)[of, :3], weighted)
+            exact = np.linalg.pinv(np.add.reduceat(fit[:, :, None] * D[side, None, :], start))  # for linear fields
+            gradient[side] = np.einsum("sij,sj->si", exact[of], fit) / self.spacing
         return gradient
 
     def _skip_step(self) -> None:

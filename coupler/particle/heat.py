@@ -76,12 +76,12 @@ def _fits(X: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.nda
     Weighted least squares T_j = T_i + g . (X_j - X_i) for the gradients; the excess is T_i less the mean of T_j - g . (X_j - X_i).
     """
     n, tree = len(X), cKDTree(X)
-    groups = [np.array(group) for group in tree.query_ball_point(X, SUPPORT * spacing)]
-    for i, group in enumerate(groups):
-        if len(group) < MIN_NEIGHBOURS + 1:
-            groups[i] = np.asarray(tree.query(X[i], k=min(MIN_NEIGHBOURS + 1, n))[1])
-    rows = np.repeat(np.arange(n), [len(group) for group in groups])
-    columns = np.concatenate(groups)
+    near = tree.query_pairs(SUPPORT * spacing, output_type="ndarray")
+    pairs = np.concatenate([near, near[:, ::-1], np.tile(np.arange(n)[:, None], 2)])
+    few = np.bincount(pairs[:, 0], minlength=n) < MIN_NEIGHBOURS + 1
+    nearest = tree.query(X[few], k=min(MIN_NEIGHBOURS + 1, n))[1].reshape(few.sum(), -1)
+    more = np.column_stack([np.repeat(np.flatnonzero(few), nearest.shape[1]), nearest.ravel()])
+    rows, columns = np.concatenate([pairs[~few[pairs[:, 0]]], more]).T
     order = np.lexsort((columns, rows))
     rows, columns = rows[order], columns[order]
     own = columns == rows
@@ -89,7 +89,7 @@ def _fits(X: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.nda
     w = np.where(own, 0.0, np.clip(1.0 - np.linalg.norm(d, axis=1) / (1.2 * SUPPORT), 0.05, None) ** 2)
     A = np.zeros((n, 3, 3))
     np.add.at(A, rows, w[:, None, None] * d[:, :, None] * d[:, None, :])
-    gradient = w[:, None] * np.linalg.solve(A[rows], d[:, :, None])[:, :, 0] / spacing
+    gradient = w[:, None] * np.einsum("mij,mj->mi", np.linalg.inv(A)[rows], d) / spacing
     w /= np.bincount(rows, w, n)[rows]
     for a in range(3):  # of a point itself: minus those of its neighbours
         gradient[own, a] = -np.bincount(rows, gradient[:, a], n)
