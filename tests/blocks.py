@@ -65,7 +65,7 @@ class Blocks:
         """Bond the second block to the first."""
         t, spacing = self.target, self.surfaces.spacing(self.target.nodes.x, 1)
         found = interface(self.surfaces, t.nodes.x, 1, 0.1 * spacing)
-        self.bond = Bond(found, self.surfaces, t.nodes.x, penalty(self.K, spacing), **law)
+        self.bond = Bond.between(found, self.surfaces, t.nodes.x, penalty(self.K, spacing), **law)
         return self.bond
 
     def nodes(self, body: int) -> np.ndarray:
@@ -79,7 +79,7 @@ class Blocks:
         t, c, b = self.target, self.contact, self.bond
         held = t.kinetic() + t.elastic() + t.sums[0] + t.sums[1]
         if c is not None:
-            held += c.penalty_energy + c.pairs.friction_heat + c.lost
+            held += c.pairs.penalty_energy + c.pairs.friction_heat + c.lost
         return float(held + (b.stored + b.dissipated if b is not None else 0.0))
 
     def moment(self) -> np.ndarray:

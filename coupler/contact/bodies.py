@@ -6,7 +6,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ..core.arrays import Histories, SpringTable
+from ..core.arrays import Histories
 from ..core.records import Shape
 from ..errors import CheckpointError, SolverError
 from . import broad
@@ -55,11 +55,9 @@ class BodyContact:
     (`Interface.fitted`) begin all but without a force.
     """
 
-    def __init__(
-        self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float, factor: float = 1.0
-    ):
-        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient; factor: of the stiffness. Raises
-        SolverError where the number of bulk moduli is not that of the bodies."""
+    def __init__(self, surfaces: Surfaces, x: np.ndarray, bulk_modulus: Sequence[float], friction: float):
+        """x (N,3) m positions; bulk_modulus (bodies,) Pa; friction: Coulomb's coefficient. Raises SolverError where
+        the number of bulk moduli is not that of the bodies."""
         if len(bulk_modulus) != surfaces.bodies:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
         self.surfaces = surfaces
@@ -71,7 +69,7 @@ class BodyContact:
         alike = [max(body, 1) for body in bodies]  # the stiffness does not change when later bodies join
         spacing = [surfaces.spacing(x, b) for b in alike]
         k_of = [  # of each node two equilateral triangles
-            stiffness(min(bulk_modulus[: b + 1]), 0.5 * np.sqrt(3.0) * h**2, h, factor)
+            stiffness(min(bulk_modulus[: b + 1]), 0.5 * np.sqrt(3.0) * h**2, h)
             for b, h in zip(alike, spacing, strict=True)
         ]
         nodes = [surfaces.nodes_of(body) for body in bodies]
@@ -100,11 +98,6 @@ class BodyContact:
         ]
 
     @property
-    def penalty_energy(self) -> float:
-        """Energy stored in the penalty and friction springs, J."""
-        return self.pairs.penalty_energy
-
-    @property
     def energy(self) -> float:
         """What the contact stores, has turned into heat and has dropped, J."""
         c = self.pairs
@@ -128,14 +121,6 @@ class BodyContact:
                     self._stable_dt = min(self._stable_dt, self.pairs.stable_dt(1.0 / light[0], light[1], body))
         return alone if self._stable_dt == np.inf else float(1.0 / np.sqrt(1.0 / self._stable_dt**2 + 1.0 / alone**2))
 
-    def load(self, size: int) -> np.ndarray:
-        """Load of all springs on each of `size` nodes, N/m (`Contact.load`)."""
-        return self.pairs.load(size)
-
-    def springs(self) -> list[SpringTable]:
-        """Of all that may touch before the next search."""
-        return self.pairs.springs()
-
     def search(
         self, x: np.ndarray, travel: float, bond: Bond | None = None, active: int | None = None, v: np.ndarray | None = None
     ) -> None:  # fmt: skip
@@ -147,8 +132,9 @@ class BodyContact:
         given_up = bond.release() if bond is not None else 0.0
         held, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
         if bond is not None:
-            held[bond.held] = True
-            partner[bond.held] = self._body_of[bond.triangles[~bond.loose, 0]]
+            tight = ~bond.loose
+            held[bond.nodes[tight]] = True
+            partner[bond.nodes[tight]] = self._body_of[bond.triangles[tight, 0]]
         handed_over = (held != self._held) & (not self._is_new)
         changed = bool(handed_over.any()) or given_up > 0.0
         before, self._held, self._is_new = self.energy if changed else 0.0, held, False
@@ -168,7 +154,7 @@ class BodyContact:
         c.history["ignored"][new, 0] = own[new]
         c.expire(new)
 
-    def ease(self, share: float) -> None:
+    def reduce_overlap(self, share: float) -> None:
         """Ignore only this share of the depths that the contacts of active nodes ignore: the bodies are pushed apart."""
         ignored, rows = self.pairs.history["ignored"], self.pairs.rows
         ignored[rows] = np.where((ignored[rows] > 0.0) & (ignored[rows] < ALL), share * ignored[rows], ignored[rows])

@@ -1,13 +1,13 @@
 """Bonds between bodies of finite elements: nodes tied to facets by cohesive springs that soften, break and stay broken."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
 
 from ..core.arrays import SpringTable
-from ..core.records import Rows, collect, concatenate, rows_of, take
+from ..core.records import Rows, concatenate, copied, new_rows, take
 from ..errors import SolverError
 from . import bond_kernels as k
 from .surfaces import Interface, Surfaces
@@ -22,12 +22,22 @@ def penalty(bulk_modulus: float, spacing: float) -> float:
     return BOND_STIFFNESS * bulk_modulus / spacing
 
 
-@dataclass(frozen=True)
-class BondRows:
-    """Of n bonds: nodes, or points that are none; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
+@dataclass(eq=False)
+class Bond:
+    """Nodes of one body tied to fixed places on facets of another, each by a cohesive spring of its own.
+
+    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent:
+    the envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of mixed modes for
+    the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage never heals;
+    compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the contact
+    of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
+
+    Of n bonds: nodes, or points that are none; triangles they lie on, with weights; gap m; area m2; stiffness Pa/m; strength (n,2)
     Pa and energy (n,2) J/m2, normal and shear; rewelds: share of the strength that slip under the pressure of a contact leaves (0:
     none); loose: compression is left to the contact; damage 0 to 1: share of the strength that is lost; opening (n,3) m, elastic;
-    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies."""
+    traction (n,2) Pa; slid m: permanent slip; spent J, dissipated by each, of which `heated` J has become heat of the bodies. exponent:
+    of the power law of mixed modes; stored, dissipated: energies of all, J.
+    """
 
     nodes: Annotated[np.ndarray, Rows(dtype=np.int64, index_of="points")]
     triangles: Annotated[np.ndarray, Rows(3, dtype=np.int64, index_of="nodes")]
@@ -45,49 +55,19 @@ class BondRows:
     slid: Annotated[np.ndarray, Rows()]
     spent: Annotated[np.ndarray, Rows()]
     heated: Annotated[np.ndarray, Rows()]
+    exponent: float = 1.0
+    stored: float = 0.0
+    dissipated: float = 0.0
 
+    def __post_init__(self) -> None:
+        with np.errstate(divide="ignore"):
+            self._inverses = 1.0 / self.strength, 1.0 / self.energy
+        self._uncovered = np.full(len(self), -1.0)  # depth of a contact, where there is none
+        self._moved = np.zeros(0, np.int64)  # rows whose node `reduce_overlap` leads to its new facet
 
-@dataclass(frozen=True)
-class BondState:
-    """exponent: of the power law of mixed modes; stored, dissipated: energies, J."""
-
-    rows: BondRows
-    exponent: float
-    stored: float
-    dissipated: float
-
-
-class Bond:
-    """Nodes of one body tied to fixed places on facets of another, each by a cohesive spring of its own.
-
-    Traction grows with the opening at the stiffness up to the strength, then falls linearly until the fracture energy is spent:
-    the envelope of Camanho & Davila (2002), NASA/TM-2002-211737, quadratic criterion for the onset, power law of mixed modes for
-    the end. Opening beyond the strength is permanent and dissipates; unloading has the initial stiffness. Damage never heals;
-    compression is resisted in full, by the bond until it is broken or has slid by half a spacing (`release`), then by the contact
-    of the bodies. Infinite strength ties for ever; energy 0 breaks at once; energy infinite flows at the strength.
-
-    The arrays of the n bonds are those of `BondRows`.
-    """
-
-    nodes: np.ndarray
-    triangles: np.ndarray
-    weights: np.ndarray
-    gap: np.ndarray
-    area: np.ndarray
-    stiffness: np.ndarray
-    strength: np.ndarray
-    energy: np.ndarray
-    rewelds: np.ndarray
-    loose: np.ndarray
-    damage: np.ndarray
-    opening: np.ndarray
-    traction: np.ndarray
-    slid: np.ndarray
-    spent: np.ndarray
-    heated: np.ndarray
-
-    def __init__(
-        self,
+    @classmethod
+    def between(
+        cls,
         where: Interface,
         surfaces: Surfaces,
         x: np.ndarray,
@@ -99,46 +79,33 @@ class Bond:
         exponent: float = 1.0,
         rewelds: float | np.ndarray = 0.0,
         xp: Any = None,
-    ):
+    ) -> "Bond":
         """Tie the nodes of an interface as they lie now, at rest. x (N,3) m; stiffness Pa/m (see `penalty`); xp (n,3) m: the points
         that are tied, where they are no nodes.
 
         strength Pa and energy J/m2: of the normal direction, one or one for each row of the interface; the shear ones are
-        equal to them by default. exponent: of the power law of mixed modes; rewelds: as in `BondRows`. Rows without area are left
+        equal to them by default. exponent, rewelds: as in `Bond`. Rows without area are left
         out. Raises SolverError for a strength or energy that makes no sense with this stiffness.
         """
         kept = where.area > 0.0
-        rows = len(where.nodes)
+        nodes, triangles = where.nodes[kept], np.ascontiguousarray(surfaces.facets[where.facet[kept]])
+        weights, gap = _foot((x if xp is None else xp)[nodes], x[triangles])
 
-        def column(value: float | np.ndarray) -> np.ndarray:
-            return np.broadcast_to(np.asarray(value, float), (rows,))[kept]
+        def columns(*values: float | np.ndarray) -> np.ndarray:
+            return np.stack([np.broadcast_to(np.asarray(value, float), kept.shape)[kept] for value in values], axis=1)
 
-        self.nodes = where.nodes[kept]
-        self.triangles = np.ascontiguousarray(surfaces.facets[where.facet[kept]])
-        self.area = where.area[kept]
-        n = len(self.nodes)
-        self.weights, self.gap = _foot((x if xp is None else xp)[self.nodes], x[self.triangles])
-        self.stiffness = np.full(n, float(stiffness))
-        shear_strength = strength if shear_strength is None else shear_strength
-        shear_energy = energy if shear_energy is None else shear_energy
-        self.strength = np.stack([column(strength), column(shear_strength)], axis=1)
-        self.energy = np.stack([column(energy), column(shear_energy)], axis=1)
-        self.exponent, self.rewelds = float(exponent), column(rewelds).copy()
-        self.loose, self.damage = np.zeros(n, bool), np.zeros(n)
-        self.opening, self.traction = np.zeros((n, 3)), np.zeros((n, 2))
-        self.slid, self.spent, self.heated = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.stored = self.dissipated = 0.0
-        _check(self.stiffness, self.strength, self.energy, self.exponent)
-        self._ready()
+        bond = new_rows(
+            cls, len(nodes), nodes=nodes, triangles=triangles, weights=weights, gap=gap, area=where.area[kept],
+            stiffness=np.full(len(nodes), float(stiffness)),
+            strength=columns(strength, strength if shear_strength is None else shear_strength),
+            energy=columns(energy, energy if shear_energy is None else shear_energy), rewelds=columns(rewelds)[:, 0],
+        )  # fmt: skip
+        bond.exponent = float(exponent)
+        _check(bond)
+        return bond
 
     def __len__(self) -> int:
         return len(self.nodes)
-
-    def _ready(self) -> None:
-        with np.errstate(divide="ignore"):
-            self._weakness, self._ease = 1.0 / self.strength, 1.0 / self.energy
-        self._free = np.full(len(self), -1.0)
-        self._moved = np.zeros(0, np.int64)  # rows whose node `ease` leads to its new facet
 
     @property
     def broken(self) -> np.ndarray:
@@ -148,7 +115,7 @@ class Bond:
     def forces(self, x: np.ndarray, f: np.ndarray, active: int | None = None) -> None:
         """Add the forces of this instant to f (N,3) N, from positions x (N,3) m; damage moves on. active: number of active nodes
         (default: all); what does not move keeps its forces."""
-        self.forces_on(x, f, x, f, self._free, len(x) if active is None else active)
+        self.forces_on(x, f, x, f, self._uncovered, len(x) if active is None else active)
 
     def forces_on(
         self, xp: np.ndarray, f_point: np.ndarray, x: np.ndarray, f: np.ndarray, depth: np.ndarray, active: int
@@ -156,7 +123,7 @@ class Bond:
         """`forces`, where the points xp that are tied are no nodes. depth (n,) m: of a contact that presses them, for bonds that leave
         compression to it (`bond_kernels.bond_forces`)."""
         ties = k.Ties(
-            self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, self._weakness, self._ease, self.rewelds,
+            self.nodes, self.triangles, self.weights, self.gap, self.area, self.stiffness, *self._inverses, self.rewelds,
             self.loose, self.damage, self.opening, self.traction, self.slid, self.spent, self.exponent,
         )  # fmt: skip
         self.stored, lost = k.bond_forces(xp, x, ties, depth, active, f_point, f)
@@ -206,11 +173,6 @@ class Bond:
             self.nodes[whole], self.triangles[whole], self.weights[whole], (self.stiffness * self.area)[whole]
         )
 
-    @property
-    def held(self) -> np.ndarray:
-        """Nodes whose compression is resisted here, and not by the contact of the bodies."""
-        return self.nodes[~self.loose]
-
     def release(self) -> float:
         """Drop broken bonds, and leave the compression of those that have slid far to the contact.
 
@@ -226,8 +188,7 @@ class Bond:
         self.loose |= far
         self.stored -= energy
         if broken.any():
-            kept = take(collect(BondRows, self), ~broken)
-            self.restore(BondState(kept, self.exponent, self.stored, self.dissipated))
+            self._keep(~broken)
         return energy
 
     def compression(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -236,7 +197,7 @@ class Bond:
 
     def move(self, x: np.ndarray, rows: np.ndarray, triangles: np.ndarray) -> None:
         """Tie the nodes of bonds `rows` (k,) to triangles (k,3) of the body, others or their own, as they lie now, without a force:
-        what the bonds stored is dissipated. `ease` leads nodes that lie behind their triangle to it. x (N,3) m."""
+        what the bonds stored is dissipated. `reduce_overlap` leads nodes that lie behind their triangle to it. x (N,3) m."""
         if len(rows) == 0:
             return
         held = float(self.stored_by_each[rows].sum())
@@ -257,7 +218,7 @@ class Bond:
         self.move(x, rows, self.triangles[rows])
         self.stiffness[rows] *= factors
 
-    def ease(self, share: float) -> None:
+    def reduce_overlap(self, share: float) -> None:
         """Leave this share of the depths at which the bonds that were moved are at rest behind their triangles."""
         self.gap[self._moved] *= share
         if share == 0.0:
@@ -266,8 +227,12 @@ class Bond:
     def drop(self, gone: np.ndarray) -> None:
         """Take bonds (mask) out. What they hold is dissipated."""
         held = float(self.stored_by_each[gone].sum())
-        rows = take(collect(BondRows, self), ~gone)
-        self.restore(BondState(rows, self.exponent, self.stored - held, self.dissipated + held))
+        self.stored, self.dissipated = self.stored - held, self.dissipated + held
+        self._keep(~gone)
+
+    def _keep(self, which: np.ndarray) -> None:
+        """Keep the bonds of a mask (n,) alone."""
+        vars(self).update(vars(take(self, which)))
 
     def renumber(self, node: np.ndarray) -> None:
         """Follow a new numbering of the domain. node (N,): new number of each old one."""
@@ -278,27 +243,12 @@ class Bond:
         """One set out of several of the same exponent, in their order; their energies are added. Raises SolverError otherwise."""
         if len({bond.exponent for bond in bonds}) != 1:
             raise SolverError("bonds to be joined must be at least one and have one exponent of mixed modes")
-        rows = concatenate([collect(BondRows, bond) for bond in bonds])
         stored, dissipated = sum(b.stored for b in bonds), sum(b.dissipated for b in bonds)
-        return cls.from_state(BondState(rows, bonds[0].exponent, stored, dissipated))
+        return replace(concatenate(bonds), stored=stored, dissipated=dissipated)
 
-    def state(self) -> BondState:
-        """Everything there is to keep."""
-        return BondState(collect(BondRows, self), self.exponent, self.stored, self.dissipated)
-
-    def restore(self, state: BondState) -> None:
-        """Go back to a `state`."""
-        for name in rows_of(BondRows):
-            setattr(self, name, np.array(getattr(state.rows, name)))
-        self.exponent, self.stored, self.dissipated = state.exponent, state.stored, state.dissipated
-        self._ready()
-
-    @classmethod
-    def from_state(cls, state: BondState) -> "Bond":
-        """A set of bonds as a `state` holds it."""
-        bond = cls.__new__(cls)
-        bond.restore(state)
-        return bond
+    def state(self) -> "Bond":
+        """A copy of them, as a checkpoint holds it."""
+        return copied(self)
 
 
 def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -316,9 +266,10 @@ def _foot(p: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([wa, wb, 1.0 - wa - wb], axis=1), np.einsum("ij,ij->i", unit, p - a)
 
 
-def _check(stiffness: np.ndarray, strength: np.ndarray, energy: np.ndarray, exponent: float) -> None:
+def _check(bond: Bond) -> None:
     """Raise SolverError unless the law of every bond can be followed."""
-    if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0) and exponent > 0.0):
+    strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
+    if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0) and bond.exponent > 0.0):
         raise SolverError("a bond needs positive strength, stiffness and exponent, and an energy of zero or more")
     held = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
     short = (energy > 0.0) & (energy < held) & np.isfinite(held)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..core.arrays import Floats, Ints
-from .bond import Bond, BondState
+from .bond import Bond
 from .bond_kernels import in_contact
 from .contact import Contact
 from .surfaces import Interface, Surfaces
@@ -80,11 +80,6 @@ class Hold:
         """Mask (n,) of the springs that still hold."""
         return ~self.bond.broken
 
-    @property
-    def area(self) -> tuple[float, float]:
-        """Area (m2) that was bonded, and that still is: of a damaged spring by the share of its fracture energy that is left."""
-        return float(self.bond.area.sum()), float(self.bond.area @ self.bond.soundness)
-
     def places(self, xp: np.ndarray) -> "HeldPlaces":
         """Where the springs hold, and their laws. xp as for `forces`."""
         b, whole = self.bond, self.whole
@@ -104,13 +99,9 @@ class Hold:
         """Whether an energy (J) that parts the springs is far more than all of them can take up."""
         return SECURE * float(self.bond.resistance.sum()) <= energy
 
-    def state(self) -> BondState:
+    def state(self) -> Bond:
         """State of the springs, as a checkpoint holds it."""
         return self.bond.state()
-
-    def heat(self) -> tuple[Ints, Ints, Floats]:
-        """Heat of fracture since the last call: (rows (n,) of the surface, nodes (n,3) of the target, J (n,))."""
-        return self.rows, self.bond.triangles, self.bond.heat()
 
 
 def bonds_at(
@@ -121,8 +112,7 @@ def bonds_at(
     every = np.arange(len(rows))
     surfaces = Surfaces(np.ascontiguousarray(facets, np.int64), 0 * every, every)
     feet, none = np.full((len(rows), 3), 1.0 / 3.0), np.zeros((0, 2), np.int64)
-    bond = Bond(
-        Interface(np.asarray(rows, np.int64), every, feet, 0.0 * area, area, none), surfaces, x, stiffness, **law, xp=xp
-    )
+    where = Interface(np.asarray(rows, np.int64), every, feet, 0.0 * area, area, none)
+    bond = Bond.between(where, surfaces, x, stiffness, **law, xp=xp)
     bond.loose[:] = True
     return bond

@@ -6,7 +6,7 @@ same names and back, `take`, `concatenate` and `scatter` treat all arrays with a
 """
 
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from typing import Protocol, TypeVar, get_args, get_type_hints, runtime_checkable
 
@@ -101,7 +101,7 @@ def arrays_of(record: object) -> dict[str, np.ndarray]:
 
 def copied(record: R) -> R:
     """A copy of such a record: what is done to its arrays does not change the first."""
-    return type(record)(**{name: array.copy() for name, array in arrays_of(record).items()})
+    return replace(record, **{name: array.copy() for name, array in arrays_of(record).items()})  # type: ignore[type-var]
 
 
 def put(record: R, into: R) -> None:
@@ -146,17 +146,18 @@ def assign(owner: object, record: object) -> None:
 
 
 def take(record: R, index: np.ndarray) -> R:
-    """The rows `index` of a record whose fields all have a row for each node, element or point."""
+    """The rows `index` of a record of arrays with a row for each node, element or point; its other fields stay."""
     rows = index.nonzero()[0] if index.dtype == bool else index
-    return type(record)(**{name: np.take(array, rows, axis=0) for name, array in arrays_of(record).items()})
+    return replace(record, **{name: np.take(array, rows, axis=0) for name, array in arrays_of(record).items()})  # type: ignore[type-var]
 
 
 def concatenate(records: Sequence[R]) -> R:
-    """All rows of several such records, in their order; those of a single one are not copied."""
+    """All rows of several such records, in their order, other fields as in the first; those of a single one are not copied."""
     if len(records) == 1:
         return records[0]
     arrays = [arrays_of(record) for record in records]
-    return type(records[0])(**{name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]})
+    joined = {name: np.concatenate([each[name] for each in arrays]) for name in arrays[0]}
+    return replace(records[0], **joined)  # type: ignore[type-var]
 
 
 def scatter(parts: Sequence[R], owners: Sequence[np.ndarray], n: int) -> R:

@@ -132,7 +132,7 @@ def _relax(
             t.elements.heat[:m] += (_ramp((steps + 1) / RAMP) - _ramp(steps / RAMP)) * heat
         t.nodes.v[moved] = (goal - t.nodes.x[moved]) / ((moving_for - steps) * dt) if steps < moving_for else 0.0
         if steps < BACK:
-            bodies.ease(1.0 - 1.0 / (BACK - steps))
+            bodies.reduce_overlap(1.0 - 1.0 / (BACK - steps))
         relaxation.advance(damping)
         bodies.forces(dt)
         relaxation.finish()
@@ -160,7 +160,8 @@ def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) ->
     """
     relaxation.weigh(highest, RELAX_STEP)
     n, share_of = len(bodies.target.nodes.x), 0.25 * relaxation.dt * relaxation.dt
-    loads = [springs.load(n) for springs in (bodies.bond, bodies.contact) if springs is not None]
+    pairs = bodies.contact.pairs if bodies.contact is not None else None
+    loads = [springs.load(n) for springs in (bodies.bond, pairs) if springs is not None]
     for load in (*loads, bodies.target.foundation_load()):
         relaxation.add_mass(share_of * load)
 

@@ -1,7 +1,7 @@
 """When an impact is over: at rest, at its greatest deformation, or at a given time."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 Grip = Literal["free", "failing", "held", "secure"]
@@ -16,7 +16,7 @@ SPENT = 0.01  # of the impact's energy: a tied particle that would dissipate les
 GLANCING = math.sqrt(0.05)
 
 
-@dataclass(frozen=True)
+@dataclass
 class EndState:
     """peak: largest contact force so far, N; turned: time (s) of the greatest deformation, None before it; loud: last time (s) with a
     contact force above QUIET_FORCE of the peak; fast: last time (s) at which the particle was not bonded, or moved faster than
@@ -51,10 +51,10 @@ class EndCriterion:
     def __init__(self, end_time: float, at: str, crossing: float, speed: float, slow: float = 0.0, energy: float = 0.0):
         """end_time, crossing (D / v): s; speed: of the impact, m/s; slow: m/s; at: "rest", "greatest" (deformation) or "time"; energy:
         of the impact, J, where its particle is tied to what it lies on at the end; 0 of others."""
-        self.end_time, self.at, self.slow = end_time, at, slow
+        self.slow = slow
         self.quiet, self.held_quiet, self.held_slow = QUIET_TIME * crossing, HELD_TIME * crossing, HELD_STILL * speed
         self.glancing, self.spent = GLANCING * speed, SPENT * energy / crossing
-        self._state = EndState(at, end_time)
+        self.seen = EndState(at, end_time)
 
     def observe(
         self, time: float, sinking: float, force: float, grip: Grip = "free", above: bool = True, work: float = 0.0
@@ -62,88 +62,78 @@ class EndCriterion:
         """Take note of an instant. sinking: downward speed of the centre of mass, m/s; force: on the particle, upwards, N; grip: of its
         bonds: "free" (none that count), "failing" (they may part), "held", "secure" (they take up far more than there is left); above:
         whether its centre is above the target; work: dissipated so far, J."""
-        s = self._state
-        power = 0.0
+        s = self.seen
         if s.time > 0.0:  # the mean over about `quiet` s
             share = -math.expm1((s.time - time) / self.quiet)
-            power = (1.0 - share) * s.power + share * (work - s.work) / (time - s.time)
-        s = replace(s, peak=max(s.peak, force), time=time, work=work, power=power)
-        glanced_off = (
-            time - s.loud > self.held_quiet and abs(force) <= QUIET_FORCE * s.peak and sinking <= self.glancing
-        )
+            s.power = (1.0 - share) * s.power + share * (work - s.work) / (time - s.time)
+        s.peak, s.time, s.work = max(s.peak, force), time, work
+        is_loud = abs(force) > QUIET_FORCE * s.peak
+        glanced_off = time - s.loud > self.held_quiet and not is_loud and sinking <= self.glancing
         if s.turned is None and s.peak > 0.0 and (sinking <= self.slow or glanced_off):
-            s = replace(s, turned=time)
-        if s.turned is not None and sinking < 0.0:
-            s = replace(s, risen=True)
-        if s.risen and sinking >= 0.0 and grip in ("held", "secure"):
-            s = replace(s, arrested=True)
+            s.turned = time
+        s.risen |= s.turned is not None and sinking < 0.0
+        s.arrested |= s.risen and sinking >= 0.0 and grip in ("held", "secure")
         # energy of waves and of rotation may still part bonds
         is_tearing = grip == "failing" or (grip != "free" and s.risen)
         if grip == "free" or is_tearing or (grip == "held" and abs(sinking) > self.held_slow):
-            s = replace(s, fast=time)
+            s.fast = time
         if above:
-            s = replace(s, above=time)
-        is_loud = is_tearing or abs(force) > QUIET_FORCE * s.peak
-        self._state = replace(s, loud=time) if is_loud else s
+            s.above = time
+        if is_tearing or is_loud:
+            s.loud = time
 
     @property
     def turned(self) -> float | None:
         """Time of the greatest deformation, s; None before it."""
-        return self._state.turned
+        return self.seen.turned
 
     def reached(self, time: float) -> bool:
         """Whether the impact is over at `time` s, the time last observed: its criterion is met, or its time limit has come."""
-        return self.met(time) or self.at_limit(time) or (self.at != "time" and self.slid_off(time))
+        return self.met(time) or self.at_limit(time) or (self.seen.at != "time" and self.slid_off(time))
 
     def met(self, time: float) -> bool:
         """Whether the criterion itself is met at `time` s."""
-        return {"rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)}[self.at]
+        return {"rest": self.settled(time), "greatest": self.turned is not None, "time": self.at_limit(time)}[
+            self.seen.at
+        ]
 
     def settled(self, time: float) -> bool:
         """Whether the particle has left, or rests: past the greatest deformation the contact has been silent for `quiet` s, bonds have
         stopped its rebound, a bonded particle has moved little for `held_quiet` s, or one to be tied hardly deforms any more."""
-        s = self._state
+        s = self.seen
         is_quiet = time - s.loud > self.quiet or time - s.fast > self.held_quiet
         return s.turned is not None and (s.arrested or is_quiet or s.power < self.spent)
 
     def slid_off(self, time: float) -> bool:
         """Whether the particle has left over the rim of the target: beyond it the contact has been silent for `quiet` s."""
-        return self.touched and time - max(self._state.above, self._state.loud) > self.quiet
+        return self.touched and time - max(self.seen.above, self.seen.loud) > self.quiet
 
     def at_limit(self, time: float) -> bool:
         """Whether the time limit has come at `time` s."""
-        return time >= self.end_time * (1 - 1e-12)
+        return time >= self.seen.end_time * (1 - 1e-12)
 
     @property
     def touched(self) -> bool:
         """Whether there has been any contact force."""
-        return self._state.peak > 0.0
+        return self.seen.peak > 0.0
 
     def undecided(self, time: float, sinking: float) -> str | None:
         """Why the impact ended at `time` s without its criterion; None where it is met. sinking: m/s."""
         if self.met(time):
             return None
-        aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.at]
+        aim = {"rest": "at rest", "greatest": "at its greatest deformation"}[self.seen.at]
         if self.slid_off(time):
             return f"not {aim} when it slid over the rim of the target: make substrate.diameter larger"
         motion = f"sinks at {sinking:.3g} m/s" if sinking > 0.0 else f"rises at {-sinking:.3g} m/s"
-        return f"not {aim} at its time limit of {self.end_time * 1e9:.4g} ns: the particle {motion}"
-
-    def state(self) -> EndState:
-        """What it has seen so far, and its end."""
-        return replace(self._state, at=self.at, end_time=self.end_time)
-
-    def restore(self, state: EndState) -> None:
-        """Go on from a `state`."""
-        self._state, self.at, self.end_time = state, state.at, state.end_time
+        return f"not {aim} at its time limit of {self.seen.end_time * 1e9:.4g} ns: the particle {motion}"
 
     def extend(self, time: float, until: float | None) -> None:
         """Let an impact that is at its end at `time` s go on until `until` s; without that, one that has not met its criterion goes on
         for as long again as it has had, and one that has is over: its run was stopped later."""
         if until is None:
             if self.at_limit(time) and not self.met(time):
-                self.end_time += time
+                self.seen.end_time += time
         elif self.at_limit(time):
-            self.end_time = until
+            self.seen.end_time = until
         elif self.met(time):  # its verdict is undecided
-            self.at, self.end_time = "time", until
+            self.seen.at, self.seen.end_time = "time", until

@@ -10,17 +10,16 @@ from functools import cached_property
 from typing import Annotated
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack
+from scipy.sparse import hstack
 
-from ..contact.bond import Bond, BondState
+from ..contact.bond import Bond
 from ..contact.contact import ContactState
 from ..contact.hold import SECURE, Hold, bonds_at
 from ..contact.model import Nodes
 from ..core.records import Shape, assign, check_indices, collect
-from ..errors import SolverError
+from ..errors import CheckpointError, SolverError
 from ..fe.gradients import growing
 from ..geometry.points import depths
-from ..geometry.triangles import rings
 from ..physics.adhesion import HELD_STIFFNESS, oxide_film
 from ..physics.constitutive import is_metal
 from ..physics.materials import Material
@@ -30,8 +29,8 @@ from ..ranks.distributed import ParticleState
 from ..target.bodies import BodiesState
 from .domains import Domains
 from .ending import Grip
-from .exposure import Exposure, ExposureState
-from .ledger import Ledger, LedgerState
+from .exposure import Exposure
+from .ledger import Ledger
 from .touching import Touching
 
 APPROACH = 0.5  # spacings that a point may move in a chunk of steps, in which its stable step is not computed again
@@ -46,13 +45,13 @@ class ImpactState:
     particle: ParticleState
     contact: ContactState
     folding: ContactState | None
-    ledger: LedgerState
-    hold: BondState | None
+    ledger: Ledger
+    hold: Bond | None
     time: float
     deepest: float
     limits: dict[str, int]
     force: Annotated[np.ndarray, Shape(3)]
-    exposure: ExposureState | None
+    exposure: Exposure | None
 
 
 class Impact:
@@ -69,7 +68,7 @@ class Impact:
         self.surface, self.contact, self.folding = domains.surface, domains.contact, domains.folding
         self._softness = self.surface.softness(self.particle.mass)
         self.surface_nodes = np.unique(self.target.mesh.facets[self.contact.facing[0]])
-        self.ledger = Ledger(domains)
+        self.ledger = Ledger.begin(domains)
         self.time = 0.0
         self.force = np.zeros(3)
         self.deepest = 0.0
@@ -82,10 +81,7 @@ class Impact:
     @cached_property
     def _rings(self) -> tuple[np.ndarray, np.ndarray]:
         """Contact nodes beside each vertex of the particle's surface: its neighbours, and the points under it."""
-        vertices = self.surface.weights.shape[0]
-        start, ring = rings(self.surface.triangles, np.arange(vertices))
-        neighbours = csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
-        beside = hstack([neighbours, self.surface.under], format="csr")
+        beside = hstack([self.surface.neighbours, self.surface.under], format="csr")
         return beside.indptr.astype(np.int64), beside.indices.astype(np.int64)
 
     @property
@@ -195,7 +191,7 @@ class Impact:
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
         """Take note of the clean metal that this window has exposed where it touches now."""
         if self.exposure is None:
-            self.exposure = Exposure(self.domains)
+            self.exposure = Exposure.begin(self.domains)
         if self._films is None:
             self._films = np.array([oxide_film(impact_plan.material, metal) for metal in self._metals(plan)])
         self.exposure.update(self.domains, touching, self._films[:, 0])
@@ -278,12 +274,10 @@ class Impact:
         self.contact.restore(state.contact)
         if self.folding is not None and state.folding is not None:
             self.folding.contact.restore(state.folding)
-        self.ledger.restore(state.ledger)
         assign(self, state)
-        self.hold = self.exposure = None
-        if state.exposure is not None:
-            self.exposure = Exposure(self.domains)
-            self.exposure.restore(state.exposure)
+        self.ledger, self.exposure, self.hold = state.ledger, state.exposure, None
+        if self.exposure is not None and len(self.exposure.clean) != self.surface.weights.shape[0]:
+            raise CheckpointError("a state does not fit: the particle has another surface")
         if state.hold is not None:
-            check_indices(state.hold.rows, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
-            self.hold = Hold(Bond.from_state(state.hold), *self._rings)
+            check_indices(state.hold, nodes=len(self.target.nodes.x), points=self.surface.weights.shape[0])
+            self.hold = Hold(state.hold, *self._rings)

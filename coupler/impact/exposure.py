@@ -4,44 +4,37 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
-from ..core.records import Shape, assign, collect
-from ..geometry.triangles import areas, rings, vertex_areas
+from ..core.records import Shape
+from ..geometry.triangles import areas, vertex_areas
 from ..physics.adhesion import EXTRUSION, clean_share, ligament_bonds, ligament_width, sound_fraction
 from .domains import Domains
 from .touching import Touching
 
 
-@dataclass(frozen=True)
-class ExposureState:
-    """area_0 (v,), facet_area_0 (f,) m2: at the start; the others: see `Exposure`."""
-
-    area_0: Annotated[np.ndarray, Shape(-1)]
-    facet_area_0: Annotated[np.ndarray, Shape(-1)]
-    clean: Annotated[np.ndarray, Shape(-1, 2)]
-    sound: Annotated[np.ndarray, Shape(-1)]
-
-
+@dataclass(eq=False)
 class Exposure:
     """What the interface has gone through so far, at the v vertices of the particle's surface.
 
     clean (v,2): share of clean metal of the two surfaces, the smaller and the larger (`physics.adhesion.clean_share`), when the smaller
     was largest. sound (v,): share of the area at which clean metal has come through the cracks to the other surface, the largest so far
     (`physics.adhesion.sound_fraction`). extruding (v,): whether the pressure of this instant brings metal through the cracks.
+    area_0 (v,), facet_area_0 (f,) m2: at the start.
     """
 
-    def __init__(self, domains: Domains):
-        surface, mesh = domains.surface, domains.target.mesh
-        skin = surface.positions(domains.particle.x)
-        self.area_0, self.facet_area_0 = (
-            vertex_areas(skin, surface.triangles),
-            areas(domains.target.nodes.x, mesh.facets),
-        )
-        self.clean, self.sound = np.zeros((len(skin), 2)), np.zeros(len(skin))
-        self.extruding = np.zeros(len(skin), bool)
-        start, ring = rings(surface.triangles, np.arange(len(skin)))
-        self._ring = csr_matrix((np.ones(len(ring)), ring, start), shape=(len(skin), len(skin)))
+    area_0: Annotated[np.ndarray, Shape(-1)]
+    facet_area_0: Annotated[np.ndarray, Shape(-1)]
+    clean: Annotated[np.ndarray, Shape(-1, 2)]
+    sound: Annotated[np.ndarray, Shape(-1)]
+    extruding: Annotated[np.ndarray, Shape(-1, dtype=bool)]
+
+    @classmethod
+    def begin(cls, domains: Domains) -> "Exposure":
+        """That of an impact that begins."""
+        surface, target = domains.surface, domains.target
+        area_0 = vertex_areas(surface.positions(domains.particle.x), surface.triangles)
+        n, facet_area_0 = len(area_0), areas(target.nodes.x, target.mesh.facets)
+        return cls(area_0, facet_area_0, np.zeros((n, 2)), np.zeros(n), np.zeros(n, bool))
 
     def update(self, domains: Domains, touching: Touching, threshold: np.ndarray) -> None:
         """Take note of what touches now. threshold (l,): exposure at which the films on each law of the target crack."""
@@ -56,7 +49,8 @@ class Exposure:
         cracked = threshold[target.law_of[touching.element]]
         clean = np.sort(np.stack([clean_share(own, cracked), clean_share(other, cracked)], axis=1), axis=1)
         self.clean[rows] = np.where((clean > self.clean[rows])[:, :1], clean, self.clean[rows])
-        pressure = ((force + self._ring @ force) / (area + self._ring @ area))[rows]  # of a vertex and its neighbours
+        beside = domains.surface.neighbours
+        pressure = ((force + beside @ force) / (area + beside @ area))[rows]  # of a vertex and its neighbours
         self.extruding[rows] = pressure > EXTRUSION * strength
         self.sound[rows] = np.maximum(self.sound[rows], sound_fraction(self.clean[rows, 0], pressure, strength))
 
@@ -68,11 +62,3 @@ class Exposure:
         smaller, larger = self.clean[rows].T
         width = ligament_width(smaller, film_force, strength)
         return ligament_bonds(self.sound[rows], width, larger, strength, stiffness)
-
-    def state(self) -> ExposureState:
-        """Everything there is to keep."""
-        return collect(ExposureState, self)
-
-    def restore(self, state: ExposureState) -> None:
-        """Go on from a `state`. Raises CheckpointError where it does not fit."""
-        assign(self, state)

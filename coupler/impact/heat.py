@@ -65,10 +65,10 @@ class HeatPaths:
         """Turn the heat of torn bonds since the last call into temperature, the contact's `share` of it on the particle's side."""
         if not self.friction:
             return
-        rows, nodes, heat = hold.heat()
+        heat = hold.bond.heat()
         if heat.any():
-            self._warm_surface(rows, self.contact.share * heat)
-            self.target.warm_around(nodes, np.repeat((1.0 - self.contact.share) / 3.0 * heat, 3))
+            self._warm_surface(hold.rows, self.contact.share * heat)
+            self.target.warm_around(hold.bond.triangles, np.repeat((1.0 - self.contact.share) / 3.0 * heat, 3))
 
     def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from ..contact.hold import Hold
-from ..core.records import Shape, assign, collect
+from ..core.records import Shape
 from ..errors import SolverError
 from .domains import Domains
 
@@ -22,18 +22,7 @@ _STORED = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class LedgerState:
-    """kinetic_0: initial kinetic energy, J; momentum_0 (3,): initial momentum, N s; scale: its norm for the particle alone; before: the
-    terms at the start, J; rows: the terms at the last update."""
-
-    kinetic_0: float
-    scale: float
-    before: dict[str, float]
-    rows: dict[str, float]
-    momentum_0: Annotated[np.ndarray, Shape(3)]
-
-
+@dataclass
 class Ledger:
     """Energies of both domains in J, of one impact: the energy of the target before the impact is subtracted.
 
@@ -43,15 +32,24 @@ class Ledger:
     unexplained_particle, the rest (with an engine that does not measure them: all of it). numerical_target is the work of the bulk
     viscosity, the target's only dissipation, and what the inertia of its scaled elements holds and has taken. The target's elastic and
     plastic energies are functions of its state, so that the drift measures its stress update and the contact as well.
+
+    kinetic_0: initial kinetic energy, J; momentum_0 (3,): initial momentum, N s; scale: its norm for the particle alone; before: the
+    terms at the start, J; rows: the terms at the last update.
     """
 
-    def __init__(self, domains: Domains):
-        particle, target = domains.particle, domains.target
-        self.kinetic_0 = particle.totals.kinetic
-        self.momentum_0 = particle.totals.momentum + target.momentum() - target.external_impulse()
-        self.scale = float(np.linalg.norm(particle.totals.momentum))
-        self.rows: dict[str, float] = {}
-        self.before = _terms(domains, None)
+    kinetic_0: float
+    scale: float
+    before: dict[str, float]
+    rows: dict[str, float]
+    momentum_0: Annotated[np.ndarray, Shape(3)]
+
+    @classmethod
+    def begin(cls, domains: Domains) -> "Ledger":
+        """The ledger of an impact that begins."""
+        momentum, target = domains.particle.totals.momentum, domains.target
+        whole = momentum + target.momentum() - target.external_impulse()
+        scale, before = float(np.linalg.norm(momentum)), _terms(domains, None)
+        return cls(domains.particle.totals.kinetic, scale, before, {}, whole)
 
     def update(self, domains: Domains, hold: Hold | None = None) -> dict[str, float]:
         """Energies (J), drift (of the initial kinetic energy) and momentum_error (of the initial momentum) of this instant.
@@ -106,14 +104,6 @@ class Ledger:
                 f"the SPH scheme generated {-min(dissipated, unexplained):.2%} of the initial kinetic energy: it is unstable; "
                 "try a finer preset"
             )
-
-    def state(self) -> LedgerState:
-        """The terms at the start and at the last update."""
-        return collect(LedgerState, self)
-
-    def restore(self, state: LedgerState) -> None:
-        """Go on from a `state`."""
-        assign(self, state)
 
 
 def _terms(domains: Domains, hold: Hold | None) -> dict[str, float]:

@@ -22,7 +22,7 @@ def advance_to_end(
 
     Raises SolverError when a domain fails or the energy ledger does not close, StoreError when a file cannot be written.
     """
-    end_time, adhesion = ending.end_time if ending.at == "time" else None, recorder.plan.adhesion
+    end_time, adhesion = ending.seen.end_time if ending.seen.at == "time" else None, recorder.plan.adhesion
     while not ending.reached(impact.time):
         keep()
         dt = advance_window(impact, end_time)
@@ -35,7 +35,7 @@ def advance_to_end(
         if ending.turned is not None:
             if adhesion.in_impact and adhesion.criterion != "exposure":
                 impact.bond(recorder.plan, recorder.impact_plan, Touching(impact.domains))
-            if recorder.greatest is None:
+            if recorder.seen.greatest is None:
                 recorder.record_greatest(impact)
         recorder.record(impact, dt, is_last=ending.reached(impact.time))
         if probe is not None:

@@ -1,12 +1,12 @@
 """What is written of an impact while it runs: rows of the history, fields in time, and the ranges that it has left."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..core.records import Shape, collect
+from ..core.records import Shape
 from ..errors import SolverError
 from ..files.store import Store
 from ..geometry.extent import UP, extent
@@ -24,19 +24,22 @@ ROWS = 50  # rows of the history in D / v
 VTK_ORDER = [0, 1, 2, 5, 3, 4]  # of tensor components: xx yy zz xy yz xz, as ParaView reads them
 
 
-@dataclass(frozen=True)
-class RecorderState:
-    """next_row, next_output: times in s; greatest: measures at the greatest deformation, None before it; extremes: by body;
-    over_rim, in_layer, met, touched_at: see `Recorder`."""
+@dataclass
+class Recorded:
+    """What is due next, and what has been noticed of an impact so far. next_row, next_output: times in s; greatest: measures at the
+    greatest deformation, None before it; over_rim: the particle has reached beyond the substrate's edge and below its surface;
+    in_layer: it has touched the layer where the window of the target damps velocities; met (k,): heights, m, of the surface that it
+    meets, at its nodes, before the impact; touched_at: height of the particle's centre, m, when it last touched anything, or
+    before it has."""
 
-    next_row: float
-    next_output: float
-    greatest: dict[str, float] | None
-    extremes: dict[str, dict[str, float]]
-    over_rim: bool
-    in_layer: bool
-    met: Annotated[np.ndarray, Shape(-1)]
-    touched_at: float
+    next_row: float = 0.0
+    next_output: float = 0.0
+    greatest: dict[str, float] | None = None
+    extremes: Extremes = field(default_factory=Extremes)
+    over_rim: bool = False
+    in_layer: bool = False
+    met: Annotated[np.ndarray, Shape(-1)] = field(default_factory=lambda: np.zeros(0))
+    touched_at: float = 0.0
 
 
 def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
@@ -55,33 +58,25 @@ def cell_fields(bodies: Bodies) -> dict[str, np.ndarray]:
 class Recorder:
     """Writes one impact into the files of its run.
 
-    before: simulated time (s) of the impacts before it. greatest: measures at the greatest deformation, None before it. over_rim:
-    the particle has reached beyond the substrate's edge and below its surface. in_layer: it has touched the layer where the
-    target's window damps velocities. met (k,): heights, m, of the surface that the particle meets, at its nodes, before the impact.
-    touched_at: height of the particle's centre, m, when it last touched anything, or before it has.
+    before: simulated time (s) of the impacts before it.
     """
 
     def __init__(self, plan: Plan, i: int, store: Store, progress: Progress, before: float):
         self.plan, self.i, self.impact_plan = plan, i, plan.impacts[i]
         self.store, self.progress, self.before = store, progress, before
-        self.extremes = Extremes()
-        self.over_rim = self.in_layer = False
-        self.met = np.zeros(0)
-        self.touched_at = 0.0
-        self.greatest: dict[str, float] | None = None
+        self.seen = Recorded()
         self._row_every = self.impact_plan.diameter / float(np.linalg.norm(self.impact_plan.velocity)) / ROWS
-        self.next_row = self.next_output = 0.0
         self._written = -1.0  # s: time of the last fields
 
     def start(self, impact: Impact) -> None:
         """Write the fields of the first instant, if a state gone back to does not hold them already: of the first impact, and of others
         where not their end alone is written."""
-        if self.next_output == 0.0:
-            self.met = impact.target.nodes.x[impact.surface_nodes, 2]
-            self.touched_at = float(impact.particle.x[:, 2].mean())
+        if self.seen.next_output == 0.0:
+            self.seen.met = impact.target.nodes.x[impact.surface_nodes, 2]
+            self.seen.touched_at = float(impact.particle.x[:, 2].mean())
             if self.i == 0 or np.isfinite(self.impact_plan.output_every):
                 self.write_fields(impact)
-            self.next_output = self.impact_plan.output_every
+            self.seen.next_output = self.impact_plan.output_every
 
     def record(self, impact: Impact, dt: float, is_last: bool) -> None:
         """Write what is due after a chunk of steps of dt s, and everything after the last one.
@@ -89,16 +84,16 @@ class Recorder:
         Raises SolverError when the ledger is far from closed, StoreError when a file cannot be written.
         """
         if impact.force.any() or not impact.deepest > 0.0:
-            self.touched_at = float(impact.particle.x[:, 2].mean())
-        if is_last or impact.time >= self.next_row:
+            self.seen.touched_at = float(impact.particle.x[:, 2].mean())
+        if is_last or impact.time >= self.seen.next_row:
             self.write_row(impact, dt)
-        if impact.time > self._written and (is_last or impact.time >= self.next_output):
+        if impact.time > self._written and (is_last or impact.time >= self.seen.next_output):
             self.write_fields(impact)
 
     def record_greatest(self, impact: Impact) -> None:
         """Measure the greatest deformation, and write it where not the end alone is written."""
-        self.greatest = self.measures(impact)
-        if np.isfinite(self.next_output):
+        self.seen.greatest = self.measures(impact)
+        if np.isfinite(self.seen.next_output):
             self.write_fields(impact)
 
     def write_row(self, impact: Impact, dt: float) -> None:
@@ -123,7 +118,7 @@ class Recorder:
         row["stretch_min"] = particle.totals.stretch_min
         self.store.record(row)
         self._notice(impact, skin)
-        self.next_row = impact.time + self._row_every
+        self.seen.next_row = impact.time + self._row_every
         if not np.isfinite(ledger["drift"]):
             raise SolverError(f"the energy is no longer a number at t = {impact.time * 1e9:.3f} ns: try a finer preset")
         impact.ledger.check(DRIFT_ALARM)
@@ -137,11 +132,11 @@ class Recorder:
     def _notice(self, impact: Impact, skin: np.ndarray) -> None:
         """Note where the impact leaves the range of its models. skin (k,3) m: the particle's surface."""
         target, substrate = impact.target, self.plan.target
-        self.extremes.note(impact.particle, target)
+        self.seen.extremes.note(impact.particle, target)
         beside = np.hypot(*(skin[:, :2] - substrate.centre).T) > 0.5 * substrate.diameter
-        self.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
+        self.seen.over_rim |= bool(np.any(beside & (skin[:, 2] < 0.0)))
         facets = impact.contact.touching(len(skin))[1]
-        self.in_layer |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
+        self.seen.in_layer |= bool(np.any(target.mesh.reach_node[target.mesh.facets[facets]] > target.undisturbed))
 
     def write_fields(self, impact: Impact) -> None:
         """One time step of particle.vtkhdf, surface.vtkhdf and target.vtkhdf."""
@@ -159,7 +154,7 @@ class Recorder:
         skin["from_points"] = cKDTree(p.x).query(vertices)[0]
         self.store.write("surface", time, vertices, s.triangles, skin)
         self.store.write("target", time, t.nodes.x, t.mesh.conn, {"velocity": t.velocity()}, cell_fields(impact.bodies))
-        self._written, self.next_output = impact.time, impact.time + self.impact_plan.output_every
+        self._written, self.seen.next_output = impact.time, impact.time + self.impact_plan.output_every
 
     def measures(self, impact: Impact) -> dict[str, float]:
         """Measures of this instant, SI."""
@@ -169,7 +164,7 @@ class Recorder:
 
     def _flight(self, impact: Impact) -> float:
         """How far (m) a particle that touches nothing has risen since it did: shape is measured where it left."""
-        return max(0.0, float(impact.particle.x[:, 2].mean()) - self.touched_at)
+        return max(0.0, float(impact.particle.x[:, 2].mean()) - self.seen.touched_at)
 
     def _crater(self, impact: Impact) -> float:
         """Depth (m) of this impact's own crater: how far it has pushed down the surface that it met, not what others left before.
@@ -178,19 +173,8 @@ class Recorder:
         these are too few, the lowest counts.
         """
         x = impact.target.nodes.x[impact.surface_nodes]
-        lowered = self.met - x[:, 2]
+        lowered = self.seen.met - x[:, 2]
         inner = lowered > (0.5 * lowered.max(initial=0.0) if impact.bodies.count > 1 else -np.inf)
         if impact.bodies.count > 1 and inner.sum() < FITTED:
             return float(lowered.max(initial=0.0))
         return crater_depth(np.column_stack([x[inner, :2], -lowered[inner]]))
-
-    def state(self) -> RecorderState:
-        """What is due next, and what was noticed so far."""
-        return collect(RecorderState, self)
-
-    def restore(self, state: RecorderState) -> None:
-        """Go on from a `state`."""
-        self.extremes.restore(state.extremes)
-        for f in fields(state):
-            if f.name != "extremes":
-                setattr(self, f.name, getattr(state, f.name))

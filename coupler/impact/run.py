@@ -19,7 +19,7 @@ from .domains import Domains, build_domains, restored_target
 from .ending import STILL, EndCriterion, EndState
 from .exchange import Impact, ImpactState
 from .loop import advance_to_end
-from .recorder import Recorder, RecorderState
+from .recorder import Recorded, Recorder
 from .retry import Retry, next_retry
 from .stop import Stopped, StopSignals
 from .summary import ImpactRecord, summarise
@@ -64,7 +64,7 @@ class RunningState:
 
     impact: ImpactState
     ending: EndState
-    recorder: RecorderState
+    recorder: Recorded
     retries: list[Retry]
     level: float
     wall: float
@@ -148,9 +148,8 @@ class _Attempt:
             self.recorder = Recorder(plan, i, store, options.progress, before)
             if state is not None:
                 self.impact.restore(state.impact)
-                self.ending.restore(state.ending)
+                self.ending.seen, self.recorder.seen = state.ending, state.recorder
                 self.ending.extend(self.impact.time, options.until)
-                self.recorder.restore(state.recorder)
         except BaseException:
             self.give_up()
             raise
@@ -164,8 +163,15 @@ class _Attempt:
         impact, ending, recorder = self.impact, self.ending, self.recorder
 
         def state() -> RunningState:
-            now = impact.state(), ending.state(), recorder.state()
-            return RunningState(*now, list(self.retries), self.domains.level, watch.wall, watch.looped)
+            return RunningState(
+                impact.state(),
+                ending.seen,
+                recorder.seen,
+                list(self.retries),
+                self.domains.level,
+                watch.wall,
+                watch.looped,
+            )
 
         recorder.start(impact)
         watch.start_loop()

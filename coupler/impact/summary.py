@@ -115,7 +115,7 @@ def summarise(
         )
     own = accepted(own, refused)
     end = accepted(end, refused, "end.")
-    greatest = accepted(recorder.greatest, refused, "greatest.") if recorder.greatest is not None else None
+    greatest = accepted(recorder.seen.greatest, refused, "greatest.") if recorder.seen.greatest is not None else None
     return ImpactRecord(
         {**own, "greatest": greatest, "end": end, "refused": refused, "errors": {}},
         [*_beyond(impact, recorder), *_molten(impact, recorder), *map(str, retries)],
@@ -135,7 +135,7 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
     """Warnings where the impact left the range that its models were fitted in."""
     plan, impact_plan, number = recorder.plan, recorder.impact_plan, recorder.i + 1
     metals = {"particle": impact_plan.material, "target": plan.target.material}
-    beyond = recorder.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
+    beyond = recorder.seen.extremes.warnings(number, metals, plan.effects.mie_gruneisen)
     domains = impact.domains
     if domains.folding is not None:
         share = share_inside_itself(domains.body, domains.place, domains.surface, impact.particle.x)
@@ -144,12 +144,12 @@ def _beyond(impact: Impact, recorder: Recorder) -> list[str]:
                 f"impact {number}: {share:.1%} of the particle's points lie in another part of it: its shape and strain are"
                 " not those of a real one: try a finer preset"
             )
-    if recorder.over_rim:
+    if recorder.seen.over_rim:
         beyond.append(
             f"impact {number}: the particle went over the rim of the substrate ({plan.target.diameter * 1e6:.4g} um wide),"
             " which a real one does not have there: make substrate.diameter larger"
         )
-    if recorder.in_layer:
+    if recorder.seen.in_layer:
         beyond.append(
             f"impact {number}: the particle touched the rim of its window of {impact_plan.window * 1e6:.4g} um, beyond which"
             " the target does not give way: make substrate.window larger"

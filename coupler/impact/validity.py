@@ -7,10 +7,10 @@ Mie-Grueneisen, the compression at which a linear equation of state is off by a 
 """
 
 import re
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import CheckpointError
 from ..fe.explicit import Target
 from ..physics.materials import Material
 from ..plan.remarks import BEYOND_FIT, NEAR_MELTING
@@ -18,85 +18,75 @@ from ..ranks.distributed import DistributedParticle
 
 FITTED_VELOCITY = 2000.0  # m/s, of matter behind the shock
 LINEAR_ERROR = 0.05
-_NAMES = ("rate", "melting", "strain", "compression")
 
 
+@dataclass
+class Extreme:
+    """The largest of a body in an impact so far. rate: 99th percentile of the plastic strain rate, 1/s, where something flows; melting:
+    temperature over the melting point of the metal there; strain: 99th percentile of the plastic strain; compression: 1 - J."""
+
+    rate: float = 0.0
+    melting: float = 0.0
+    strain: float = 0.0
+    compression: float = 0.0
+
+    def note(self, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
+        """Take note of the state of all points or elements; J at points or nodes."""
+        self.rate = max(self.rate, _percentile(rate))
+        self.melting = max(self.melting, float(np.max(melting, initial=0.0)))
+        self.strain = max(self.strain, _percentile(eps_p))
+        self.compression = max(self.compression, 1.0 - float(np.min(J, initial=1.0)))
+
+
+def _percentile(values: np.ndarray) -> float:
+    """99th percentile of those above zero, 0 without any."""
+    above = values[values > 0.0]
+    return float(np.percentile(above, 99)) if len(above) else 0.0
+
+
+@dataclass
 class Extremes:
-    """The largest of an impact so far, by body: 99th percentile of the plastic strain rate, 1/s, where something flows;
-    temperature over the melting point of the metal there; 99th percentile of the plastic strain; compression 1 - J."""
+    """Those of both bodies."""
 
-    def __init__(self) -> None:
-        self.extremes: dict[str, dict[str, float]] = {
-            body: dict.fromkeys(_NAMES, 0.0) for body in ("particle", "target")
-        }
+    particle: Extreme = field(default_factory=Extreme)
+    target: Extreme = field(default_factory=Extreme)
 
     def note(self, particle: DistributedParticle, target: Target) -> None:
-        """Look at the particle and the active part of the target."""
-        n, m = target.active_nodes, target.active_elements
-        self._keep(
-            "particle",
-            particle.points.rate,
-            particle.points.T / particle.law["T_m"][0],
-            particle.points.eps_p,
-            particle.points.J,
-        )
-        melting = target.elements.T[:m] / target.laws["T_m"][target.law_of[:m]]
-        self._keep("target", target.elements.rate[:m], melting, target.elements.eps_p[:m], target.nodes.J[:n])
-
-    def _keep(self, body: str, rate: np.ndarray, melting: np.ndarray, eps_p: np.ndarray, J: np.ndarray) -> None:
-        flows = rate[rate > 0.0]
-        now = (
-            float(np.percentile(flows, 99)) if len(flows) else 0.0,
-            float(np.max(melting, initial=0.0)),
-            float(np.percentile(eps_p[eps_p > 0.0], 99)) if np.any(eps_p > 0.0) else 0.0,
-            1.0 - float(np.min(J, initial=1.0)),
-        )
-        kept = self.extremes[body]
-        for name, value in zip(_NAMES, now, strict=True):
-            kept[name] = max(kept[name], value)
-
-    def state(self) -> dict[str, dict[str, float]]:
-        """The largest so far, by body and name."""
-        return {body: dict(kept) for body, kept in self.extremes.items()}
-
-    def restore(self, state: dict[str, dict[str, float]]) -> None:
-        """Go on from a `state`. Raises CheckpointError for one of other bodies or names."""
-        if {body: set(kept) for body, kept in state.items()} != {
-            body: set(kept) for body, kept in self.extremes.items()
-        }:
-            raise CheckpointError("a state does not fit: the extremes have other names")
-        self.extremes = {body: dict(kept) for body, kept in state.items()}
+        """Take note of the particle and of the active part of the target."""
+        n, m, p, e = target.active_nodes, target.active_elements, particle.points, target.elements
+        self.particle.note(p.rate, p.T / particle.law["T_m"][0], p.eps_p, p.J)
+        self.target.note(e.rate[:m], e.T[:m] / target.laws["T_m"][target.law_of[:m]], e.eps_p[:m], target.nodes.J[:n])
 
     def warnings(self, impact: int, materials: dict[str, Material], mie_gruneisen: bool) -> list[str]:
         """What was left, each with the limit. impact: counted from 1; materials: of "particle" and "target"."""
         texts, left = [], []
-        for body, kept in self.extremes.items():
+        for body, kept in vars(self).items():
             metal, where = materials[body], f"impact {impact}: in the {body}"
             left += _beyond_fit(body, metal, kept)
             limit = greatest_compression(metal, mie_gruneisen)
-            if kept["compression"] > limit:
+            if kept.compression > limit:
                 shock, linear = "the fit of the shock equation of state", "what a linear equation of state is good for"
                 law = shock if mie_gruneisen else linear
-                GPa = pressure(metal, kept["compression"]) / 1e9
+                GPa = pressure(metal, kept.compression) / 1e9
                 texts.append(
-                    f"{where} the volume went down by {kept['compression']:.1%}, {GPa:.3g} GPa, beyond {law}"
+                    f"{where} the volume went down by {kept.compression:.1%}, {GPa:.3g} GPa, beyond {law}"
                     f" ({limit:.1%}, {pressure(metal, limit) / 1e9:.3g} GPa)"
                 )
         return [f"impact {impact}: {BEYOND_FIT}: {'; '.join(left)}", *texts] if left else texts
 
 
-def _beyond_fit(body: str, metal: Material, kept: dict[str, float]) -> list[str]:
+def _beyond_fit(body: str, metal: Material, kept: Extreme) -> list[str]:
     """What a body reached beyond the range that the strength of its metal is fitted in, as one text, or none."""
-    fitted, T = metal.strength.fitted, kept["melting"] * metal.T_m
+    fitted, T = metal.strength.fitted, kept.melting * metal.T_m
     parts = []
-    if kept["rate"] > metal.fitted_rate:
-        parts.append(f"strain rate {kept['rate']:.1e} 1/s (99 %; fitted to {metal.fitted_rate:.0e})")
+    if kept.rate > metal.fitted_rate:
+        parts.append(f"strain rate {kept.rate:.1e} 1/s (99 %; fitted to {metal.fitted_rate:.0e})")
     if fitted.temperature and T > fitted.temperature[1]:
         parts.append(f"{T:.0f} K (to {fitted.temperature[1]:.0f} K)")
-    elif kept["melting"] > NEAR_MELTING:
-        parts.append(f"{kept['melting']:.2f} of the melting point (to {NEAR_MELTING:g})")
-    if fitted.strain and kept["strain"] > fitted.strain:
-        parts.append(f"strain {kept['strain']:.2g} (99 %; to {fitted.strain:g})")
+    elif kept.melting > NEAR_MELTING:
+        parts.append(f"{kept.melting:.2f} of the melting point (to {NEAR_MELTING:g})")
+    if fitted.strain and kept.strain > fitted.strain:
+        parts.append(f"strain {kept.strain:.2g} (99 %; to {fitted.strain:g})")
     return [f"{body} ({metal.name}, {metal.strength.set or metal.strength.law}) {', '.join(parts)}"] if parts else []
 
 

@@ -148,12 +148,12 @@ def verdict_values(
         "rebound_velocity_m_s": max(upwards, 0.0) if left else None,
     }  # fmt: skip
     if law.in_impact:
-        first, last = hold.area if hold is not None else (0.0, 0.0)
-        energy = 0.0 if hold is None else float(hold.bond.area @ hold.bond.energy[:, 0])
+        area, bond = (np.zeros(0), None) if hold is None else (hold.bond.area, hold.bond)
+        energy = 0.0 if bond is None else float(area @ bond.energy[:, 0])
         values |= {
             "verdict_by_bonds": decided.bonds or decided.verdict,
-            "bonded_area_m2": first,
-            "bonded_area_end_m2": last,
+            "bonded_area_m2": float(area.sum()),
+            "bonded_area_end_m2": 0.0 if bond is None else float(area @ bond.soundness),
             "bond_energy_J": energy if math.isfinite(energy) else None,
         }
     return values | {"velocity_ratio": impact.velocity_ratio, "particle_mass_kg": mass}

@@ -6,12 +6,15 @@ moving least squares in the reference configuration). It is exact for any affine
 half a spacing inside it.
 """
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import csr_matrix, identity, vstack
 from scipy.spatial import cKDTree
 
 from ..core.threads import share, together
 from ..geometry.products import times, times_rows
+from ..geometry.triangles import rings
 from . import carried_kernels as k
 
 SUPPORT = 2.2  # spacings: about 20 points on the inner side of a vertex
@@ -54,19 +57,21 @@ class CarriedSurface:
         self.average = csr_matrix((shepard, (rows, columns)), shape=shape)
         self._average = _compressed(self.average)
 
+    @cached_property
+    def neighbours(self) -> csr_matrix:
+        """1 for each two vertices (k,k) that share a triangle."""
+        vertices = self.weights.shape[0]
+        start, ring = rings(self.triangles, np.arange(vertices))
+        return csr_matrix((np.ones(len(ring)), ring, start), shape=(vertices, vertices))
+
     def positions(self, x: np.ndarray) -> np.ndarray:
         """Vertices (k,3) now, from the positions x (n,3) of the points."""
         return times_rows(self.weights, x)
 
-    def contacts(self, x: np.ndarray, rows: np.ndarray | None = None, out: np.ndarray | None = None) -> np.ndarray:
-        """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3).
-
-        With rows only these are computed (the rest of `out` stays as it is, or zero), from `support(rows)` alone.
-        """
-        if out is None:
-            out = np.zeros((self.touching.shape[0], 3))
-        rows = self._rows if rows is None else rows
-        share(lambda lo, hi: k.combine(rows[lo:hi], *self._touching, x, out), len(rows), LEAST_ROWS)
+    def contacts(self, x: np.ndarray) -> np.ndarray:
+        """Positions or velocities (k+n,3) of the contact nodes: the vertices, then the points. x (n,3)."""
+        out = np.zeros((self.touching.shape[0], 3))
+        share(lambda lo, hi: k.combine(self._rows[lo:hi], *self._touching, x, out), len(self._rows), LEAST_ROWS)
         return out
 
     def moving_contacts(

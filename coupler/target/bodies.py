@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..contact import broad
 from ..contact.bodies import BodyContact, BodyContactState, ContactPast
-from ..contact.bond import Bond, BondState, penalty
+from ..contact.bond import Bond, penalty
 from ..contact.hold import HeldPlaces
 from ..contact.model import new_history
 from ..contact.overlap import lying_inside
@@ -38,7 +38,7 @@ class BodiesState:
     mesh: TetMesh
     target: TargetState
     contact: BodyContactState | None
-    bond: BondState | None
+    bond: Bond | None
     placed: np.ndarray | None
     laws: Annotated[np.ndarray, Shape(-1, dtype=LAW)]
     body: Annotated[np.ndarray, Shape(-1, dtype=np.int32, index_of="laws")]
@@ -141,7 +141,7 @@ class Bodies:
 
     def springs(self) -> list[SpringTable]:
         """Those of bonds and contact between the bodies; after a search."""
-        springs = self.contact.springs() if self.contact is not None else []
+        springs = self.contact.pairs.springs() if self.contact is not None else []
         return [*springs, self.bond.springs()] if self.bond is not None else springs
 
     @property
@@ -176,13 +176,13 @@ class Bodies:
             bodies.contact = bodies._new_contact(state.placed)
             bodies.contact.restore(state.contact)
         if state.bond is not None:
-            bodies.bond = Bond.from_state(state.bond)
+            bodies.bond = state.bond.state()
         return bodies
 
     # ---- between impacts -----------------------------------------------------------------------------------------
 
     def separate(self, which: Iterable[int]) -> None:
-        """Prepare bodies at rest that lie in each other, one of each two among `which`, to be pushed apart (`ease`).
+        """Prepare bodies at rest that lie in each other, one of each two among `which`, to be pushed apart (`reduce_overlap`).
 
         Contacts begin where there is none. A node that lies in the very body that a bond holds it to, though its bond is not compressed
         by half as much, has its triangle in a surface that has folded: the bond passes to the facet through which the node lies inside.
@@ -218,12 +218,11 @@ class Bodies:
             bond.stiffen(x, rows[soft], squeezed[soft] / (FOLDED * spacing))
         self.contact.meet(depth)
 
-    def ease(self, share: float) -> None:
+    def reduce_overlap(self, share: float) -> None:
         """Leave this share of the depths that contacts ignore and at which bonds that `separate` has moved are at rest."""
-        if self.contact is not None:
-            self.contact.ease(share)
-        if self.bond is not None:
-            self.bond.ease(share)
+        for each in (self.contact, self.bond):
+            if each is not None:
+                each.reduce_overlap(share)
 
     def joined(
         self,
@@ -262,7 +261,7 @@ class Bodies:
             if not adhesion.in_impact:
                 chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio) & (contact_pairs.area > 0.0)
                 if chosen.any():
-                    bonds.append(Bond(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
+                    bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
             elif held is not None:
                 place, chosen = held.near(x[contact_pairs.nodes], size)
                 chosen &= contact_pairs.area > 0.0
@@ -371,7 +370,7 @@ def _check(state: BodiesState) -> None:
     for ids in mesh.sets.values():
         if ids.dtype.kind != "i" or ids.ndim != 1 or (ids.size and not 0 <= ids.min() <= ids.max() < facets):
             raise CheckpointError("a state does not fit: a face of the mesh points at facets that are not there")
-    for record in (mesh, state, *([] if state.bond is None else [state.bond.rows])):
+    for record in (mesh, state, *([] if state.bond is None else [state.bond])):
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
 
 
@@ -408,7 +407,7 @@ def _taken_over(
 ) -> Bond:
     """Bonds of an interface (n rows) with the laws and the damage of the places (n,)."""
     strength, energy = held.strength[place], held.energy[place]
-    bond = Bond(where, surfaces, x, stiffness, strength[:, 0], energy[:, 0], strength[:, 1], energy[:, 1])
+    bond = Bond.between(where, surfaces, x, stiffness, strength[:, 0], energy[:, 0], strength[:, 1], energy[:, 1])
     bond.damage[:] = held.damage[place]
     return bond
 

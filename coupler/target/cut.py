@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..contact.bodies import ContactPast
-from ..contact.bond import Bond, BondRows, BondState
+from ..contact.bond import Bond
 from ..contact.model import new_history
 from ..core.arrays import occurring
-from ..core.records import arrays_of, collect, concatenate, take
+from ..core.records import arrays_of, concatenate, take
 from ..geometry.tetrahedra import boundary_faces, least_at_corners
 from ..geometry.triangles import edges
 from .bodies import Bodies
@@ -73,9 +73,7 @@ def cut_out(whole: Bodies, place: Point, radius: float) -> tuple[Bodies, Cut]:
     if (past := whole.past()) is not None and part.count > 1:
         part.touch(past.on(number, len(part.target.nodes.x)))
     if whole.bond is not None:
-        state = whole.bond.state()
-        held = ((number[state.rows.nodes] >= 0) & (number[state.rows.triangles] >= 0).all(axis=1)).nonzero()[0]
-        part.bond = Bond.from_state(BondState(take(state.rows, held), state.exponent, 0.0, state.dissipated))
+        part.bond = take(whole.bond, (number[whole.bond.nodes] >= 0) & (number[whole.bond.triangles] >= 0).all(axis=1))
         part.bond.stored = float(part.bond.stored_by_each.sum())
         part.bond.renumber(number)
     elements = np.flatnonzero(inside)
@@ -167,25 +165,23 @@ def _gain(parts: Sequence[tuple[Cut, Bodies]]) -> Ledgers:
 def _bonds(whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndarray]], gain: Ledgers) -> Bond | None:
     """Bonds of the whole that no impact can change, and those of the parts that theirs can. parts: with the number of each node (p,)
     in the whole, and the mask of those that its impact can change."""
-    rows, stored, dissipated, exponent = None, gain["stored"], gain["dissipated"], 1.0
-    if whole.bond is not None:
-        b = whole.bond
-        rows = collect(BondRows, b)
-        stored, dissipated, exponent = stored + b.stored, dissipated + b.dissipated, b.exponent
+    bonds, stored, dissipated = list[Bond](), gain["stored"], gain["dissipated"]
+    if (bond := whole.bond) is not None:
+        stored, dissipated = stored + bond.stored, dissipated + bond.dissipated
+        bonds.append(bond)
     for cut, part, node, own in parts:
-        if rows is not None:
-            n = 1 + max(int(rows.nodes.max(initial=0)), int(rows.triangles.max(initial=0)), int(cut.part.nodes.max()))
+        if bonds:
+            b = bonds[0]
+            n = 1 + max(int(b.nodes.max(initial=0)), int(b.triangles.max(initial=0)), int(cut.part.nodes.max()))
             changed, held = np.zeros((2, n), bool)
             changed[cut.nodes] = held[cut.part.nodes] = True
-            away = _any(rows.nodes, rows.triangles, changed) & held[rows.nodes] & held[rows.triangles].all(axis=1)
-            rows = take(rows, ~away)
+            away = _any(b.nodes, b.triangles, changed) & held[b.nodes] & held[b.triangles].all(axis=1)
+            bonds = [take(b, ~away)]
         if part.bond is not None:
-            b = Bond.from_state(part.bond.state())
-            of_it = _any(b.nodes, b.triangles, own)
-            b.renumber(node)
-            more = take(collect(BondRows, b), of_it)
-            rows, exponent = more if rows is None else concatenate([rows, more]), b.exponent
-    return None if rows is None else Bond.from_state(BondState(rows, exponent, float(stored), float(dissipated)))
+            more = take(part.bond, _any(part.bond.nodes, part.bond.triangles, own))
+            more.renumber(node)
+            bonds = [concatenate([*bonds, more])]
+    return replace(bonds[0], stored=float(stored), dissipated=float(dissipated)) if bonds else None
 
 
 def _any(nodes: np.ndarray, triangles: np.ndarray, which: np.ndarray) -> np.ndarray:

@@ -68,7 +68,7 @@ def test_the_criterion_of_the_scene_decides_which_nodes_are_bonded(pair: Blocks)
     here, there = found.behind(s, strain)
     asked = Adhesion(kind="cohesive", strength=300e6, energy=900.0, criterion="plastic_strain", threshold=0.5)
     chosen = asked.bonded(len(found.nodes), plastic_strain=np.maximum(here, there))
-    bond = Bond(found.only(chosen), s, t.nodes.x, penalty(pair.K, 0.25 * SIDE), **asked.law())
+    bond = Bond.between(found.only(chosen), s, t.nodes.x, penalty(pair.K, 0.25 * SIDE), **asked.law())
     assert 0 < len(bond) < len(found.nodes)
     assert t.nodes.x[bond.nodes, 0].min() > 0.25 * SIDE
     assert bond.area.sum() == pytest.approx(0.5 * SIDE**2, rel=0.35)

@@ -101,7 +101,7 @@ def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) 
     assert left.contact is not None
     left.search(0.0)
     left.forces(0.0)
-    assert left.contact.penalty_energy == 0.0
+    assert left.contact.pairs.penalty_energy == 0.0
     assert left.bond is not None
     assert len(left.bond) > 0
     assert 0 < len(left.buried) < hidden

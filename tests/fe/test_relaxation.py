@@ -145,14 +145,14 @@ def test_what_bonds_and_contact_hold_comes_back_no_faster_than_the_grid_does(mon
     way, x = np.array([2e-5, 1e-5, -1e-4]), t.nodes.x.copy()
     x[up] += way
     expected = -((FREQUENCY / dt) ** 2) * way
-    bond, f = Bond(interface(s, t.nodes.x, 1, 0.01), s, t.nodes.x, penalty(b.K, 0.3)), np.zeros_like(t.nodes.x)
+    bond, f = Bond.between(interface(s, t.nodes.x, 1, 0.01), s, t.nodes.x, penalty(b.K, 0.3)), np.zeros_like(t.nodes.x)
     bond.forces(x, f)
     bonded = CoarseGrid(t, free, t.mass, dt, [bond.springs()]).acceleration(f)[up]
     assert np.abs(bonded - expected).max() < 1e-3 * np.abs(expected).max()
     contact, f = b.touch(), np.zeros_like(t.nodes.x)
     contact.search(x, 1e-3)
     contact.forces(1e-9, x, np.zeros_like(x), f)
-    pressed = CoarseGrid(t, free, t.mass, dt, contact.springs()).acceleration(f)[up]
+    pressed = CoarseGrid(t, free, t.mass, dt, contact.pairs.springs()).acceleration(f)[up]
     share = pressed.mean(axis=0)[2] / expected[2]
     assert 0.3 < share < 1.001  # not all that may touch do, and their forces are along the normal
     assert (

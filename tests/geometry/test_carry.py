@@ -83,9 +83,10 @@ def test_a_few_rows_are_those_of_all_and_need_only_their_support(body, rng: np.r
     assert np.array_equal(need, np.unique(surface.touching[rows].indices))
     blind = np.full_like(v, np.nan)
     blind[need] = v[need]
-    out = np.full_like(whole, 7.0)
-    assert surface.contacts(blind, rows, out) is out
+    out, twice = np.full_like(whole, 7.0), np.full_like(whole, 7.0)
+    surface.moving_contacts(blind, 2.0 * blind, rows, out, twice)
     assert np.array_equal(out[rows], whole[rows])
+    assert np.array_equal(twice[rows], 2.0 * whole[rows])
     assert np.all(np.delete(out, rows, axis=0) == 7.0)
     f = np.zeros_like(whole)
     f[rows] = rng.standard_normal((len(rows), 3))

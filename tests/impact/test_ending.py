@@ -110,16 +110,16 @@ def test_an_end_that_was_moved_is_kept() -> None:
     """Stopped and gone on from, an impact that was given more time has the same end; another resumption does not move it."""
     ending = observed(EndCriterion(40e-9, "rest", 50e-9, 500.0), (40, 138.0, 2.0))
     ending.extend(40e-9, None)
-    assert (ending.at, ending.end_time) == ("rest", pytest.approx(80e-9))
+    assert (ending.seen.at, ending.seen.end_time) == ("rest", pytest.approx(80e-9))
     again = EndCriterion(40e-9, "rest", 50e-9, 500.0)
-    again.restore(ending.state())
+    again.seen = ending.seen
     again.extend(60e-9, None)
-    assert (again.at, again.end_time) == ("rest", ending.end_time)
+    assert (again.seen.at, again.seen.end_time) == ("rest", pytest.approx(80e-9))
     settled = observed(EndCriterion(200e-9, "rest", 50e-9, 500.0), (10, 200.0, 3.0), (30, -5.0, 1.0), (60, -5.0, 0.0))
     assert settled.met(60e-9)
     settled.extend(60e-9, 90e-9)
-    again.restore(settled.state())
-    assert (again.at, again.end_time) == ("time", 90e-9)
+    again.seen = settled.seen
+    assert (again.seen.at, again.seen.end_time) == ("time", 90e-9)
     assert not again.reached(80e-9)
 
 

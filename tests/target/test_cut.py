@@ -120,11 +120,11 @@ def test_what_faces_nothing_in_a_cut_keeps_its_contact(whole: Bodies) -> None:
     springs = contact.past().nodes
     springs[np.linalg.norm(x - (-24e-6, 0.0, 10e-6), axis=1) < 20e-6] = new_history(1)
     contact.go_on(ContactPast(springs))
-    held = contact.penalty_energy
+    held = contact.pairs.penalty_energy
     contact.search(x, 1e-7, part.bond, moving)
     contact.forces(0.0, x, np.zeros_like(x), np.zeros_like(x), moving)
     assert contact.pairs.dropped == 0
-    assert 0.0 < 0.9 * held < contact.penalty_energy <= held  # some pass to bonds
+    assert 0.0 < 0.9 * held < contact.pairs.penalty_energy <= held  # some pass to bonds
 
 
 def test_cuts_put_back_together_are_those_put_back_one_after_another(whole: Bodies, rng: np.random.Generator) -> None:
@@ -158,7 +158,7 @@ def test_a_cut_stores_what_its_own_bonds_and_contacts_hold(whole: Bodies, rng: n
     one_step(loaded)
     assert loaded.bond is not None
     assert loaded.contact is not None
-    assert loaded.contact.penalty_energy > 0.0
+    assert loaded.contact.pairs.penalty_energy > 0.0
     part, cut = cut_out(loaded, (-24e-6, 0.0, 10e-6), 10e-6)
     assert part.bond is not None
     assert 0.2 * loaded.bond.stored < part.bond.stored < 0.8 * loaded.bond.stored
