@@ -6,8 +6,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-from ..errors import StoreError
-from .arguments import Commands, Option, add_study, scene_of, share, study_folder, teller, working
+from .arguments import Commands, Option, add_study, quantity, scene_of, share, study_folder, teller, working
 
 if TYPE_CHECKING:
     from ..plan.planning import Plan
@@ -108,23 +107,10 @@ def spread_of_strength(scene: "Scene", out: Path, jobs: int, quiet: bool) -> Non
     say("\n".join(spread.lines(Result(out), spread.compute(scenes, out / spread.FOLDER, jobs, say))))
 
 
-def seconds(text: str) -> float:
-    """A wall time such as "60s", "5 min", "1.5h", in s. Raises StoreError with what was expected."""
-    from ..units import UnitError, parse
-
-    try:
-        value = parse(text, "time")
-    except UnitError:
-        value = 0.0
-    if not value > 0.0:
-        raise StoreError(f'--within {text!r} is no time: expected a number with s, min or h, such as "60s"')
-    return value
-
-
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:
     """The scene with the resolution that was asked for, and a line about it.
 
-    within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises StoreError for text
+    within, accuracy: as on the command line; with both, the accuracy is met if there is time for it. Raises ColdsprayError for text
     that is no time or percentage, AccuracyError where no resolution will do.
     """
     from ..plan import cost as estimates
@@ -133,7 +119,7 @@ def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["S
     from ..plan.refinement import LEAST, MOST, SHAPE, AccuracyError, at_points
     from ..plan.text import duration
 
-    limit = seconds(within) if within else math.inf
+    limit = quantity("--within", "time")(within) if within else math.inf
     asked = share(accuracy, "--accuracy") if accuracy else None
     volumes = [p.volume for p in scene.particles]
     largest, last = max(volumes), volumes[-1]

@@ -50,10 +50,11 @@ def _slurm_option(text: str) -> tuple[str, str]:
 def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..core.executors import executor
+    from ..core.signals import interrupted_by
     from ..errors import PlacementError, StoreError
     from ..files.outputs import claim_folder
     from ..progress import Progress
-    from ..studies.runs import of_another_scene, run_points, stopping
+    from ..studies.runs import STOPS, of_another_scene, run_points
     from ..studies.sweep import Sweep
 
     sweep = Sweep.load(arguments.sweep)
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     pool = executor(arguments.executor, jobs, out.resolve(), dict(arguments.slurm), starts_processes=True)
     if not arguments.quiet:
         print(_forecast(sweep, jobs if here else 0), flush=True)
-    with stopping(), Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
+    with interrupted_by(*STOPS), Progress(quiet=arguments.quiet or not sys.stderr.isatty()) as progress:
         progress.stage(f"{len(sweep.points)} points")
         tell = _teller(progress, len(sweep.points), arguments.quiet)
         statuses = run_points(out, sweep.points, jobs, tell, sweep.refused, pool)

@@ -4,7 +4,7 @@ import hashlib
 import time as clock
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .. import __version__, report
@@ -23,16 +23,29 @@ from ..plan.batches import Batch
 from ..plan.forecast import forecast
 from ..plan.planning import Plan
 from ..plan.record import plan_text
-from ..target.bodies import Bodies
+from ..target.bodies import Bodies, BodiesState
 from ..target.cut import put_back
+from ..target.places import splats_at_end
 from .batches import TASKS, Done, clear, side_by_side, tasks
 from .detaching import without_detached
-from .joining import rest, splats_at_end
+from .joining import rest
 from .pause import cool_to_ambient
 from .replay import BatchReplay
-from .state import DepositionState
 from .summary import simulated, summary, unsettled
 from .task import Task, TaskFiles, TaskState, attempt
+
+
+@dataclass(frozen=True)
+class DepositionState:
+    """State of a run before a batch of impacts: the bodies, how much of the files is written, records and reports of the finished
+    impacts; wall time so far, s; within: of an impact on the whole target that has begun since."""
+
+    bodies: BodiesState
+    store: StoreState
+    records: list[ImpactRecord]
+    joins: list[Values]
+    wall: float
+    within: TaskState | None
 
 
 class Deposition:
@@ -257,6 +270,7 @@ class Deposition:
 
     def _summary(self, bodies: Bodies) -> Summary:
         """The summary of the impacts so far, whose splats are `bodies`."""
-        levels = [record.values["surface_level_m"] for record in self.records]
-        standing = splats_at_end(self.plan, levels, len(self.joins), bodies)
+        joined = list(zip(self.plan.impacts, self.records, self.joins, strict=False))
+        diameters = [impact.diameter for impact, _, _ in joined]
+        standing = splats_at_end(bodies, diameters, [record.values["surface_level_m"] for _, record, _ in joined])
         return summary(self.plan, self.records, self.joins, standing, self._wall, self.options.ranks, self.closing)

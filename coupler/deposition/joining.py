@@ -7,21 +7,20 @@ import numpy as np
 
 from ..contact.overlap import overlaps
 from ..errors import SolverError, SplatError
-from ..fe.explicit import Target
 from ..files.summary import Values
-from ..geometry.extent import shape_measures
 from ..impact.domains import Domains
 from ..impact.run import ImpactOutcome
 from ..particle.carried_surface import CarriedSurface
-from ..physics.constitutive import sound_speed, von_mises
+from ..physics.constitutive import sound_speed
 from ..physics.metal import carried
 from ..plan.batches import Batch
 from ..plan.planning import Plan
 from ..progress import Progress
 from ..splat.cloud import Cloud
 from ..splat.convert import convert
-from ..target.bodies import Bodies, heights_at
+from ..target.bodies import Bodies
 from ..target.domain import BodyState, Point
+from ..target.places import means_of, near, way_back
 from .detaching import held_at_rest, release_time, without_detached
 from .equilibrium import RELAXED, settle
 from .pause import pause
@@ -61,7 +60,12 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
             f"impact {i + 1} is computed, but its splat cannot join the target: {problem} (in a scene: splat.method,"
             " resolution.element_size, resolution.spacing)"
         ) from problem
-    report |= {**joined, "meshing_s": clock.perf_counter() - started, "detached": [], "before": _held(new)}
+    report |= {
+        **joined,
+        "meshing_s": clock.perf_counter() - started,
+        "detached": [],
+        "before": means_of(new, new.count - 1),
+    }
     progress.stage("bringing splat and target to rest")
     own = np.flatnonzero(new.impact == i + 1).tolist()
     new.separate(own)
@@ -73,7 +77,11 @@ def join(plan: Plan, i: int, outcome: ImpactOutcome, progress: Progress, place: 
             f" may still be set free, {RELAXED:.0e} is sought"
         )
     deep = overlaps(new.surfaces, new.target.nodes.x, own)
-    report |= {"after": _held(new), "overlap_m": float(deep.max()), "joining_s": clock.perf_counter() - started}
+    report |= {
+        "after": means_of(new, new.count - 1),
+        "overlap_m": float(deep.max()),
+        "joining_s": clock.perf_counter() - started,
+    }
     if report["released"] > RELEASED_BOUND:
         raise SolverError(
             f"splat {i + 1} set free {report['released']:.2%} of the kinetic energy as it joined, allowed {RELEASED_BOUND:.1%}:"
@@ -107,33 +115,7 @@ def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
     """Bring the bodies after impact i to rest within its window."""
     new.target.window(plan.impacts[i].window)
     kinetic_0 = float(outcome.record.values["kinetic_energy_0_J"])
-    return settle(new, kinetic_0, release_time(plan), back=_way_back(outcome.domains.target, new.target))
-
-
-def point_of_impact(bodies: Bodies, offset: tuple[float, float]) -> Point:
-    """Where the axis of a particle at `offset` (m) meets what lies there, (x, y, z) m: from there waves and windows are reckoned."""
-    return points_of_impact(bodies, [offset])[0]
-
-
-def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
-    """`point_of_impact` of several particles."""
-    t = bodies.target
-    if bodies.count == 1 and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
-        return [(*offset, 0.0) for offset in offsets]
-    z = heights_at(np.array(offsets), t.nodes.x, t.mesh.facets[bodies.reachable()])
-    return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
-
-
-def _way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
-    """The nodes (k,) of a target that were at the elastic edge of the window before, and the way (k,3) m that leads them back to where
-    they were at rest: what lies beyond the edge has not moved."""
-    if before.edge is None:
-        return None
-    number, place = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
-    known = np.flatnonzero(number >= 0)
-    place[number[known]] = known
-    nodes = place[before.nodes.node_number[before.edge.nodes]]
-    return nodes, before.edge.rest - now.nodes.x[nodes]
+    return settle(new, kinetic_0, release_time(plan), back=way_back(outcome.domains.target, new.target))
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:
@@ -146,7 +128,7 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
     radius = min(REST * batch.cut, float(np.linalg.norm(np.ptp(bodies.target.nodes.x, axis=0))))
     numbered = bodies.renumbered(*places, shell=radius / SHELLS)
     bodies, report["detached"] = without_detached(plan, numbered, batch.stop, "impact")
-    bodies.separate(_near(bodies, places, radius))
+    bodies.separate(near(bodies, places, radius))
     if batch.pause > 0.0:
         report["cooling"] = pause(plan, batch.pause, bodies, kinetic_0, radius)
     else:
@@ -155,14 +137,6 @@ def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kine
     bodies, lost = held_at_rest(plan, bodies, batch.stop, "pause" if batch.pause > 0.0 else "rest", kinetic_0)
     report["detached"] += lost
     return bodies
-
-
-def _near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
-    """Bodies whose boxes come within a radius of one of the places, m."""
-    low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
-    at = np.array(places)[:, None]
-    away = np.maximum(np.maximum(low - at, at - high), 0.0)
-    return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
 
 
 def cloud_of(domains: Domains) -> Cloud:
@@ -180,32 +154,3 @@ def cloud_of(domains: Domains) -> Cloud:
         surface=(vertices, triangles),
         wave_speed=sound_speed(float(law["rho"]), float(law["K"]), float(law["G"])),
     )  # fmt: skip
-
-
-def _held(bodies: Bodies) -> dict[str, float]:
-    """What the last body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
-    t = bodies.target
-    own = bodies.body == bodies.count - 1
-    weight = t.elements.volume[own]
-    pressure = t.nodes.p[t.mesh.conn[own]].mean(axis=1)
-    values = {
-        "von_mises_Pa": von_mises(t.elements.s[own]),
-        "pressure_Pa": pressure,
-        "eps_p": t.elements.eps_p[own],
-        "T_K": t.elements.T[own],
-    }
-    return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
-
-
-def splats_at_end(plan: Plan, levels: Sequence[float], joined: int, bodies: Bodies) -> list[dict[str, float] | None]:
-    """How the splats of the first `joined` impacts stand in the target: measures of shape, SI; None for one that has left.
-
-    levels: height (m) of the surface that each particle met.
-    """
-    mesh, standing = bodies.target.mesh, []
-    impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
-    for number, (impact, level) in enumerate(zip(plan.impacts[:joined], levels, strict=False), 1):
-        facets = mesh.facets[impact_of_facet == number]
-        away = bodies.target.nodes.x - np.array([0.0, 0.0, level])
-        standing.append(shape_measures(away, facets, impact.diameter) if len(facets) else None)
-    return standing

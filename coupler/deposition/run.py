@@ -1,12 +1,15 @@
 """From a scene to a result: run and resume."""
 
 import math
+import signal
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from .. import __version__, report
 from ..core.cores import cores
+from ..core.signals import interrupted_by
 from ..core.threads import threads_of
 from ..errors import CheckpointError, is_first_rank
 from ..files import checkpoint
@@ -16,7 +19,6 @@ from ..files.store import PICTURE, Store, WithoutFields
 from ..impact.domains import build_particle
 from ..impact.exchange import Impact
 from ..impact.run import RunOptions
-from ..impact.stop import terminable
 from ..particle.start import whole_process
 from ..plan.planning import Plan, plan
 from ..plan.reading import Scene
@@ -69,9 +71,8 @@ def run(
     folder = Path(out) if out is not None else Path("runs") / scene.name
     knobs = dict(numerics or {})
     decided = plan(scene, knobs.pop("contact_stiffness", None), scene.resolution.error if error is None else error)
-    options = _options(
-        decided, folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, None, skip_failed, jobs
-    )
+    asked = {"numerics": knobs, "probe": probe, "checkpoint_every": checkpoint_every, "skip_failed": skip_failed}
+    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=max(jobs, 1))
     companions = Companions(decided, folder, knobs, _alone)
 
     def create() -> Store:
@@ -119,9 +120,8 @@ def resume(
     result = Result(folder)
     knobs = {name: value for name, value in (numerics or {}).items() if name != "contact_stiffness"}  # in the plan
     decided = read_plan(folder)
-    options = _options(
-        decided, folder, progress or Progress(quiet), threads, knobs, probe, checkpoint_every, until, skip_failed, jobs
-    )
+    asked = {"numerics": knobs, "probe": probe, "checkpoint_every": checkpoint_every, "skip_failed": skip_failed}
+    options = _options(decided, folder, progress, quiet, threads, **asked, jobs=max(jobs, 1), until=until)
     if result.finished and not result.undecided and (until is None or result.has_verdict):
         measured = not error or "error" in result.summary["run"] or not result.plan.get("companions")
         return _complete(result, None if measured else Companions(decided, folder, knobs, _alone), options)
@@ -150,7 +150,7 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
         return Result(folder)
     with (
         whole_process(),
-        terminable(),
+        interrupted_by(signal.SIGTERM),
         parallel.leading(ranks),
         create() if create is not None else Store.reopen(folder) as store,
         logged(options.progress, store),
@@ -177,7 +177,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
         return result
     if result.has_verdict and not result.undecided:
         checkpoint.clear(result.directory)
-    with terminable(), options.progress:
+    with interrupted_by(signal.SIGTERM), options.progress:
         if not (result.directory / PICTURE).exists():
             options.progress.stage("drawing the section", of_impact=False)
             report.section_picture(result)
@@ -188,16 +188,7 @@ def _complete(result: Result, companions: Companions | None, options: RunOptions
 
 
 def _options(
-    plan: Plan,
-    folder: Path,
-    progress: Progress,
-    threads: int | None,
-    numerics: dict[str, float],
-    probe: Probe | None,
-    checkpoint_every: float,
-    until: float | None = None,
-    skip_failed: bool = False,
-    jobs: int = 1,
+    plan: Plan, folder: Path, progress: Progress | None, quiet: bool, threads: int | None, **asked: Any
 ) -> RunOptions:
     """What the caller of `run` or `resume` has asked for, on the ranks there are."""
     ranks = parallel.arrange(parallel.world())
@@ -207,15 +198,4 @@ def _options(
         if plan.companions and (points <= FEW_POINTS or free > 2):
             free -= 1  # for the coarser runs
         threads = max(min(free, points // POINTS_OF_THREAD), 1)
-    return RunOptions(
-        progress,
-        folder / "log.lammps",
-        ranks,
-        threads,
-        numerics,
-        probe,
-        checkpoint_every,
-        until,
-        skip_failed,
-        max(jobs, 1),
-    )
+    return RunOptions(progress or Progress(quiet), folder / "log.lammps", ranks, threads, **asked)

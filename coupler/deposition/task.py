@@ -12,7 +12,7 @@ from ..files import checkpoint
 from ..files.store import Store, StoreState
 from ..files.summary import Values
 from ..impact.domains import restored_target
-from ..impact.run import ImpactStart, RunningState, RunOptions, run_impact
+from ..impact.run import RunningState, RunOptions, run_impact
 from ..impact.summary import ImpactRecord
 from ..plan.planning import Plan
 from ..progress import Progress
@@ -97,14 +97,13 @@ def run_task(task: Task, options: RunOptions, files: TaskFiles) -> TaskResult:
     last = kept.running if kept is not None else None
     bodies = restored_target(plan, task.bodies)
     prepared = prepare(plan, i, bodies, task.place)
-    start = ImpactStart(bodies.state(), task.written)
 
     def save(state: RunningState) -> None:
         nonlocal last
         last = state
         files.save(TaskState(state, store.state(), None))
 
-    outcome = run_impact(plan, i, start, store, task.before, options, save, last)
+    outcome = run_impact(plan, i, bodies.state(), task.written, store, task.before, options, save, last)
     try:
         record, after = outcome.record, outcome.domains.bodies
         joined: Values = {}

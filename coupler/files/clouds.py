@@ -150,17 +150,13 @@ def _table(path: Path, columns: list[str] | None) -> Points:
     )
 
 
-def _mesh_of(path: Path) -> meshio.Mesh:
+def _meshio(path: Path) -> Points:
     output = io.StringIO()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output), np.errstate(all="ignore"):
-            return meshio.read(path)
+            mesh = meshio.read(path)
     except SystemExit:  # meshio leaves by sys.exit where several readers have failed
         raise ValueError("not in a format meshio reads") from None
-
-
-def _meshio(path: Path) -> Points:
-    mesh = _mesh_of(path)
     kinds = {block.type for block in mesh.cells if len(block.data)} - {"vertex", "line"}
     if kinds and all(kind.startswith(_FLAT) for kind in kinds):
         raise InputError(path, SURFACE)

@@ -18,7 +18,6 @@ WRITTEN = (*DOMAINS, COLD)
 NAMES = tuple(
     f"{domain}{ending}" for domain in WRITTEN for ending in (".pvd", "_[0-9][0-9][0-9][0-9].vtu", ".xdmf", ".h5")
 )
-FORMATS = ("pvd", "xdmf")
 _TOPOLOGY = {1: "Polyvertex", 3: "Triangle", 4: "Tetrahedron"}  # columns of the cells -> name of XDMF
 _ATTRIBUTE = {(): "Scalar", (3,): "Vector", (6,): "Tensor6"}  # shape of a value -> name of XDMF
 _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy yz zz
@@ -27,7 +26,7 @@ _TENSOR6 = [0, 3, 5, 1, 4, 2]  # xx yy zz xy yz xz as XDMF has them: xx xy xz yy
 def write_fields(
     result: Result, folder: Path, form: str, stage: Callable[[str], None] = lambda text: None
 ) -> list[Path]:
-    """Write the stored steps of each domain in a format of FORMATS, SI units. Returns the files to open.
+    """Write the stored steps of each domain as "pvd" or "xdmf", SI units. Returns the files to open.
 
     "pvd": a .vtu file for each step, and a .pvd file that names them with their times. "xdmf": an .h5 file of the arrays of all steps,
     each with its own mesh, and an .xdmf file (XDMF 3) that names them. stage(text): called with the name of each step.
@@ -56,8 +55,12 @@ def _write_pvd(folder: Path, domain: str, steps: Iterable[Fields]) -> str:
     entries = []
     for step, fields in enumerate(steps):
         name = f"{domain}_{step:04d}.vtu"
+        (at_points, in_cells), kind = fields.split(), CELLS[fields.cells.shape[1]]
+        mesh = meshio.Mesh(
+            fields.points, [(kind, fields.cells)], at_points, {key: [values] for key, values in in_cells.items()}
+        )
         with replacing(folder / name) as part:
-            meshio.write(part, as_mesh(fields), file_format="vtu")
+            meshio.write(part, mesh, file_format="vtu")
             with part.open("a", encoding="utf-8") as file:
                 file.write(f"<!-- {MARK} -->\n")
         entries.append(f'<DataSet timestep="{fields.time:.9g}" part="0" file={quoteattr(name)}/>\n')
@@ -104,10 +107,3 @@ def _grid(file: h5py.File, name: str, step: int, fields: Fields) -> str:
                 f'<Attribute Name={quoteattr(key)} AttributeType="{kind}" Center="{centre}">{array}</Attribute>'
             )
     return "\n".join([*lines, "</Grid>\n"])
-
-
-def as_mesh(fields: Fields) -> meshio.Mesh:
-    """One domain at one time as meshio has it."""
-    at_points, in_cells = fields.split()
-    cells = [(CELLS[fields.cells.shape[1]], fields.cells)]
-    return meshio.Mesh(fields.points, cells, at_points, {name: [values] for name, values in in_cells.items()})

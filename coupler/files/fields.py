@@ -3,8 +3,6 @@
 A file cannot make the reader open another file or fill the memory.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,7 +43,7 @@ class Fields:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Root]:
+def opened(path: Path) -> Iterator["Root"]:
     """The VTKHDF group of a file; whatever is wrong with the file comes out as a StoreError."""
     check_regular(path)
     try:

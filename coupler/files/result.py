@@ -3,8 +3,6 @@
 Nothing is unpickled or executed; a file cannot make the reader open another file or fill the memory.
 """
 
-from __future__ import annotations
-
 import csv
 import difflib
 from collections.abc import Iterator
@@ -164,7 +162,7 @@ class Result:
                 raise IndexError(f"{path} has {len(times)} steps, there is no step {step}")
             return read_step(root, step % len(times), times)
 
-    def mesh(self, step: int = -1, domain: str = "particle") -> pyvista.UnstructuredGrid:
+    def mesh(self, step: int = -1, domain: str = "particle") -> "pyvista.UnstructuredGrid":
         """A domain at a stored step as a mesh of pyvista, which has to be installed; its time, s, is in field_data["time"].
 
         Raises as `fields`, and StoreError without pyvista.
@@ -180,7 +178,7 @@ class Result:
         grid.field_data["time"] = [fields.time]
         return grid
 
-    def history_frame(self) -> pandas.DataFrame:
+    def history_frame(self) -> "pandas.DataFrame":
         """history.csv as a table of pandas, which has to be installed. Raises as `history`, and StoreError without pandas."""
         with _optional("pandas"):
             import pandas

@@ -10,8 +10,6 @@ summary.json                                   written last: its presence says t
 checkpoint-NNNNNN.ckpt                         while it is not: see `coupler.files.checkpoint`
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import fcntl
@@ -65,7 +63,7 @@ class Store:
         self._rows = array("d")  # all values of the history, row by row: a checkpoint keeps them
 
     @classmethod
-    def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> Store:
+    def create(cls, out_dir: str | Path, scene_toml: str, force: bool = False, plan_json: str = "") -> "Store":
         """Make the folder, or empty it of an earlier run, and put the scene and the plan in it.
 
         Only files with the names of this module are ever removed; a finished run, or files of these names that no run has
@@ -106,7 +104,7 @@ class Store:
         return store
 
     @classmethod
-    def reopen(cls, out_dir: str | Path) -> Store:
+    def reopen(cls, out_dir: str | Path) -> "Store":
         """Take the folder of an unfinished run. Raises StoreError: another run writes there, or it is not writable."""
         directory = Path(out_dir)
         with _named(directory, is_folder=True):
@@ -232,7 +230,7 @@ class Store:
             os.close(self._lock)
             self._lock = None
 
-    def __enter__(self) -> Store:
+    def __enter__(self) -> "Store":
         return self
 
     def __exit__(

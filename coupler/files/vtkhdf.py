@@ -7,8 +7,6 @@ and only then counted in `NSteps`; readers never look beyond that count. The old
 because it keeps no "file is open" mark.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

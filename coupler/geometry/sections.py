@@ -1,7 +1,5 @@
 """Where a plane of constant y cuts tetrahedra and triangles. Lengths in whatever unit the points have."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

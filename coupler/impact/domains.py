@@ -25,7 +25,8 @@ from ..physics.materials import Material
 from ..plan.planning import Plan
 from ..ranks import ranks as parallel
 from ..ranks.distributed import DistributedParticle
-from ..target.bodies import Bodies, BodiesState, level_under
+from ..target.bodies import Bodies, BodiesState
+from ..target.places import level_under
 from .folding import Folding, folding
 from .heat import HeatPaths
 
@@ -102,9 +103,7 @@ def build_domains(
     offset = np.array([*impact_plan.offset, 0.0])
     if level is None:
         level = (
-            level_under(body.vertices + offset, x, mesh.facets[facets], 0.0) - body.half_height
-            if bodies.count > 1
-            else 0.0
+            level_under(body.vertices + offset, x, mesh.facets[facets]) - body.half_height if bodies.count > 1 else 0.0
         )
     place = offset + np.array([0.0, 0.0, body.half_height + level + impact_plan.gap])
     parallel.begin_impact(ranks, i, place, numerics or {})

@@ -184,9 +184,7 @@ class Impact:
         """Let heat flow for `time` s and turn the heat of friction and fracture into temperature, of points and of elements behind
         facets."""
         self.paths.flow(time)
-        self.paths.release_friction()
-        if self.hold is not None:
-            self.paths.release_fracture(self.hold)
+        self.paths.release(self.hold)
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
         """Take note of the clean metal that this window has exposed where it touches now."""
@@ -256,10 +254,6 @@ class Impact:
                 f"the contact has lost {lost} of {p.n} points of the particle: they lie up to {depth.max() / p.spacing:.1f}"
                 f" spacings inside the target. Try a finer preset"
             )
-
-    def update_ledger(self) -> dict[str, float]:
-        """Energies of this instant (`Ledger.update`)."""
-        return self.ledger.update(self.domains, self.hold)
 
     def state(self) -> ImpactState:
         """Everything that goes on in the next window as if nothing had happened."""

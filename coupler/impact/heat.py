@@ -40,14 +40,9 @@ class HeatPaths:
                 self._warm_surface(rows, -heat)
                 self.target.warm(elements, heat)
 
-    def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
-        """Put heat (k,) J at rows (k,) of the particle's surface into its points."""
-        into = np.zeros(self.surface.touching.shape[0])
-        into[rows] = heat
-        self.particle.warm(self.surface.spread_heat(into))
-
-    def release_friction(self) -> None:
-        """Turn the heat of friction since the last call into temperature, of points and of the elements behind facets."""
+    def release(self, hold: Hold | None) -> None:
+        """Turn the heat of friction, and of torn bonds, since the last call into temperature, of points and of the elements behind
+        facets: of bonds, the contact's `share` of it on the particle's side."""
         if not self.friction:
             return
         target, contact = self.target, self.contact
@@ -60,15 +55,15 @@ class HeatPaths:
             contact.heat_face[facets] = 0.0
         if self.folding is not None and (heat := self.folding.heat()).any():
             self.particle.warm(heat)
+        if hold is not None and (heat := hold.bond.heat()).any():
+            self._warm_surface(hold.rows, contact.share * heat)
+            target.warm_around(hold.bond.triangles, np.repeat((1.0 - contact.share) / 3.0 * heat, 3))
 
-    def release_fracture(self, hold: Hold) -> None:
-        """Turn the heat of torn bonds since the last call into temperature, the contact's `share` of it on the particle's side."""
-        if not self.friction:
-            return
-        heat = hold.bond.heat()
-        if heat.any():
-            self._warm_surface(hold.rows, self.contact.share * heat)
-            self.target.warm_around(hold.bond.triangles, np.repeat((1.0 - self.contact.share) / 3.0 * heat, 3))
+    def _warm_surface(self, rows: np.ndarray, heat: np.ndarray) -> None:
+        """Put heat (k,) J at rows (k,) of the particle's surface into its points."""
+        into = np.zeros(self.surface.touching.shape[0])
+        into[rows] = heat
+        self.particle.warm(self.surface.spread_heat(into))
 
     def crossing(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Vertices of the particle's surface (k,) that touch, the element under each (k,), and the heat (k,) J it gets in `time` s.

@@ -99,7 +99,7 @@ class Recorder:
     def write_row(self, impact: Impact, dt: float) -> None:
         """One row of history.csv, and a look at the ranges of the models."""
         particle = impact.particle
-        ledger = impact.update_ledger()
+        ledger = impact.ledger.update(impact.domains, impact.hold)
         skin = impact.surface.positions(particle.x)
         row = {
             "time": self.before + impact.time,

@@ -71,18 +71,11 @@ class RunningState:
     looped: float
 
 
-@dataclass(frozen=True)
-class ImpactStart:
-    """What an impact meets: the bodies, and how much of each file is written; None: its files begin with it."""
-
-    bodies: BodiesState
-    store: StoreState | None
-
-
 def run_impact(
     plan: Plan,
     i: int,
-    start: ImpactStart,
+    bodies: BodiesState,
+    written: StoreState | None,
     store: Store,
     before: float,
     options: RunOptions,
@@ -91,7 +84,8 @@ def run_impact(
 ) -> ImpactOutcome:
     """Impact i of a plan from its start, or from a state on its way, to its end.
 
-    before: simulated time (s) of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
+    bodies, written: what it meets, and how much of each file is written then, None where they begin with it; before: simulated time (s)
+    of the impacts before. save(state): writes a checkpoint; resume_from: such a state. After a failure the
     impact is computed again from its start with the next remedy (`impact.retry`). An impact that has not met its end criterion at its
     time limit is undecided: it writes a checkpoint, and goes on when it is resumed from it; so does one whose verdict is undecided.
     Raises SolverError when no remedy is left, NoContactError, StoreError, or Stopped after a signal.
@@ -103,7 +97,7 @@ def run_impact(
         options.progress.log(f"going on from {(before + resume_from.impact.time) * 1e9:.1f} ns")
     with StopSignals() as signals:
         while True:
-            state = resume_from.impact.bodies if resume_from is not None else start.bodies
+            state = resume_from.impact.bodies if resume_from is not None else bodies
             attempt = _Attempt(plan, i, restored_target(plan, state), store, before, options, retries, resume_from)
             try:
                 return attempt.run(watch, signals, save)
@@ -112,7 +106,7 @@ def run_impact(
                 retry = next_retry(retries, options.numerics, error, i + 1, before + attempt.impact.time)
                 options.progress.log(str(retry))
                 retries.append(retry)
-                store.go_back(start.store, options.progress.log)
+                store.go_back(written, options.progress.log)
                 resume_from = None
             except BaseException:
                 attempt.give_up()
@@ -173,9 +167,19 @@ class _Attempt:
                 watch.looped,
             )
 
+        saved = clock.perf_counter()
+
+        def keep() -> None:
+            """Write a checkpoint that is due. Raises Stopped, with one written, after a signal."""
+            nonlocal saved
+            if signals.number or clock.perf_counter() - saved >= self.options.checkpoint_every:
+                save(state())
+                saved = clock.perf_counter()
+            if signals.number:
+                raise Stopped(signals.number)
+
         recorder.start(impact)
         watch.start_loop()
-        keep = _Checkpoints(signals, self.options.checkpoint_every, lambda: save(state())).keep
         advance_to_end(impact, ending, recorder, keep, self.options.probe)
         if not ending.touched:
             raise NoContactError(
@@ -218,22 +222,3 @@ class _WallClock:
     @property
     def looped(self) -> float:
         return clock.perf_counter() - self._loop_began
-
-
-@dataclass
-class _Checkpoints:
-    """Writes a checkpoint, by save(), every so many s of wall time, and after a signal."""
-
-    signals: StopSignals
-    every: float
-    save: Callable[[], None]
-    saved: float = field(default_factory=clock.perf_counter)
-
-    def keep(self) -> None:
-        """Write a checkpoint that is due. Raises Stopped, with one written, after a signal."""
-        now = clock.perf_counter()
-        if self.signals.number or now - self.saved >= self.every:
-            self.save()
-            self.saved = clock.perf_counter()
-        if self.signals.number:
-            raise Stopped(self.signals.number)

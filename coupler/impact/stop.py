@@ -1,9 +1,8 @@
 """Signals that ask a run to stop."""
 
-import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from signal import Handlers
 from types import FrameType
 
@@ -14,23 +13,6 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, number: int = signal.SIGINT):
         super().__init__(number)
         self.signal = number
-
-
-@contextlib.contextmanager
-def terminable() -> Iterator[None]:
-    """While in use, SIGTERM ends what is computed as Ctrl-C does, also between impacts."""
-
-    def end(number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt(number)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, end)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 class StopSignals:

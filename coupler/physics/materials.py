@@ -164,16 +164,16 @@ class Material:
         Hardness: after a further strain of 0.08 the flow stress is a third of it (Tabor 1951). Raises ValueError with the range that
         the law reaches.
         """
-        if hardness is None and yield_strength is None:
+        wanted = yield_strength if hardness is None else hardness
+        if wanted is None:
             return 0.0
         factor, further = (1.0, 0.0) if hardness is None else (HARDNESS_OVER_FLOW_STRESS, STRAIN_OF_INDENT)
-        wanted = yield_strength if hardness is None else hardness
 
         def reached(eps_p: float) -> float:
             return factor * self.flow_stress(eps_p + further, 0.0, 293.0)
 
         low, high = 0.0, _HARDEST
-        if wanted is None or not reached(low) * (1 - 1e-9) <= wanted <= reached(high):
+        if not reached(low) * (1 - 1e-9) <= wanted <= reached(high):
             unit, scale = ("HV", _HV) if hardness is not None else ("MPa", 1e6)
             annealed, hardest = reached(low) / scale, reached(high) / scale
             raise ValueError(
@@ -304,18 +304,11 @@ def _with_own_fields(table: Mapping[str, object], base: Material | None, problem
             return own
         E, nu = values["E"], values["nu"]
         try:
-            rho = (
-                library.read_number(own["rho"], *_LIMITS["rho"])
-                if "rho" in own
-                else base.rho
-                if base is not None
-                else None
-            )
+            rho = library.read_number(own.get("rho", base and f"{base.rho!r} kg/m^3"), *_LIMITS["rho"])
         except ValueError:  # told with the other fields
             rho = 1e3
         own["G"] = f"{E / (2.0 * (1.0 + nu))!r} Pa"
-        if rho is not None:
-            own["c0"] = f"{math.sqrt(E / (3.0 * (1.0 - 2.0 * nu) * rho))!r} m/s"
+        own["c0"] = f"{math.sqrt(E / (3.0 * (1.0 - 2.0 * nu) * rho))!r} m/s"
     return own
 
 
@@ -402,9 +395,8 @@ def _strength(
         problems.append(f"law = {str(law)[:40]!r}: expected one of {', '.join(LAWS)}{units.nearest(str(law), LAWS)}")
         law = "johnson_cook"
     schema = LAWS[law].parameters
-    same = old is not None and old.law == law
     numbers = {key: p.default for key, p in schema.items() if p.default is not None}
-    if old is not None and same:
+    if old is not None and old.law == law:
         numbers |= old.numbers
     for key, p in schema.items():
         if key in table:
@@ -414,9 +406,8 @@ def _strength(
                 problems.append(f"{key} {error}")
                 numbers[key] = p.low
     own = ["law", "fitted", *schema]
-    changed = any(key in table for key in own)
     fitted, name, source = Fitted(), "", ""
-    if old is not None and not changed:
+    if old is not None and not any(key in table for key in own):
         fitted, name, source = old.fitted, old.set, old.source
     if "fitted" in table:
         try:

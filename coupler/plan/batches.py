@@ -7,7 +7,6 @@ whose cut is the whole target.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 LARGEST_BATCH = 12
 GAP = 0.5  # diameters between two windows
@@ -16,24 +15,15 @@ MEET = 2.0
 AHEAD = 96  # impacts back among which those of a batch are looked for
 
 
-class Impact(Protocol):
-    """What batches depend on. offset: of its axis, m; window: radius (m) within which the target is computed; diameter: m."""
-
-    @property
-    def offset(self) -> tuple[float, float]: ...
-    @property
-    def window(self) -> float: ...
-    @property
-    def diameter(self) -> float: ...
-
-
 @dataclass(frozen=True)
 class Landing:
-    """The least that is an `Impact`."""
+    """What batches depend on. offset: of the axis of an impact, m; window: radius (m) within which the target is computed; diameter: of
+    the particle, m; dwell: time until the next impact, s."""
 
     offset: tuple[float, float]
     window: float
     diameter: float
+    dwell: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -52,39 +42,21 @@ class Batch:
         return math.isinf(self.cut)
 
 
-class Timed(Impact, Protocol):
-    """dwell: time until the next impact, s."""
-
-    @property
-    def dwell(self) -> float: ...
-
-
-def batches_of(impacts: Sequence[Timed], is_cooled: bool) -> tuple[Batch, ...]:
-    """The batches of a plan. is_cooled: whether heat flows between impacts."""
-    found = []
-    for own in batches(impacts):
-        dwell = sum((impacts[i].dwell for i in own if i + 1 < len(impacts)), 0.0)
-        found.append(Batch(own.start, own.stop, max(impacts[i].window for i in own), dwell if is_cooled else 0.0))
+def batches_of(impacts: Sequence[Landing], is_cooled: bool) -> tuple[Batch, ...]:
+    """The batches of a plan, in the order of arrival, each up to an impact whose window is not apart. is_cooled: whether heat flows
+    between impacts."""
+    found, first = list[Batch](), 0
+    while first < len(impacts):
+        stop = first + 1
+        while stop < len(impacts) and stop - first < LARGEST_BATCH and _apart(impacts[first:stop], impacts[stop]):
+            stop += 1
+        cut, before_last = max(i.window for i in impacts[first:stop]), impacts[first : min(stop, len(impacts) - 1)]
+        found.append(Batch(first, stop, cut, sum((i.dwell for i in before_last), 0.0) if is_cooled else 0.0))
+        first = stop
     return tuple(found)
 
 
-def batch(impacts: Sequence[Impact], first: int) -> range:
-    """The batch that begins with an impact: those after it in the order of arrival, up to one whose window is not apart."""
-    last = first + 1
-    while last < len(impacts) and last - first < LARGEST_BATCH and _apart(impacts[first:last], impacts[last]):
-        last += 1
-    return range(first, last)
-
-
-def batches(impacts: Sequence[Impact]) -> list[range]:
-    """All batches, in the order of arrival."""
-    ranges: list[range] = []
-    while not ranges or ranges[-1].stop < len(impacts):
-        ranges.append(batch(impacts, ranges[-1].stop if ranges else 0))
-    return ranges
-
-
-def side_by_side(impacts: Sequence[Impact]) -> list[int]:
+def side_by_side(impacts: Sequence[Landing]) -> list[int]:
     """An order of impacts that makes large batches: each is put off where its window lies apart from those that it joins and its splat
     from those of all that it passes, so that splats that may come to lie on each other arrive in the order they had.
 
@@ -96,27 +68,24 @@ def side_by_side(impacts: Sequence[Impact]) -> list[int]:
     while left:
         chosen, passed = left[:1], list[int]()
         for i in left[1:AHEAD]:
-            alone = _apart([impacts[k] for k in chosen], impacts[i]) and not _meets(
-                [impacts[k] for k in passed], impacts[i]
+            alone = _apart([impacts[k] for k in chosen], impacts[i]) and not any(
+                math.dist(impacts[k].offset, impacts[i].offset)
+                <= 0.5 * MEET * (impacts[k].diameter + impacts[i].diameter)
+                for k in passed
             )
             (chosen if alone and len(chosen) < LARGEST_BATCH else passed).append(i)
         groups.insert(0, sorted(chosen))
         left = passed + left[AHEAD:]
     order: list[int] = []
     for before, group in zip([[], *groups], groups, strict=False):
-        # one that meets the group before it comes first: there `batch` ends
+        # one that meets the group before it comes first: there a batch ends
         meets = [i for i in group if not _apart([impacts[k] for k in before], impacts[i])][:1]
         order += meets + [i for i in group if i not in meets]
     return order
 
 
-def _apart(others: Sequence[Impact], new: Impact) -> bool:
+def _apart(others: Sequence[Landing], new: Landing) -> bool:
     """Whether the window of an impact lies apart from those of others."""
     return math.isfinite(new.window) and all(
         math.dist(a.offset, new.offset) > a.window + new.window + GAP * max(a.diameter, new.diameter) for a in others
     )
-
-
-def _meets(others: Sequence[Impact], new: Impact) -> bool:
-    """Whether the splat of an impact may come to lie on one of those of others."""
-    return any(math.dist(a.offset, new.offset) <= MEET * 0.5 * (a.diameter + new.diameter) for a in others)

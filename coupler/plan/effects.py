@@ -89,7 +89,10 @@ class Effect:
 # Thresholds above 0 are those of what takes time and may change nothing: no wave is back yet; the pause is too short for heat to leave
 # the splat; of conduction, what changes no measure by more than half a percent.
 EFFECTS = (
-    Effect("thermal_softening", "heating or preheat / (T_m - T)", lambda s: max(s.warm, s.of_both(_preheat))),
+    Effect(
+        "thermal_softening", "heating or preheat / (T_m - T)",
+        lambda s: max(s.warm, s.of_both(lambda m, T, _: (T - m.T_ref) / (m.T_m - m.T_ref))),
+    ),
     Effect(
         "rate_hardening", "rise of the flow stress at v/D",
         lambda s: s.of_both(lambda m, T, _: s.flow_stress(m, T) / m.flow_stress(STRAIN_OF_FLOW, 0.0, min(T, m.T_ref)) - 1.0),
@@ -206,7 +209,3 @@ def heating(material: Material, T: float, velocity: float) -> float:
 def diffusivity(material: Material, T: float) -> float:
     """Thermal diffusivity k / (rho cp) at T (K), m^2/s."""
     return material.k_at(T) / (material.rho * material.cp_at(T))
-
-
-def _preheat(material: Material, T: float, _: float) -> float:
-    return (T - material.T_ref) / (material.T_m - material.T_ref)

@@ -9,7 +9,7 @@ from pydantic_core import ErrorDetails
 from .. import units
 from ..errors import ColdsprayError
 from ..physics.materials import Material
-from ..scene.model import MOST_IMPACTS, SceneData
+from ..scene.model import MOST_IMPACTS, SceneData, particle_tables
 from ..scene.tables import GasConditions, Particle, read_table
 from ..spray import flight, nozzles
 from ..spray.gas import GASES, Flow
@@ -79,15 +79,13 @@ def fill(raw: dict[str, object], catalogue: Mapping[str, Material]) -> list[str]
         if conditions.nozzle not in tables:  # else its own problems are in the list already
             problems.append(f'gas.nozzle = "{conditions.nozzle[:40]}": {nozzles.unknown(conditions.nozzle, known)}')
         conditions = None
-    particles = raw.get("particle")
-    particles = particles if isinstance(particles, list) else [particles]
+    particles = particle_tables(raw)
     if len(particles) > MOST_IMPACTS:  # refused by the scene's own check: nothing need be computed
         conditions = None
-    tables_of = [particle for particle in particles if isinstance(particle, dict)]
-    sizes = [_diameter(particle) for particle in tables_of]
+    sizes = [_diameter(particle) for particle in particles]
     among = [size for size in sizes if size is not None]
-    for particle, size in zip(tables_of, sizes, strict=True):
-        arriving, material = _STAND_IN, _material(particle, catalogue)
+    for particle, size in zip(particles, sizes, strict=True):
+        arriving, material = _STAND_IN, catalogue.get(str(particle.get("material")))
         if conditions is not None and material is not None and size is not None:
             try:
                 arriving = arrival(conditions, known[conditions.nozzle], material, size, among)
@@ -142,11 +140,6 @@ def _in_words(entry: ErrorDetails) -> str:
     if entry["type"] == "literal_error":
         return f"must be {entry['ctx']['expected']}"
     return str(entry["ctx"]["error"]) if entry["type"] == "value_error" else entry["msg"]
-
-
-def _material(particle: Mapping[str, object], catalogue: Mapping[str, Material]) -> Material | None:
-    name = particle.get("material")
-    return catalogue.get(name) if isinstance(name, str) else None
 
 
 def diameter(text: object) -> float:

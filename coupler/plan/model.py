@@ -6,15 +6,16 @@ from typing import Literal
 
 import numpy as np
 
+from ..geometry.solid import Solid
 from ..physics.adhesion import Adhesion, PairFormula
 from ..physics.materials import Material
 from ..scene.tables import Face
-from .batches import Batch, batches_of
+from .batches import Batch, Landing, batches_of
 from .effects import Decision, Effects
 
 
-@dataclass(frozen=True)
-class ImpactPlan:
+@dataclass(frozen=True, kw_only=True)
+class ImpactPlan(Landing):
     """One impact. diameter m, of the sphere of equal volume; tilt rad, about y; velocity (vx, vy, vz) m/s; offset
     (x, y) m, of its centre at the start; gap m, of its lowest point above what lies under it; spacing m; points: about
     that many. Times in s: end_time, the longest it may take; expected; dt_expected, its mean step; rate_filter, the strain
@@ -29,10 +30,8 @@ class ImpactPlan:
     shape: str
     file: str
     tilt: float
-    diameter: float
     velocity: tuple[float, float, float]
     temperature: float
-    offset: tuple[float, float]
     gap: float
     spacing: float
     points: int
@@ -41,9 +40,7 @@ class ImpactPlan:
     dt_expected: float
     rate_filter: float
     output_every: float
-    dwell: float
     end_at: Literal["rest", "greatest", "time"]
-    window: float
     formula: PairFormula
     lengths: tuple[float, float, float]
     splat_elements: int
@@ -91,6 +88,12 @@ class SolidPlan:
 
     points: tuple[tuple[float, float, float], ...]
     triangles: tuple[tuple[int, int, int], ...]
+
+    @classmethod
+    def of(cls, solid: Solid) -> "SolidPlan":
+        """That of a solid."""
+        points = tuple((x, y, z) for x, y, z in solid.points.tolist())
+        return cls(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Points (n,3) and triangles (m,3)."""
@@ -150,8 +153,3 @@ class Plan:
     def impact(self) -> ImpactPlan:
         """The first impact."""
         return self.impacts[0]
-
-    @property
-    def end_time(self) -> float:
-        """The longest all impacts together may take, s, without the pauses."""
-        return sum(impact.end_time for impact in self.impacts)

@@ -61,7 +61,7 @@ def plan(scene: Scene, contact_stiffness: float | None = None, error: bool | Non
         surface_heat=scene.derived.surface_heat,
         spray=_spray(scene),
         companions=companions(scene) if error else (),
-        solids={name: _solid(name) for name in dict.fromkeys(p.file for p in scene.particles if p.file is not None)},
+        solids={name: SolidPlan.of(load(Path(name))) for name in dict.fromkeys(i.file for i in impacts if i.file)},
     )
 
 
@@ -145,12 +145,6 @@ def _spray(scene: Scene) -> str:
     stream = f"{show(spray.feed_rate, 'g/min')}{share} in a spot of {show(spray.spot, 'mm')} at {show(spray.traverse_speed, 'mm/s')}"
     impacts = d.stream.time_of_pass / d.time_between
     return f"time between impacts {show(d.time_between, 'ms')} ({whence}{stream}: {impacts:.2g} impacts a pass)"
-
-
-def _solid(file: str) -> SolidPlan:
-    solid = load(Path(file))
-    points = tuple((x, y, z) for x, y, z in solid.points.tolist())
-    return SolidPlan(points, tuple((a, b, c) for a, b, c in solid.triangles.tolist()))
 
 
 def _target(scene: Scene, base: Material, decided: Effects) -> TargetPlan:

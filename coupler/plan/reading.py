@@ -10,7 +10,7 @@ from ..errors import SceneError
 from ..files.inputs import SCENE_LIMIT, InputError, line_of, parse_toml, read_text, similar
 from ..physics import materials
 from ..scene.messages import covers, dotted, in_words, text_of, without
-from ..scene.model import SceneData, safe_name
+from ..scene.model import SceneData, particle_tables, safe_name
 from ..scene.tables import Particle, Section, read_table
 from ..scene.toml import Settings, TOMLKitError, changed, completed, to_toml
 from .batches import Landing, side_by_side
@@ -96,9 +96,7 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
     drawn = "coating" in raw and "particle" not in raw
     if "coating" in raw:
         problems += expand(raw, Path(source).parent)
-        _set_half_space(raw)
-    _set_end(raw)
-    _set_preset(raw)
+    _set_defaults(raw)
     if "gas" in raw or "nozzles" in raw:
         problems += fill(raw, catalogue)
     with_folders(raw, source)
@@ -120,7 +118,10 @@ def _checked(data: Mapping[str, object], source: str) -> Scene:
                 problems.append(problem)
     if problems or read is None:
         raise SceneError(_brief(problems), source)
-    return _in_batches(read) if drawn else read
+    if drawn:  # in an order in which many can be computed side by side
+        places = [Landing(p.offset, Derived(read).window_of(p), p.diameter) for p in read.particles]
+        return read.model_copy(update={"particles": [read.particles[i] for i in side_by_side(places)]})
+    return read
 
 
 def _brief(problems: list[str]) -> list[str]:
@@ -131,36 +132,21 @@ def _brief(problems: list[str]) -> list[str]:
     return [*told, f"... and {left} more of other particles"] if left else told
 
 
-def _in_batches(scene: Scene) -> Scene:
-    """The scene of a coating that has just been drawn, its particles in an order in which many can be computed side by side."""
-    window_of = Derived(scene).window_of
-    order = side_by_side([Landing(p.offset, window_of(p), p.diameter) for p in scene.particles])
-    return scene.model_copy(update={"particles": [scene.particles[i] for i in order]})
-
-
-def _set_half_space(raw: dict[str, object]) -> None:
-    """Let the substrate of a coating go on as a half-space at the faces that a scene says nothing of."""
-    if isinstance(substrate := raw.get("substrate"), dict):
+def _set_defaults(raw: dict[str, object]) -> None:
+    """Set what a scene, as nested dicts, does not say and other keys decide: a coating lies on a half-space, several
+    particles end cold, and bonds by exposure have the spacing at which their verdicts hold."""
+    if "coating" in raw and isinstance(substrate := raw.get("substrate"), dict):
         raw["substrate"] = {"sides": "half_space", "bottom": "half_space"} | substrate
-
-
-def _set_end(raw: dict[str, object]) -> None:
-    """Let several particles end cold where a scene does not say when they end."""
     end, particles = raw.get("end", {}), raw.get("particle")
     if isinstance(particles, list) and len(particles) > 1 and isinstance(end, dict) and not end.keys() & {"at", "time"}:
         raw["end"] = {**end, "at": "cold"}
-
-
-def _set_preset(raw: dict[str, object]) -> None:
-    """Let bonds by exposure have the spacing at which their verdicts hold, where a scene does not say how fine it is."""
     if isinstance(adhesion := raw.get("adhesion"), dict) and adhesion.get("criterion") == "exposure":
         raw.setdefault("preset", "fine")
 
 
 def _strength_of(raw: Mapping[str, object]) -> tuple[str, set[str]]:
     """The strength set or law that a scene asks for, and the names of the metals that it uses, of the scene as nested dicts."""
-    strength, particles = raw.get("strength"), raw.get("particle")
-    bodies = [*(particles if isinstance(particles, list) else [particles]), raw.get("substrate"), raw.get("coating")]
+    strength, bodies = raw.get("strength"), [*particle_tables(raw), raw.get("substrate"), raw.get("coating")]
     used = {str(body["material"]) for body in bodies if isinstance(body, dict) and "material" in body}
     return strength if isinstance(strength, str) else "", used
 

@@ -5,7 +5,6 @@ Numbers that JSON does not have (an infinite window) are written as text, "Infin
 
 import hashlib
 import json
-from functools import cache
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
@@ -40,7 +39,7 @@ def read_plan(folder: Path) -> Plan:
         problem = "is damaged: its checksum does not fit"
     else:
         try:
-            return _adapter().validate_python(plan)
+            return TypeAdapter(Plan).validate_python(plan)
         except ValidationError as error:
             first = error.errors()[0]
             problem = f"is damaged: {'.'.join(map(str, first['loc']))}: {first['msg']}"
@@ -49,8 +48,3 @@ def read_plan(folder: Path) -> Plan:
 
 def _checksum(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-
-
-@cache
-def _adapter() -> TypeAdapter[Plan]:
-    return TypeAdapter(Plan)

@@ -12,7 +12,7 @@ from ..files.surfaces import read_surface
 from ..geometry.solid import Solid, solid_of
 from ..geometry.triangles import surface_area
 from ..physics.shapes import Form
-from ..scene.model import SceneData
+from ..scene.model import SceneData, particle_tables
 
 
 def load(path: Path) -> Solid:
@@ -52,12 +52,7 @@ def read_forms(scene: SceneData) -> list[str]:
 
 def with_folders(raw: dict[str, object], source: str) -> None:
     """Make names of files absolute, which are relative to the folder of the scene. raw: nested dicts, changed in place."""
-    particles = raw.get("particle")
-    for particle in particles if isinstance(particles, list) else [particles]:
-        if (
-            isinstance(particle, dict)
-            and isinstance(name := particle.get("file"), str)
-            and len(name) < 4096
-            and "\0" not in name
-        ):
+    for particle in particle_tables(raw):
+        name = particle.get("file")
+        if isinstance(name, str) and len(name) < 4096 and "\0" not in name:
             particle["file"] = str((Path(source).parent / name).absolute())

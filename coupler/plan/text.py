@@ -105,7 +105,7 @@ def _impacts(plan: Plan, most: int) -> list[str]:
     if len(plan.impacts) == 1:
         return [f"  particle   {_particle(plan.impact)}{_pause(plan.impact)}"]
     lines = [
-        f"  impact {n:<4}{_particle(impact)}{_place(impact)}{_pause(impact)}"
+        f"  impact {n:<4}{_particle(impact)}{f', at {_at(*impact.offset)}' if any(impact.offset) else ''}{_pause(impact)}"
         for n, impact in enumerate(plan.impacts[:most], start=1)
     ]
     more = len(plan.impacts) - len(lines)
@@ -125,10 +125,6 @@ def _shape(impact: ImpactPlan) -> str:
     return Path(impact.file).name if impact.file else impact.shape.replace("_", " ")
 
 
-def _place(impact: ImpactPlan) -> str:
-    return f", at {_at(*impact.offset)}" if any(impact.offset) else ""
-
-
 def _at(x: float, y: float) -> str:
     return f"({units.rounded(x, 'um').removesuffix(' um')}, {units.rounded(y, 'um').removesuffix(' um')}) um"
 
@@ -140,31 +136,27 @@ def _pause(impact: ImpactPlan) -> str:
 
 def _splats(plan: Plan) -> list[str]:
     """How splats join the target and what holds them, where there are several or the scene says how."""
-    a, splats = plan.adhesion, len(plan.impacts) - 1
-    if not splats and a.kind == "none":
+    if len(plan.impacts) == 1 and plan.adhesion.kind == "none":
         return []
     each = [impact.splat_elements for impact in plan.impacts if impact.splat_elements]
-    if not each:
-        return [f"  adhesion   {a.words}", "  splats     none expected: all are below the critical velocity"]
-    count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
-    size = units.rounded(plan.splat_element_size, "um")
-    return [
-        f"  adhesion   {a.words}",
-        f"  splats     about {count} elements of {size} each, method {plan.splat_method}",
-    ]
+    text = "none expected: all are below the critical velocity"
+    if each:
+        count = " to ".join(dict.fromkeys(str(_round(number)) for number in (min(each), max(each))))
+        size = units.rounded(plan.splat_element_size, "um")
+        text = f"about {count} elements of {size} each, method {plan.splat_method}"
+    return [f"  adhesion   {plan.adhesion.words}", f"  splats     {text}"]
 
 
 def _window(plan: Plan) -> list[str]:
     """What of the target is computed, where that is not all of it."""
     lengths = sorted({impact.window for impact in plan.impacts if math.isfinite(impact.window)})
-    first, last = (units.rounded(length, "um") for length in (lengths[0], lengths[-1])) if lengths else ("", "")
-    radius = first if first == last else f"{first.removesuffix(' um')} to {last}"
     if not lengths:
         return []
     most = max(each.stop - each.first for each in plan.batches)
     side = f"; {len(plan.batches)} batches of up to {most} impacts side by side" if most > 1 else ""
-    lines = [f"  window     {radius} round each impact, which is computed on that cut of the target{side}"]
-    return lines
+    return [
+        f"  window     {_range(lengths, 'um')} round each impact, which is computed on that cut of the target{side}"
+    ]
 
 
 def _ends(plan: Plan) -> str:
@@ -188,9 +180,10 @@ def _bytes(number: float) -> str:
     return f"{number / 1e9:.2g} GB" if number > 0.95e9 else f"{max(number / 1e6, 1.0):.2g} MB"
 
 
-def _range(times: list[float]) -> str:
-    first, last = (units.rounded(time, "ns") for time in (times[0], times[-1]))
-    return first if first == last else f"{first.removesuffix(' ns')} to {last}"
+def _range(values: list[float], unit: str = "ns") -> str:
+    """The first and the last of ascending SI values, equal ones once."""
+    first, last = (units.rounded(value, unit) for value in (values[0], values[-1]))
+    return first if first == last else f"{first.removesuffix(f' {unit}')} to {last}"
 
 
 def _shapes(plan: Plan) -> list[str]:

@@ -93,7 +93,7 @@ class DistributedParticle:
 
     def _forget(self) -> None:
         """Forget what has been gathered from the points."""
-        self._fields: dict[str, np.ndarray] = {}
+        self._stress: np.ndarray | None = None
         self._points: PointState | None = None
 
     def _sum_up(self) -> PointTotals:
@@ -110,15 +110,11 @@ class DistributedParticle:
             self._points = scatter([part.points for part in parts], self._owner, self.n)
         return self._points
 
-    def _field(self, name: str) -> np.ndarray:
-        """A field of all points, gathered when it is asked for, once between two chunks of steps."""
-        if name not in self._fields:
-            self._fields[name] = self.whole(name)
-        return self._fields[name]
-
     def stress(self) -> np.ndarray:
         """True Cauchy stress (n,6) Pa in Voigt order xx yy zz yz xz xy."""
-        return self._field("stress")
+        if self._stress is None:
+            self._stress = self.whole("stress")
+        return self._stress
 
     def carried(self) -> dict[str, np.ndarray]:
         """State of the metal that goes on to a mesh of the points as they lie now, by name (`physics.metal`)."""

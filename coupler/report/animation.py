@@ -1,7 +1,5 @@
 """A film of the cut, MP4 (by ffmpeg, where there is one) or GIF: one frame, the same colours and a scale bar in all pictures."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

@@ -3,8 +3,6 @@
 Each is a dict of `traces` and `layout` in the words of plotly.js, which draws them in the reader's browser.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np

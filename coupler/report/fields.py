@@ -1,7 +1,5 @@
 """Fields that are drawn: their words and colours, and their values anywhere in particle and target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One HTML file about one run: opens offline in any browser, asks for nothing outside of itself."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Parts of the page in HTML: tables, lists. Everything that comes from a run is escaped here."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from html import escape

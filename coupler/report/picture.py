@@ -1,7 +1,5 @@
 """Pictures of the cut through particle and target."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Fields along the vertical line through the middle of the splat, from its top down into the substrate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

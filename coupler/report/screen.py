@@ -1,7 +1,5 @@
 """The first screen after a run: verdict, the measures that converge, warnings; within 30 lines."""
 
-from __future__ import annotations
-
 import io
 import shutil
 
@@ -11,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ..files.result import Result
-from .words import alerts, brief, error_note, notes, of_run, summary_table, title, verdict
+from .words import alerts, brief, error_note, of_run, remarks, summary_table, title, verdict
 
 _MOST_IMPACTS = 10
 _MOST_COLUMNS = 6  # impacts side by side
@@ -22,19 +20,19 @@ _WIDTH = 120  # columns where there is no terminal
 def screen(result: Result, verbose: bool = False) -> str:
     """A finished run as text for a terminal. verbose: all measures and remarks."""
     summary, doubts = result.summary, alerts(result.summary)
-    remarks, effects, warnings = notes(result)
-    if not verbose:
-        more = len(remarks) - _MOST_REMARKS
-        remarks, effects = [*remarks[:_MOST_REMARKS], *([f"{more} more remarks: -v"] if more > 0 else [])], []
+    notes, effects, warnings = remarks(summary), result.values.get("effects"), result.values.get("warnings") or ()
+    if verbose and effects:
+        notes.append(f"effects: {', '.join(map(str, effects))}")
+    elif not verbose and (more := len(notes) - _MOST_REMARKS) > 0:
+        notes[_MOST_REMARKS:] = [f"{more} more remarks: -v"]
     decided = verdict(summary)
     head = [f"verdict: {text}" if k == 0 else f"  {text}" for k, text in enumerate(decided)]
     head += [f"doubtful: {text}" for text in doubts]
     measured = error_note(summary)
     tail = [
         *([measured] if measured else []),
-        *remarks,
-        *effects,
-        *(f"warning: {text}" for text in warnings if text not in doubts),
+        *notes,
+        *(f"warning: {text}" for text in map(str, warnings) if text not in doubts),
     ]
     stream = io.StringIO()
     width = shutil.get_terminal_size((_WIDTH, 30)).columns

@@ -4,8 +4,6 @@ All numbers go as little-endian integers of 16 bits in base64: positions as step
 shown, values as steps through their range.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """The summary in words, units and an order that people read: one source for terminal, page and comparison."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -39,9 +37,9 @@ KEYS = (
 OF_EACH = (
     "verdict", "flattening_ratio", "crater_depth_m", "splat_diameter_m", "eps_p_mean", "T_mean_K", "rebound_velocity_m_s",
 )  # fmt: skip
-NOTES = ("effects", "warnings")  # lists of words, below the table
 _ABOVE = (
-    *NOTES,
+    "effects",
+    "warnings",
     "undecided",
     "verdict_criterion",
     "verdict_by",
@@ -398,16 +396,6 @@ def summary_table(result: Result) -> Table:
         before = [""] * (len(several) - 1)
         fill_table(table, {"all impacts": [Line(r.key, r.label, [*before, *r.cells], r.unit) for r in run]})
     return table
-
-
-def notes(result: Result) -> tuple[list[str], list[str], list[str]]:
-    """What stands below the measures, a line each: remarks on them, the effects, the warnings."""
-    effects, warnings = (result.values.get(name) or [] for name in NOTES)
-    return (
-        remarks(result.summary),
-        [f"effects: {', '.join(map(str, effects))}"] if effects else [],
-        list(map(str, warnings)),
-    )
 
 
 def _particle_of(impact: Block) -> str:

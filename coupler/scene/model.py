@@ -4,6 +4,7 @@ Its texts are restricted to safe patterns, as some reach solvers that can run co
 """
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -70,6 +71,12 @@ class SceneData(tables.Section):
         """What messages call the particles: "particle" where there is one, else "particle[1]" and on."""
         n = len(self.particles)
         return ["particle"] if n == 1 else [f"particle[{i}]" for i in range(1, n + 1)]
+
+
+def particle_tables(raw: Mapping[str, object]) -> list[dict[str, object]]:
+    """The tables of the particles in a scene as nested dicts, one or several; what is no table is left out."""
+    particles = raw.get("particle")
+    return [each for each in (particles if isinstance(particles, list) else [particles]) if isinstance(each, dict)]
 
 
 def safe_name(source: str) -> str:

@@ -9,8 +9,8 @@ from ..errors import DependencyError, SplatError
 from ..geometry.graph import connected_parts
 from ..geometry.tetrahedra import TETS_PER_H3
 from .cloud import MIN_POINTS, Body, Cloud, Report, Splat
-from .fit import fit_of
 from .meshing import SIGMAS, CloudShape, build_mesh, strategies
+from .quality import fit_of
 from .transfer import transfer
 
 METHODS = ("auto", "carried", "density")

@@ -1,9 +1,12 @@
-"""Measures of a tetrahedral mesh: shape quality, dihedral angles, stable time step, boundary, connected parts."""
+"""Measures of a tetrahedral mesh: shape quality, dihedral angles, stable time step, connected parts, fit to its cloud."""
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from ..geometry.graph import connected_parts
-from ..geometry.tetrahedra import FACES, volumes
+from ..geometry.raycast import RaySurface
+from ..geometry.tetrahedra import FACES, boundary_faces, volumes
+from .cloud import Cloud, Report
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
 
@@ -52,3 +55,23 @@ def pieces(points: np.ndarray, tets: np.ndarray) -> int:
     nodes, conn = compact(points, tets)
     pairs = np.concatenate([conn[:, [0, 1]], conn[:, [1, 2]], conn[:, [2, 3]]])
     return int(connected_parts(pairs, len(nodes))[0])
+
+
+def fit_of(points: np.ndarray, tets: np.ndarray, cloud: Cloud) -> Report:
+    """Width and height of a mesh and of the carried surface (else of the points), m, and how far points lie outside, in spacings.
+
+    width: diameter of the circle with the area of the body seen from above; outside_half: share of the points more than
+    half a spacing outside; outside_max: the farthest.
+    """
+    x, triangles = compact(points, boundary_faces(tets)[0])
+    source = cloud.x if cloud.surface is None else cloud.surface[0]
+    out = RaySurface(x, triangles).distance_outside(cloud.x) / cloud.spacing
+
+    def width(places: np.ndarray) -> float:
+        return float(np.sqrt(4.0 / np.pi * ConvexHull(places[:, :2]).volume))
+
+    return {
+        "width_m": width(x), "top_m": float(x[:, 2].max()),
+        "source_width_m": width(source), "source_top_m": float(source[:, 2].max()),
+        "outside_half": float(np.mean(out > 0.5)), "outside_max": float(out.max()),
+    }  # fmt: skip

@@ -102,11 +102,6 @@ def melting(
     return []
 
 
-def fly(flow: Flow, material: Material, diameter: float, T_feed: float = T_AMBIENT, drag: Drag = henderson) -> Flight:
-    """`fly_together` of one sphere."""
-    return fly_together(flow, material, [diameter], T_feed, drag)[0]
-
-
 def fly_together(
     flow: Flow, material: Material, diameters: Sequence[float], T_feed: float = T_AMBIENT, drag: Drag = henderson
 ) -> list[Flight]:

@@ -86,12 +86,6 @@ def ladder_points(
     return [*ladder, LadderPoint("reference", f"{reference} points", reference)]
 
 
-def scene_at(scene: Scene, point: LadderPoint) -> Scene:
-    """The scene with the resolution and effects of a ladder point in place of its own."""
-    changes = {} if point.effects is None else {"effects": point.effects}
-    return at_points(scene, point.points, changes, point.element)
-
-
 def finished(rows: Sequence[Mapping[str, str]]) -> Iterator[Mapping[str, str]]:
     """The rows that have measures."""
     return (row for row in rows if not row["failed"])
@@ -148,11 +142,14 @@ def compute_missing(
         at = "" if point.axis in ("points", "reference") else f" at {point.points} points"
         say(f"{number} of {len(missing)}: {point.axis}, {point.name}{at}")
         try:
-            scene_here = scene_at(scene, point)
+            changes = {} if point.effects is None else {"effects": point.effects}
+            scene_here = at_points(scene, point.points, changes, point.element)
         except SceneError as error:  # such as elements too coarse for the crater
             row = {**dict(zip(KEY, point.key, strict=True)), "cpu_s": 0.0, "failed": "; ".join(error.problems)[:200]}
         else:
-            row = compute(scene_here, point, out / "runs" / _folder(point), Progress(quiet=quiet))
+            row = compute(
+                scene_here, point, out / "runs" / "_".join(point.key).replace(" ", "-"), Progress(quiet=quiet)
+            )
         new = table.add(row)
         say(f"  {new['failed'] or 'finished'}, {float(new['cpu_s']):.3g} s of processor time")
     return table
@@ -206,7 +203,3 @@ def _warm_up(out: Path, say: Callable[[str], None]) -> None:
     say("compiling")
     scene = Scene.from_text(SMALL, "warm-up")
     compute(scene, LadderPoint("warm-up", "warm-up", 500), out / "runs" / "warm-up", Progress(quiet=True))
-
-
-def _folder(point: LadderPoint) -> str:
-    return "_".join(point.key).replace(" ", "-")

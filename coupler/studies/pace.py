@@ -4,8 +4,6 @@
 transfers them to this one.
 """
 
-from __future__ import annotations
-
 import json
 import platform
 from collections.abc import Callable

@@ -14,20 +14,20 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from pathlib import Path
-from types import FrameType
 
 from ..core.cores import cores
 from ..core.executors import executor, own_environment
+from ..core.signals import interrupted_by
 from ..errors import InterruptedRunError, SceneError
 from ..files.inputs import InputError, read_json_object, read_text
 from ..files.outputs import claim_folder, write_text
 from ..plan.reading import Scene
 from ..plan.text import duration
 
-_STOPPED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # somebody wanted to stop: no verdict on the point
 REFUSED = 2  # exit code of a run whose scene or folder is refused
 _STATUS = {0: "done", 4: "undecided"}  # by the exit code of a run; "failed" else
 _running: set[subprocess.Popen[str]] = set()  # of this process
@@ -137,22 +137,12 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
     folder = scene.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     _wait_for(folder)
-    known = _scene_of(scene)
-    verb = ["resume", folder] if known and _begun(known, folder) else ["run", scene, "--out", folder, "--force"]
-    command = [
-        sys.executable,
-        "-m",
-        "coupler",
-        *map(str, verb),
-        "--threads",
-        str(threads),
-        "--jobs",
-        str(threads),
-        "--quiet",
-    ]
-    command += [] if known and known.resolution.error is True else ["--no-error"]
     with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=own_environment()
+        _command(scene, folder, threads),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=own_environment(),
     ) as run:
         _running.add(run)
         try:
@@ -164,7 +154,7 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
         finally:
             _running.discard(run)
     code = run.returncode
-    if code in {*(-number for number in _STOPPED), *(128 + number for number in _STOPPED)}:
+    if code in {*(-number for number in STOPS), *(128 + number for number in STOPS)}:
         raise InterruptedRunError(f"the run in {folder} was stopped; the same command goes on with it")
     ended = {"status": _STATUS.get(code, "failed"), "reason": _reason(code, errors), "exit_code": code}
     write_text(status, json.dumps(ended, indent=1) + "\n")
@@ -174,27 +164,12 @@ def compute(scene: Path, status: Path, threads: int = 1) -> dict[str, object]:
 def main(arguments: list[str]) -> int:
     """`python -m coupler.studies.runs SCENE STATUS`: what workflows/Snakefile calls for each point. Returns the exit code."""
     scene, status = map(Path, arguments)
-    with stopping():
+    with interrupted_by(*STOPS):
         try:
             print(f"{scene.stem}: {status_text(compute(scene, status))}")
         except (KeyboardInterrupt, InterruptedRunError):
             return 128 + signal.SIGTERM
     return 0
-
-
-@contextlib.contextmanager
-def stopping() -> Iterator[None]:
-    """Context in which SIGTERM and SIGHUP stop the runs as Ctrl-C does: KeyboardInterrupt."""
-
-    def stop(number: int, _frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, stop) for number in _STOPPED}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _wait_for(folder: Path) -> None:
@@ -208,20 +183,17 @@ def _wait_for(folder: Path) -> None:
         os.close(descriptor)
 
 
-def _scene_of(path: Path) -> Scene | None:
-    """The scene of a point; None for one that cannot be read, which its run refuses."""
-    try:
-        return Scene.load(path)
-    except SceneError:
-        return None
-
-
-def _begun(scene: Scene, folder: Path) -> bool:
-    """Whether the folder holds a run of this very scene."""
-    try:
-        return read_text(folder / "scene.toml") == scene.to_toml()
-    except InputError:
-        return False
+def _command(scene: Path, folder: Path, threads: int) -> list[str]:
+    """What computes a scene, or goes on with it where its folder holds a run of this very scene."""
+    verb: list[object] = ["run", scene, "--out", folder, "--force"]
+    measured = False
+    with contextlib.suppress(SceneError, InputError):  # a scene that cannot be read is refused by its run
+        known = Scene.load(scene)
+        measured = known.resolution.error is True
+        if read_text(folder / "scene.toml") == known.to_toml():
+            verb = ["resume", folder]
+    more = [*([] if measured else ["--no-error"]), "--threads", str(threads), "--jobs", str(threads), "--quiet"]
+    return [sys.executable, "-m", "coupler", *map(str, verb), *more]
 
 
 def _reason(code: int, errors: str) -> str:

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from ..contact import broad
 from ..contact.bodies import BodyContact, BodyContactState, ContactPast
@@ -20,7 +18,7 @@ from ..core.records import Shape, check_indices
 from ..errors import CheckpointError
 from ..fe.explicit import Target, TargetState
 from ..fe.mesh import TetMesh
-from ..geometry.raycast import RaySurface
+from ..geometry.graph import connected_parts
 from ..physics.adhesion import Adhesion
 from ..physics.constitutive import LAW
 from .domain import SPLAT, BodyState, Domain, Point, domain_now, domain_of, merge, only
@@ -301,8 +299,7 @@ class Bodies:
             owner = np.zeros(len(self.target.nodes.x), np.int64)
             owner[self.target.mesh.conn] = self.body[:, None]
             pairs = owner[np.stack([self.bond.nodes, self.bond.triangles[:, 0]])[:, ~self.bond.broken]]
-        graph = coo_matrix((np.ones(pairs.shape[1]), tuple(pairs)), shape=(self.count, self.count))
-        part = connected_components(graph, directed=False)[1]
+        part = connected_parts(pairs.T, self.count)[1]
         return np.asarray(part == part[0])
 
     def without(self, gone: np.ndarray, size: float) -> "Bodies":
@@ -372,22 +369,6 @@ def _check(state: BodiesState) -> None:
             raise CheckpointError("a state does not fit: a face of the mesh points at facets that are not there")
     for record in (mesh, state, *([] if state.bond is None else [state.bond])):
         check_indices(record, nodes=n, points=n, elements=m, facets=facets, laws=len(state.laws))
-
-
-def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray, gap: float) -> float:
-    """Height z (m) to which a body must be lifted so that its surface clears the facets by `gap`, measured vertically.
-
-    vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
-    """
-    return float(np.max(heights_at(vertices[:, :2], x, facets) - vertices[:, 2], initial=-np.inf)) + gap
-
-
-def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
-    """Highest place (k,) m at which each of the vertical lines axes (k,2) m meets facets (f,3) of x (n,3) m; -inf where none does."""
-    line, z, _ = RaySurface(x, facets, closed=False).on_verticals(axes[:, 0], axes[:, 1])
-    height = np.full(len(axes), -np.inf)
-    np.maximum.at(height, line, z)
-    return height
 
 
 def _bonded(

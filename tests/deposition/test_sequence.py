@@ -16,7 +16,7 @@ from coupler.commands.main import main
 from coupler.contact.overlap import overlaps, ways_out
 from coupler.deposition import joining
 from coupler.deposition.equilibrium import settle
-from coupler.deposition.joining import cloud_of, point_of_impact, release_time
+from coupler.deposition.joining import cloud_of, release_time
 from coupler.deposition.summary import summary
 from coupler.errors import SplatError
 from coupler.fe import explicit, heat, stability
@@ -39,8 +39,9 @@ from coupler.plan.planning import plan
 from coupler.ranks.ranks import Ranks
 from coupler.splat.convert import convert
 from coupler.studies.coating import first_step
-from coupler.target.bodies import Bodies, level_under
+from coupler.target.bodies import Bodies
 from coupler.target.domain import domain_now, domain_of, merge
+from coupler.target.places import level_under, points_of_impact
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
 
@@ -196,9 +197,9 @@ def test_the_next_one_starts_above_the_surface() -> None:
     x = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0], [0, 0, 5], [4, 0, 5], [0, 4, 5.0]])
     facets = np.array([[0, 1, 2], [3, 4, 5]])
     ball = np.array([[1, 1, -2.0], [6, 1, -2.0]])
-    assert level_under(ball, x, facets, 0.5) == pytest.approx(5 + 2 + 0.5)
-    assert level_under(ball[1:], x, facets, 0.5) == pytest.approx(2.5)
-    assert level_under(ball + 100.0, x, facets, 0.5) == -np.inf
+    assert level_under(ball, x, facets) == pytest.approx(5 + 2)
+    assert level_under(ball[1:], x, facets) == pytest.approx(2.0)
+    assert level_under(ball + 100.0, x, facets) == -np.inf
 
 
 def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
@@ -206,9 +207,10 @@ def test_waves_are_reckoned_from_where_the_axis_meets_the_surface() -> None:
     bodies = substrate().joined(
         [block((-10e-6, -10e-6, 0.0), 0.0, 1.0, law)], Adhesion("tied"), 5e-6, (0, 0, 0), 1.0, 1
     )
-    assert point_of_impact(bodies, (2e-6, 3e-6)) == pytest.approx((2e-6, 3e-6, 20e-6))  # on the block
-    assert point_of_impact(bodies, (18e-6, 0.0)) == pytest.approx((18e-6, 0.0, 0.0), abs=1e-12)  # beside it
-    assert point_of_impact(bodies, (90e-6, 0.0)) == (90e-6, 0.0, 0.0)  # beside everything
+    on, beside, away = points_of_impact(bodies, [(2e-6, 3e-6), (18e-6, 0.0), (90e-6, 0.0)])
+    assert on == pytest.approx((2e-6, 3e-6, 20e-6))  # on the block
+    assert beside == pytest.approx((18e-6, 0.0, 0.0), abs=1e-12)  # beside it
+    assert away == (90e-6, 0.0, 0.0)  # beside everything
 
 
 def test_a_particle_that_creeps_has_come_to_rest() -> None:

@@ -23,7 +23,7 @@ from coupler.report.fields import FIELDS, from_points
 from coupler.report.page import report
 from coupler.report.picture import axes_at, blank, cut, label_log, stage, view
 from coupler.report.profiles import on_vertical, profiles
-from coupler.report.words import alerts, notes, remarks, span, summary_table, title
+from coupler.report.words import alerts, remarks, span, summary_table, title
 
 
 @pytest.fixture(scope="module")
@@ -273,7 +273,7 @@ def test_what_has_no_value_has_a_reason_and_the_doubtful_leads(tmp_path):
     result = Result(tmp_path)
     rows = {row[0]: row[1:] for row in printed(result) if len(row) > 1}
     assert rows["greatest plastic strain"] == ["-", "-", ""]
-    assert notes(result)[0][:3] == [
+    assert remarks(result.summary)[:3] == [
         "impact 1: greatest plastic strain at the end is undefined: 85 is above 20",
         "impact 1: at the end, flattening, above surface is 1.2: the top lies below the surface: the particle is embedded",
         "impact 2: all measures at the end, rebound velocity / impact velocity are undefined: not at rest",

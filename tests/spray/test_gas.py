@@ -12,7 +12,7 @@ from scipy.special import erf
 from coupler.errors import ColdsprayError
 from coupler.physics.materials import material
 from coupler.spray import gas, nozzles
-from coupler.spray.flight import carlson_hoglund, fly, fly_together, henderson, integrate, nusselt
+from coupler.spray.flight import carlson_hoglund, fly_together, henderson, integrate, nusselt
 from coupler.spray.gas import GASES, Flow, Piece, State
 
 N2, D42 = GASES["N2"], nozzles.library()["D42PBI"]
@@ -194,7 +194,7 @@ def test_heating_of_a_particle_that_goes_with_the_gas():
 
 def test_what_the_gas_gives_off_is_what_the_particle_holds():
     metal, D = material("Ni"), 15e-6
-    flown = fly(flow(bow_shock=True), metal, D, 293.15)
+    flown = fly_together(flow(bow_shock=True), metal, [D], 293.15)[0]
     w = np.maximum(np.abs(flown.u - flown.v), 1e-9)
     mu, k = (np.array([f(T) for T in flown.T_gas]) for f in (N2.viscosity, N2.conductivity))
     a = np.array([N2.sound(T) for T in flown.T_gas])
@@ -215,7 +215,7 @@ def test_what_the_gas_gives_off_is_what_the_particle_holds():
 def test_spheres_that_fly_together_fly_as_each_alone(law):
     sizes, metal = [5e-6, 60e-6, 18e-6], material("Ni")
     for D, flown in zip(sizes, fly_together(flow(bow_shock=True), metal, sizes, 400.0, law), strict=True):
-        alone = fly(flow(bow_shock=True), metal, D, 400.0, law)
+        alone = fly_together(flow(bow_shock=True), metal, [D], 400.0, law)[0]
         for name in ("x", "u", "T_gas", "v", "T", "t"):
             assert getattr(flown, name) == pytest.approx(getattr(alone, name), rel=1e-6)
 
@@ -240,7 +240,7 @@ def test_the_best_slip_is_at_mach_root_two():  # Dykhuizen & Smith (1998); Gruji
 
 def test_faster_with_pressure_temperature_helium_and_small_size():
     def v(**changes):
-        return fly(flow(**changes), material("Ni"), 25e-6).velocity
+        return fly_together(flow(**changes), material("Ni"), [25e-6])[0].velocity
 
     small, usual, large = (f.velocity for f in fly_together(flow(), material("Ni"), (10e-6, 25e-6, 50e-6)))
     assert small > usual > large

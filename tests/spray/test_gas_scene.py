@@ -15,7 +15,7 @@ from coupler.plan.reading import Scene
 from coupler.plan.text import describe
 from coupler.scene.tables import GasConditions
 from coupler.spray import nozzles
-from coupler.spray.flight import DRAG_LAWS, fly
+from coupler.spray.flight import DRAG_LAWS, fly_together
 from coupler.spray.gas import GASES, Flow
 
 D42 = nozzles.library()["D42PBI"]
@@ -39,7 +39,7 @@ def test_every_nozzle_says_where_it_is_from_and_what_is_assumed():
 
 def test_a_chamber_heats_and_a_barrel_lengthens():
     long = dataclasses.replace(D42, chamber=0.1, barrel=0.05)
-    plain, changed = (fly(flow(nozzle=n), material("Ni"), 25e-6) for n in (D42, long))
+    plain, changed = (fly_together(flow(nozzle=n), material("Ni"), [25e-6])[0] for n in (D42, long))
     assert changed.temperature > plain.temperature
     assert changed.velocity > plain.velocity
     assert changed.x[0] == pytest.approx(-0.15)
@@ -81,7 +81,7 @@ def problems(*arguments, **more):
 
 
 def test_gas_gives_a_scene_velocity_and_temperature():
-    flown = fly(flow(), material("Ni"), 25e-6, 293.15)
+    flown = fly_together(flow(), material("Ni"), [25e-6], 293.15)[0]
     found = scene()
     assert found.particle.velocity == pytest.approx(flown.velocity, rel=1e-3)
     assert found.particle.temperature == pytest.approx(flown.temperature, rel=1e-3)
@@ -190,7 +190,7 @@ def test_the_command_prints_writes_and_draws(capsys, tmp_path):
     more = ["--diameter", "25 um", "18 um", "--csv", str(table), "--png", str(picture), "--bow-shock"]
     assert cli.main(COMMAND + more) == 0
     said = capsys.readouterr().out
-    flown = fly(flow(p0=8e5, T0=627.15, bow_shock=True), material("Ni"), 25e-6)
+    flown = fly_together(flow(p0=8e5, T0=627.15, bow_shock=True), material("Ni"), [25e-6])[0]
     for part in ("25 um", f"{flown.velocity:.0f} m/s", "over-expanded", "assumed of the nozzle"):
         assert part in said
     head, columns, first, second = table.read_text().splitlines()

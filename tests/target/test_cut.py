@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
@@ -23,7 +24,6 @@ from coupler.core.records import rows_of
 from coupler.core.threads import RANGES, share
 from coupler.deposition import batches as deposition_batches
 from coupler.deposition import task as deposition_task
-from coupler.deposition.joining import point_of_impact
 from coupler.deposition.mass_scaling import prepare
 from coupler.deposition.replay import BatchReplay
 from coupler.deposition.run import resume, run
@@ -42,11 +42,12 @@ from coupler.particle.inertia import ENOUGH
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
-from coupler.plan.batches import LARGEST_BATCH, MEET, Landing, batches, side_by_side
+from coupler.plan.batches import LARGEST_BATCH, MEET, Landing, batches_of, side_by_side
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.target.bodies import Bodies
 from coupler.target.cut import cut_out, put_back
+from coupler.target.places import points_of_impact
 
 
 @pytest.fixture(scope="module")
@@ -220,12 +221,17 @@ def three(*offsets: float) -> str:
 SIDE = three(-42, 42, -36)  # two side by side, then one on the first splat
 
 
+def ranges_of(impacts: Sequence[Landing]) -> list[range]:
+    """The numbers of the impacts of each batch."""
+    return [range(each.first, each.stop) for each in batches_of(impacts, False)]
+
+
 @pytest.mark.parametrize(
     ("offsets", "sizes"), [((-42, 42, -36), [2, 1]), ((-42, -36, 42), [1, 2]), ((0, 42, -36), [1, 2])]
 )
 def test_batches_lie_apart_and_keep_the_order_of_arrival(offsets: tuple[int, ...], sizes: list[int]) -> None:
     """Windows of 32 um and half a diameter between them: 74 um from centre to centre."""
-    ranges = batches(plan(Scene.from_text(three(*offsets), "x")).impacts)
+    ranges = ranges_of(plan(Scene.from_text(three(*offsets), "x")).impacts)
     assert [len(r) for r in ranges] == sizes
     assert [i for r in ranges for i in r] == [0, 1, 2]
 
@@ -243,9 +249,9 @@ def test_impacts_pass_only_those_that_their_splats_do_not_meet() -> None:
     for k in range(120):
         longest[k] += max((longest[i] for i in range(k) if joined[i][k]), default=0)
     ordered = [places[i] for i in order]
-    ranges = batches(ordered)
+    ranges = ranges_of(ordered)
     # an order that only windows decide has as many batches as the longest chain
-    assert len(ranges) < 0.9 * longest.max() < 0.9 * len(batches(places))
+    assert len(ranges) < 0.9 * longest.max() < 0.9 * len(ranges_of(places))
     for now, then in itertools.pairwise(ranges):  # none can be put off to the next batch, but where that is full
         assert len(then) == LARGEST_BATCH or all(any(joined[order[i]][order[k]] for k in then) for i in now)
     everywhere = [Landing(p.offset, math.inf, p.diameter) for p in places]
@@ -256,7 +262,7 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
     """With the same window, to the last bit."""
     planned = plan(Scene.from_text(SIDE, "x"))
     whole = build_target(planned).renumbered((0.0, 0.0, 0.0))
-    place = point_of_impact(whole, planned.impacts[0].offset)
+    (place,) = points_of_impact(whole, [planned.impacts[0].offset])
     positions = []
     for bodies in (whole.renumbered(place), cut_out(whole, place, planned.impacts[0].window)[0]):
         prepare(planned, 0, bodies, place)
@@ -301,7 +307,7 @@ def test_the_edge_gives_way_in_the_impact_and_is_led_back_after_it(tmp_path: Pat
     """What lies beyond has not moved: so the cut can be put back."""
     planned = plan(Scene.from_text(SIDE, "x"))
     whole = build_target(planned).renumbered((0.0, 0.0, 0.0))
-    place = point_of_impact(whole, planned.impacts[0].offset)
+    (place,) = points_of_impact(whole, [planned.impacts[0].offset])
     part, cut = cut_out(whole, place, planned.impacts[0].window)
     moved: list[float] = []
     rest: dict[int, np.ndarray] = {}

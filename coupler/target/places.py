@@ -1,0 +1,86 @@
+"""Where bodies of a target lie: under a particle, near a place, after all impacts."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..fe.explicit import Target
+from ..geometry.extent import shape_measures
+from ..geometry.raycast import RaySurface
+from ..physics.constitutive import von_mises
+from .bodies import Bodies
+from .domain import Point
+
+
+def level_under(vertices: np.ndarray, x: np.ndarray, facets: np.ndarray) -> float:
+    """Height z (m) to which a body must be lifted so that its surface just clears the facets, measured vertically.
+
+    vertices (k,3) m of the body's surface; x (n,3) m, facets (f,3) of what lies below. -inf where nothing lies below.
+    """
+    return float(np.max(heights_at(vertices[:, :2], x, facets) - vertices[:, 2], initial=-np.inf))
+
+
+def heights_at(axes: np.ndarray, x: np.ndarray, facets: np.ndarray) -> np.ndarray:
+    """Highest place (k,) m at which each of the vertical lines axes (k,2) m meets facets (f,3) of x (n,3) m; -inf where none does."""
+    line, z, _ = RaySurface(x, facets, closed=False).on_verticals(axes[:, 0], axes[:, 1])
+    height = np.full(len(axes), -np.inf)
+    np.maximum.at(height, line, z)
+    return height
+
+
+def points_of_impact(bodies: Bodies, offsets: Sequence[tuple[float, float]]) -> list[Point]:
+    """Where the axis of each particle at an offset (m) meets what lies there, (x, y, z) m: waves and windows begin there."""
+    t = bodies.target
+    if bodies.count == 1 and t.time == 0.0:  # nothing has hit the substrate, and rays need not be loaded
+        return [(*offset, 0.0) for offset in offsets]
+    z = heights_at(np.array(offsets), t.nodes.x, t.mesh.facets[bodies.reachable()])
+    return [(*offset, float(h) if np.isfinite(h) else 0.0) for offset, h in zip(offsets, z, strict=True)]
+
+
+def near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
+    """Bodies whose boxes come within a radius of one of the places, m."""
+    low, high = bodies.surfaces.boxes(bodies.target.nodes.x)
+    at = np.array(places)[:, None]
+    away = np.maximum(np.maximum(low - at, at - high), 0.0)
+    return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
+
+
+def way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
+    """The nodes (k,) of a target that were at the elastic edge of the window before, and the way (k,3) m that leads them back to where
+    they were at rest: what lies beyond the edge has not moved."""
+    if before.edge is None:
+        return None
+    number, place = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)
+    known = np.flatnonzero(number >= 0)
+    place[number[known]] = known
+    nodes = place[before.nodes.node_number[before.edge.nodes]]
+    return nodes, before.edge.rest - now.nodes.x[nodes]
+
+
+def means_of(bodies: Bodies, body: int) -> dict[str, float]:
+    """What a body holds: means over its elements of von Mises stress, pressure, plastic strain and temperature."""
+    t = bodies.target
+    own = bodies.body == body
+    weight = t.elements.volume[own]
+    pressure = t.nodes.p[t.mesh.conn[own]].mean(axis=1)
+    values = {
+        "von_mises_Pa": von_mises(t.elements.s[own]),
+        "pressure_Pa": pressure,
+        "eps_p": t.elements.eps_p[own],
+        "T_K": t.elements.T[own],
+    }
+    return {name: float(np.average(value, weights=weight)) for name, value in values.items()}
+
+
+def splats_at_end(bodies: Bodies, diameters: Sequence[float], levels: Sequence[float]) -> list[dict[str, float] | None]:
+    """How the splats of the first impacts stand in the target: measures of shape, SI; None for one that has left.
+
+    diameters (k,) m: of their particles; levels (k,) m: height of the surface that each particle met.
+    """
+    mesh, standing = bodies.target.mesh, []
+    impact_of_facet = bodies.impact[bodies.body[mesh.facet_element]]
+    for number, (diameter, level) in enumerate(zip(diameters, levels, strict=True), 1):
+        facets = mesh.facets[impact_of_facet == number]
+        away = bodies.target.nodes.x - np.array([0.0, 0.0, level])
+        standing.append(shape_measures(away, facets, diameter) if len(facets) else None)
+    return standing
