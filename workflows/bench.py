@@ -17,7 +17,7 @@ from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_window
+from coupler.impact.loop import advance_chunk
 from coupler.particle import packing
 from coupler.particle.engine import ENGINES
 from coupler.physics.constitutive import law_record
@@ -139,7 +139,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
     p = domains.particle
     impact = Impact(domains)
     while impact.time < 15e-9:  # into the impact: points flow, surfaces touch
-        advance_window(impact)
+        advance_chunk(impact)
 
     spent = 0.0  # s, in the target
 
@@ -161,7 +161,7 @@ def points(rows: list[tuple[str, float, str]], count: int) -> None:
         nonlocal spent
         spent, before, start = 0.0, p.steps, clock()
         while p.steps < before + STEPS:
-            advance_window(impact)
+            advance_chunk(impact)
         whole, steps = clock() - start, p.steps - before
         return spent / steps, (whole - spent) / steps
 

@@ -31,7 +31,7 @@ from pages import (
 from coupler import Scene, run
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_window
+from coupler.impact.loop import advance_chunk
 from coupler.measures import CONVERGING, measure
 from coupler.plan.effects import EFFECTS, GRADIENTS
 from coupler.plan.planning import plan
@@ -163,7 +163,7 @@ def in_turn(scenes: Mapping[str, str]) -> dict[str, Sequence[float]]:
     while going := {name: impact for name, impact in impacts.items() if impact.time < end}:
         for name, impact in going.items():
             start = time.process_time()
-            advance_window(impact)
+            advance_chunk(impact)
             costs[name].append(time.process_time() - start)
     for impact in impacts.values():
         impact.particle.close()

@@ -22,7 +22,7 @@ from coupler.errors import ColdsprayError, SceneError
 from coupler.fe.explicit import Target
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_window
+from coupler.impact.loop import advance_chunk
 from coupler.plan.planning import plan
 from coupler.progress import Progress
 from coupler.report.picture import blank, save
@@ -288,7 +288,7 @@ def flying(folder: Path) -> Judged:
     domains = build_domains(planned)
     impact = Impact(domains)
     while impact.time < 45e-9:
-        advance_window(impact)
+        advance_chunk(impact)
     body = convert(cloud_of(domains), planned.splat_element_size, planned.splat_method).bodies[0]
     domains.particle.close()
     m, n = len(body.tets), len(body.points)

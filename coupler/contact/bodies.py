@@ -39,11 +39,11 @@ class ContactPast(NamedTuple):
 
 @dataclass(frozen=True)
 class BodyContactState:
-    """lost: energy (J) that the handing over of nodes by bonds has lost; held (N,): nodes whose compression a bond resists."""
+    """lost: energy (J) that the handing over of nodes by bonds has lost; bonded (N,): nodes whose compression a bond resists."""
 
     lost: float
     contact: ContactState
-    held: Annotated[np.ndarray, Shape(-1, dtype=bool)]
+    bonded: Annotated[np.ndarray, Shape(-1, dtype=bool)]
 
 
 class BodyContact:
@@ -62,7 +62,7 @@ class BodyContact:
             raise SolverError(f"contact of {surfaces.bodies} bodies needs as many bulk moduli")
         self.surfaces = surfaces
         self.lost = 0.0  # what the handing over of nodes by bonds has lost (gained: negative), J
-        self._held, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold
+        self._bonded, self._is_new = np.zeros(len(x), bool), True  # the first search takes over what bonds hold
         self._body_of = np.full(len(x), ANY)
         self._body_of[surfaces.facets] = surfaces.body[:, None]
         bodies = range(surfaces.bodies if surfaces.bodies > 1 else 0)
@@ -130,14 +130,14 @@ class BodyContact:
         does not goes to `lost`. Raises SolverError when the positions are no longer numbers.
         """
         given_up = bond.release() if bond is not None else 0.0
-        held, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
+        bonded, partner = np.zeros(len(x), bool), np.full(len(x), ANY)
         if bond is not None:
             tight = ~bond.loose
-            held[bond.nodes[tight]] = True
+            bonded[bond.nodes[tight]] = True
             partner[bond.nodes[tight]] = self._body_of[bond.triangles[tight, 0]]
-        handed_over = (held != self._held) & (not self._is_new)
+        handed_over = (bonded != self._bonded) & (not self._is_new)
         changed = bool(handed_over.any()) or given_up > 0.0
-        before, self._held, self._is_new = self.energy if changed else 0.0, held, False
+        before, self._bonded, self._is_new = self.energy if changed else 0.0, bonded, False
         c, node = self.pairs, self.pairs.points.node
         c.points.partner[:] = partner[node]
         c.forget(handed_over[node])
@@ -165,7 +165,7 @@ class BodyContact:
 
     def heat(self) -> tuple[np.ndarray, np.ndarray]:
         """Heat of friction since the last call, for `Target.warm`: (elements, J), those behind nodes and facets that rubbed."""
-        c, of_node = self.pairs, np.zeros(len(self._held))
+        c, of_node = self.pairs, np.zeros(len(self._bonded))
         of_node[c.points.node] = c.heat_point
         of_pair = (of_node * self._share_of_node)[self._behind[0]]
         pairs, facets = np.flatnonzero(of_pair), np.flatnonzero(c.heat_face)
@@ -176,18 +176,18 @@ class BodyContact:
 
     def state(self) -> BodyContactState:
         """Everything there is to keep."""
-        return BodyContactState(self.lost, self.pairs.state(), self._held.copy())
+        return BodyContactState(self.lost, self.pairs.state(), self._bonded.copy())
 
     def restore(self, state: BodyContactState) -> None:
         """Go back to a `state` of a contact of the same surfaces; a search comes next. Raises CheckpointError where it does not fit."""
-        if len(state.held) != len(self._held):
+        if len(state.bonded) != len(self._bonded):
             raise CheckpointError("a state does not fit: the contact has other bodies")
         self.pairs.restore(state.contact)
-        self._held, self._is_new, self.lost = state.held.copy(), False, state.lost
+        self._bonded, self._is_new, self.lost = state.bonded.copy(), False, state.lost
 
     def past(self) -> ContactPast:
         """What the contact of other bodies goes on from. Heat must have been fetched before."""
-        c, nodes = self.pairs, new_history(len(self._held))
+        c, nodes = self.pairs, new_history(len(self._bonded))
         nodes[c.points.node] = c.history
         return ContactPast(nodes, self.lost, c.friction_heat, c.dropped_energy, c.dropped)
 

@@ -200,8 +200,8 @@ class Bond:
         what the bonds stored is dissipated. `reduce_overlap` leads nodes that lie behind their triangle to it. x (N,3) m."""
         if len(rows) == 0:
             return
-        held = float(self.stored_by_each[rows].sum())
-        self.stored, self.dissipated = self.stored - held, self.dissipated + held
+        lost = float(self.stored_by_each[rows].sum())
+        self.stored, self.dissipated = self.stored - lost, self.dissipated + lost
         self.triangles[rows] = triangles
         self.weights[rows], self.gap[rows] = _foot(x[self.nodes[rows]], x[triangles])
         self.opening[rows], self.traction[rows] = 0.0, 0.0
@@ -226,8 +226,8 @@ class Bond:
 
     def drop(self, gone: np.ndarray) -> None:
         """Take bonds (mask) out. What they hold is dissipated."""
-        held = float(self.stored_by_each[gone].sum())
-        self.stored, self.dissipated = self.stored - held, self.dissipated + held
+        lost = float(self.stored_by_each[gone].sum())
+        self.stored, self.dissipated = self.stored - lost, self.dissipated + lost
         self._keep(~gone)
 
     def _keep(self, which: np.ndarray) -> None:
@@ -271,10 +271,10 @@ def _check(bond: Bond) -> None:
     strength, energy, stiffness = bond.strength, bond.energy, bond.stiffness
     if not (np.all(strength > 0.0) and np.all(energy >= 0.0) and np.all(stiffness > 0.0) and bond.exponent > 0.0):
         raise SolverError("a bond needs positive strength, stiffness and exponent, and an energy of zero or more")
-    held = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
-    short = (energy > 0.0) & (energy < held) & np.isfinite(held)
+    full = strength**2 / (2.0 * stiffness[:, None])  # in the springs at the strength: infinite where that is
+    short = (energy > 0.0) & (energy < full) & np.isfinite(full)
     if short.any():
-        least = float(held[short].max())
+        least = float(full[short].max())
         raise SolverError(
             f"a bond's fracture energy of {float(energy[short].min()):.3g} J/m2 is less than the {least:.3g} J/m2 its springs hold "
             "at their strength: give more energy, 0 for a brittle bond, less strength, or a finer mesh"

@@ -220,9 +220,9 @@ class Contact:
         p.margin[q] = 0.5 * p.spacing[q] + travel[q]  # half a spacing deep is as deep as a point may be lost
         start, face = self._pairs(q)
         # points that remember a contact are visited too, so that what they remember is settled
-        held = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
-        held[np.asarray(always, np.int64)] = True
-        rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | held))
+        sheared = np.einsum("ij,ij->i", history["spring"], history["spring"]) > 0
+        sheared[np.asarray(always, np.int64)] = True
+        rows: Ints = np.flatnonzero(due & ((np.diff(start) > 0) | sheared))
         away = due.copy()
         m.face[q] = -1
         self._candidates.within[q] = -np.inf  # all candidates are looked at
@@ -236,7 +236,7 @@ class Contact:
         self._look(rows, Nodes(x, x, x, active))
         # a tenth of a spacing for what the surfaces gain in speed
         close = (m.face[rows, 0] >= 0) & (m.gap[rows, 0] < travel[rows] + 0.1 * p.spacing[rows])
-        kept = rows[close | held[rows]]
+        kept = rows[close | sheared[rows]]
         away[kept] = False
         for _ in range(2):  # at rest: of the candidates that are left
             limit = k.deepest(history, p, self.jump)

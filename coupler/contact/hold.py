@@ -20,7 +20,7 @@ SECURE = 4.0
 
 
 @dataclass(frozen=True)
-class HeldPlaces:
+class BondedPlaces:
     """Places (k,3) m that are bonded: strength (k,2) Pa and energy (k,2) J/m2, normal and shear; damage (k,)."""
 
     points: np.ndarray
@@ -80,10 +80,10 @@ class Hold:
         """Mask (n,) of the springs that still hold."""
         return ~self.bond.broken
 
-    def places(self, xp: np.ndarray) -> "HeldPlaces":
+    def places(self, xp: np.ndarray) -> "BondedPlaces":
         """Where the springs hold, and their laws. xp as for `forces`."""
         b, whole = self.bond, self.whole
-        return HeldPlaces(xp[self.rows[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
+        return BondedPlaces(xp[self.rows[whole]], b.strength[whole], b.energy[whole], b.damage[whole])
 
     @property
     def energy(self) -> float:

@@ -42,27 +42,27 @@ def overlaps(surfaces: Surfaces, x: np.ndarray, bodies: Iterable[int]) -> np.nda
     return depth
 
 
-def ways_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
+def displacements_out(surfaces: Surfaces, x: np.ndarray, body: int) -> np.ndarray:
     """Displacements (N,3) m of the surface nodes of `body` that take it out of the others, to first order; 0 elsewhere.
 
     A node of it inside another body goes to the closest place of that body's surface; where a node of another lies in it, the corners
     of the closest facet go in by the least displacements that put the facet on the node. Of several the largest counts.
     """
-    way = np.zeros((len(x), 3))
+    found = np.zeros((len(x), 3))
     others = neighbours(*surfaces.boxes(x), body, 0.0)
 
-    def take(nodes: np.ndarray, moves: np.ndarray) -> None:
+    def put(nodes: np.ndarray, moves: np.ndarray) -> None:
         for node, move in zip(nodes, moves, strict=True):
-            if move @ move > way[node] @ way[node]:
-                way[node] = move
+            if move @ move > found[node] @ found[node]:
+                found[node] = move
 
     for other in others:
         nodes, out, *_ = _inside(surfaces, x, other, _in_box(surfaces, x, other, [body]))
-        take(nodes, out)
+        put(nodes, out)
     _, out, facets, weights = _inside(surfaces, x, body, _in_box(surfaces, x, body, others))
     share = weights / np.einsum("ij,ij->i", weights, weights)[:, None]
-    take(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))
-    return way
+    put(surfaces.facets[facets].ravel(), (-share[:, :, None] * out[:, None, :]).reshape(-1, 3))
+    return found
 
 
 def _in_box(surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int]) -> np.ndarray:
@@ -74,7 +74,7 @@ def _in_box(surfaces: Surfaces, x: np.ndarray, body: int, others: Sequence[int])
 def _inside(
     surfaces: Surfaces, x: np.ndarray, body: int, nodes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Those (k,) of the nodes of others in the box round a body that lie inside it, the way (k,3) m out of it, the facet (k,) there,
+    """Those (k,) of the nodes of others in the box round a body that lie inside it, the found (k,3) m out of it, the facet (k,) there,
     its weights (k,3)."""
     if len(nodes) == 0:
         return nodes, np.zeros((0, 3)), nodes, np.zeros((0, 3))

@@ -22,7 +22,7 @@ from ..target.places import points_of_impact
 from .task import SPARE, STOP, Task, TaskResult, run_alone
 
 TASKS = "impacts"  # folder of the tasks in that of the run
-_LOOK = 0.5  # s between two looks for a signal
+_POLL = 0.5  # s between two looks for a signal
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ def side_by_side(
                 if options.threads // len(left) > threads:
                     threads = options.threads // len(left)
                     spare.write_text(str(threads))
-                wait(left, _LOOK, FIRST_COMPLETED)
+                wait(left, _POLL, FIRST_COMPLETED)
                 if signals.number and not stop.exists():
                     stop.touch()
             if signals.number:

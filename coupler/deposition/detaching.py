@@ -1,6 +1,6 @@
 """Mass that is lost later: splats whose bonds have broken leave the coating.
 
-A splat is held where a path of unbroken bonds leads from it to the substrate (`Bodies.held`). One that is not held, after an impact,
+A splat is attached where a path of unbroken bonds leads from it to the substrate (`Bodies.attached`). One that is not, after an impact,
 at rest or in the closing stage, leaves with its state: in the spray nothing keeps it. With kind "tied" nothing comes off, and only a
 particle that has glanced off without a bond leaves; with "none" splats lie where they are.
 """
@@ -10,7 +10,7 @@ import numpy as np
 from ..files.summary import Values
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
-from .equilibrium import RELEASE_TIME, settle
+from ..target.equilibrium import RELEASE_TIME, settle
 
 REASON = "no path of unbroken bonds leads to the substrate"
 
@@ -21,29 +21,29 @@ def release_time(plan: Plan) -> float:
 
 
 def without_detached(plan: Plan, bodies: Bodies, number: int, stage: str) -> tuple[Bodies, list[Values]]:
-    """The bodies less the splats that are not held, and a record of each such splat.
+    """The bodies less the splats that are not attached, and a record of each such splat.
 
     number: of the last impact; stage: in which their bonds have broken. A record: splat and by_impact (numbers of impacts), stage,
     bodies and mass_kg that leave, their velocity_z_m_s, the reason. What is left is not in equilibrium.
     """
-    if plan.adhesion.kind == "none" or (held := bodies.held()).all():
+    if plan.adhesion.kind == "none" or (attached := bodies.attached()).all():
         return bodies, []
     t = bodies.target
     mass = t.laws["rho"][t.law_of] * t.mesh.V0
     upwards = t.nodes.v[t.mesh.conn, 2].mean(axis=1)
     records = []
-    for splat in np.unique(bodies.impact[~held]):
-        gone = ~held & (bodies.impact == splat)
+    for splat in np.unique(bodies.impact[~attached]):
+        gone = ~attached & (bodies.impact == splat)
         own = gone[bodies.body]
         records.append({
             "splat": int(splat), "by_impact": number, "stage": stage, "bodies": int(gone.sum()), "mass_kg": float(mass[own].sum()),
             "velocity_z_m_s": float(np.average(upwards[own], weights=mass[own])), "reason": REASON,
         })  # fmt: skip
-    return bodies.without(~held, plan.splat_element_size), records
+    return bodies.without(~attached, plan.splat_element_size), records
 
 
 def held_at_rest(plan: Plan, bodies: Bodies, number: int, stage: str, kinetic_0: float) -> tuple[Bodies, list[Values]]:
-    """Bodies at rest less those that are not held: what is left comes to rest anew, until all are held. Arguments as for
+    """Bodies at rest less those that are not attached: what is left comes to rest anew, until all are attached. Arguments as for
     `without_detached`; kinetic_0: J of the impact."""
     records: list[Values] = []
     while True:

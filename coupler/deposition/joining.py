@@ -20,9 +20,9 @@ from ..splat.cloud import Cloud
 from ..splat.convert import convert
 from ..target.bodies import Bodies
 from ..target.domain import BodyState, Point
-from ..target.places import means_of, near, way_back
+from ..target.equilibrium import RELAXED, settle
+from ..target.places import displacement_back, means_of, near
 from .detaching import held_at_rest, release_time, without_detached
-from .equilibrium import RELAXED, settle
 from .pause import pause
 
 REST = 2.25  # cuts round an impact in which equilibrium is found after it
@@ -102,9 +102,9 @@ def _with_splat(plan: Plan, i: int, outcome: ImpactOutcome, place: Point) -> tup
         )
         for b in splat.bodies
     ]  # fmt: skip
-    held = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
+    bonded = hold.places(domains.surface.contacts(particle.x)) if hold is not None else None
     ratio = plan.impacts[i].velocity_ratio
-    new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, held)
+    new = domains.bodies.joined(states, plan.adhesion, plan.splat_element_size, place, ratio, i + 1, bonded)
     return new, {
         "bodies": len(splat.bodies), "lost_mass_kg": splat.lost_mass, "conversion": splat.report,
         "bonds": len(new.bond) if new.bond is not None else 0, "elements": len(new.target.mesh.conn),
@@ -115,7 +115,7 @@ def _settled(plan: Plan, i: int, outcome: ImpactOutcome, new: Bodies) -> Values:
     """Bring the bodies after impact i to rest within its window."""
     new.target.window(plan.impacts[i].window)
     kinetic_0 = float(outcome.record.values["kinetic_energy_0_J"])
-    return settle(new, kinetic_0, release_time(plan), back=way_back(outcome.domains.target, new.target))
+    return settle(new, kinetic_0, release_time(plan), back=displacement_back(outcome.domains.target, new.target))
 
 
 def rest(plan: Plan, batch: Batch, bodies: Bodies, places: Sequence[Point], kinetic_0: float, report: Values) -> Bodies:

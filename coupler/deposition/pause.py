@@ -21,9 +21,9 @@ from ..physics.constitutive import heat_capacities
 from ..physics.materials import Material
 from ..plan.planning import Plan
 from ..target.bodies import Bodies
+from ..target.equilibrium import Known, settle
 from ..target.placing import NEAR
 from .detaching import held_at_rest
-from .equilibrium import Known, settle
 
 COOLER = 0.25  # K: makes some 2 MPa
 AT_AMBIENT = 1.0  # K: the most that the closing stage leaves an element from ambient

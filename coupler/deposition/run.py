@@ -144,7 +144,7 @@ def deposit(plan: Plan, folder: Path, options: RunOptions, create: Callable[[], 
     ranks = options.ranks
     if not ranks.is_root:
         with threads_of(options.threads):
-            parallel.follow(
+            parallel.serve(
                 ranks, lambda i, place, numerics: build_particle(plan, i, place, ranks, numerics, options.log_file)
             )
         return Result(folder)

@@ -13,7 +13,7 @@ from ..plan.planning import Plan
 from ..plan.remarks import BEYOND_FIT
 from ..ranks.ranks import Ranks
 from ..splat.cloud import MIN_POINTS
-from .equilibrium import RELAX_STEPS
+from ..target.equilibrium import RELAX_STEPS
 from .pause import AT_AMBIENT
 
 FRAGMENTS = 0.01  # of a particle's mass: more of it in fragments that no mesh holds is said

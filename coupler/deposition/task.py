@@ -136,16 +136,14 @@ def run_alone(
     """`attempt` in a process of an executor."""
     stop, spare = task.folder.parent / STOP, task.folder.parent / SPARE
 
-    def look(_: object) -> None:
+    def check(_: object) -> None:
         if stop.exists():
             signal.raise_signal(signal.SIGTERM)  # the impact writes a checkpoint and ends with `Stopped`
         if spare.exists():
-            at_least(
-                int(spare.read_text() or 1)
-            )  # it does not change the numbers; the file is empty while it is written
+            at_least(int(spare.read_text() or 1))  # the file is empty while it is written
 
     options = RunOptions(
-        Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=look, checkpoint_every=every,
+        Progress(True), task.folder.parent / f"{task.folder.name}.log", numerics=numerics, probe=check, checkpoint_every=every,
         until=until, threads=threads,
     )  # fmt: skip
     with threads_of(options.threads):

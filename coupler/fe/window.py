@@ -98,8 +98,8 @@ class Edge:
 
     def energy(self, x: np.ndarray) -> float:
         """What the springs hold, less the work of what lies beyond at rest, J."""
-        way = x[self.nodes] - self.rest
-        return float(0.5 * np.einsum("ai,aij,aj->", way, self.stiffness, way) - np.einsum("ai,ai->", self.load, way))
+        u = x[self.nodes] - self.rest
+        return float(0.5 * np.einsum("ai,aij,aj->", u, self.stiffness, u) - np.einsum("ai,ai->", self.load, u))
 
 
 def _keys(faces: np.ndarray, n: int) -> np.ndarray:

@@ -134,10 +134,10 @@ class Impact:
         return self.dt_factor * bounds[who]
 
     def search_bodies(self) -> None:
-        """Find the pairs of bodies of the target that can touch in this window: their springs limit the time step."""
-        time = WINDOW * self.particle.totals.dt  # no step of the window is longer
+        """Find the pairs of bodies of the target that can touch in this chunk of steps: their springs limit the time step."""
+        time = WINDOW * self.particle.totals.dt  # no step of the chunk is longer
         fastest = float(np.sqrt(np.max(np.einsum("ij,ij->i", self.target.nodes.v, self.target.nodes.v))))
-        # in a window the particle makes no two surfaces faster against each other than it is; half more for what they gain in speed
+        # in a chunk the particle makes no two surfaces faster against each other than it is; half more for what they gain in speed
         travel = 1.5 * min(max(2.0 * fastest, self.particle.totals.fastest), self._fastest()) * time
         self.bodies.search(travel, by_speed=True, time=time)
 
@@ -187,7 +187,7 @@ class Impact:
         self.paths.release(self.hold)
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
-        """Take note of the clean metal that this window has exposed where it touches now."""
+        """Take note of the clean metal that this chunk has exposed where it touches now."""
         if self.exposure is None:
             self.exposure = Exposure.begin(self.domains)
         if self._films is None:
@@ -256,7 +256,7 @@ class Impact:
             )
 
     def state(self) -> ImpactState:
-        """Everything that goes on in the next window as if nothing had happened."""
+        """Everything that goes on in the next chunk as if nothing had happened."""
         return collect(ImpactState, self)
 
     def restore(self, state: ImpactState) -> None:

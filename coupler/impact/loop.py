@@ -25,7 +25,7 @@ def advance_to_end(
     end_time, adhesion = ending.seen.end_time if ending.seen.at == "time" else None, recorder.plan.adhesion
     while not ending.reached(impact.time):
         keep()
-        dt = advance_window(impact, end_time)
+        dt = advance_chunk(impact, end_time)
         if adhesion.criterion == "exposure":
             touching = Touching(impact.domains)
             impact.expose(recorder.plan, recorder.impact_plan, touching)
@@ -44,7 +44,7 @@ def advance_to_end(
     impact.check_contact()
 
 
-def advance_window(impact: Impact, end_time: float | None = None) -> float:
+def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
     """Advance both domains by WINDOW steps, fewer and smaller near end_time (s). Returns the time step, s."""
     impact.search_bodies()
     dt, steps = impact.stable_time_step(), WINDOW

@@ -13,7 +13,7 @@ from .. import units
 from ..errors import ColdsprayError, SceneError
 from . import library
 from .dislocations import gradient_length, taylor_relation
-from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Fitted, Strength
+from .strength import HARDNESS_OVER_FLOW_STRESS, LAWS, STRAIN_OF_INDENT, Strength, read
 
 Pairs = tuple[tuple[float, float], ...]
 
@@ -259,7 +259,7 @@ def from_table(name: str, table: Mapping[str, object], base: Material | None = N
     )
     problems: list[str] = []
     table = _with_own_fields(table, base, problems)
-    strength, own, lacks = _strength(table, base, problems)
+    strength, own, lacks = read(table, base.strength if base else None, problems)
     known = [f.name for f in fields(Material) if f.name not in ("name", "strength")]
     every = [*known, *_OTHER_FIELDS, *own, "strength", "base"]
     foreign = [key for key in table if key not in every]
@@ -380,60 +380,6 @@ def _with_set(metal: Material, name: str, table: Mapping[str, object]) -> Materi
         return metal
     other = from_table(metal.name, {key: value for key, value in table.items() if key != "source"}, metal)
     return replace(other, strength=replace(other.strength, set=name, source=str(table["source"])))
-
-
-def _strength(
-    table: Mapping[str, object], base: Material | None, problems: list[str]
-) -> tuple[Strength, list[str], list[str]]:
-    """The strength law of a table: (law, keys of the table that are its, parameters that are missing). problems: grows.
-
-    What the table does not say is from the base, if that has the same law.
-    """
-    old = base.strength if base else None
-    law = table.get("law", old.law if old else "johnson_cook")
-    if not isinstance(law, str) or law not in LAWS:
-        problems.append(f"law = {str(law)[:40]!r}: expected one of {', '.join(LAWS)}{units.nearest(str(law), LAWS)}")
-        law = "johnson_cook"
-    schema = LAWS[law].parameters
-    numbers = {key: p.default for key, p in schema.items() if p.default is not None}
-    if old is not None and old.law == law:
-        numbers |= old.numbers
-    for key, p in schema.items():
-        if key in table:
-            try:
-                numbers[key] = library.read_number(table[key], p.unit, p.low, p.high)
-            except ValueError as error:
-                problems.append(f"{key} {error}")
-                numbers[key] = p.low
-    own = ["law", "fitted", *schema]
-    fitted, name, source = Fitted(), "", ""
-    if old is not None and not any(key in table for key in own):
-        fitted, name, source = old.fitted, old.set, old.source
-    if "fitted" in table:
-        try:
-            fitted = _fitted(table["fitted"])
-        except ValueError as error:
-            problems.append(f"fitted {error}")
-    lacks = [key for key in schema if key not in numbers]
-    return Strength(law, numbers | dict.fromkeys(lacks, 1.0), name, fitted, source), own, lacks
-
-
-def _fitted(value: object) -> Fitted:
-    """A range such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K", "1000 K"], strain = 0.5 }; any of them may be absent."""
-    if not isinstance(value, Mapping) or not set(value) <= {"rate", "temperature", "strain"}:
-        raise ValueError("must be a table of rate, temperature, strain")
-    ranges: dict[str, tuple[float, float] | None] = {"rate": None, "temperature": None}
-    for key, unit, low, high in (("rate", "1/s", 0.0, 1e13), ("temperature", "K", 0.0, 5000.0)):
-        if key in value:
-            pair = value[key]
-            if not isinstance(pair, list) or len(pair) not in (1, 2):
-                raise ValueError(f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or the first alone')
-            first, last = [*(library.read_number(end, unit, low, high) for end in pair), math.inf][:2]
-            if first > last:
-                raise ValueError(f"{key} must have the smaller value first")
-            ranges[key] = (first, last)
-    strain = library.read_number(value["strain"], "", 0.0, 20.0) if "strain" in value else None
-    return Fitted(ranges["rate"], ranges["temperature"], strain)
 
 
 def _read(key: str, value: object) -> float | Pairs | str:

@@ -13,6 +13,9 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from .. import units
+from . import library
+
 ATOMIC_MASS = 1.66053907e-27  # kg
 HARDNESS_OVER_FLOW_STRESS = 3.0  # Tabor (1951), The Hardness of Metals
 STRAIN_OF_INDENT = 0.08  # the strain under a Vickers indenter that this ratio belongs to, the same source
@@ -232,6 +235,26 @@ class Fitted:
             parts.append(f"strains to {self.strain:g}")
         return ", ".join(parts) or "not stated"
 
+    @classmethod
+    def read(cls, value: object) -> "Fitted":
+        """A range, such as { rate = ["1e-3 1/s", "1e4 1/s"], temperature = ["77 K"], strain = 0.5 }; any of them may be absent."""
+        if not isinstance(value, Mapping) or not set(value) <= {"rate", "temperature", "strain"}:
+            raise ValueError("must be a table of rate, temperature, strain")
+        ranges: dict[str, tuple[float, float] | None] = {"rate": None, "temperature": None}
+        for key, unit, low, high in (("rate", "1/s", 0.0, 1e13), ("temperature", "K", 0.0, 5000.0)):
+            if key in value:
+                pair = value[key]
+                if not isinstance(pair, list) or len(pair) not in (1, 2):
+                    raise ValueError(
+                        f'{key} must be two values, such as ["1 {unit}", "1000 {unit}"], or the first alone'
+                    )
+                first, last = [*(library.read_number(end, unit, low, high) for end in pair), inf][:2]
+                if first > last:
+                    raise ValueError(f"{key} must have the smaller value first")
+                ranges[key] = (first, last)
+        strain = library.read_number(value["strain"], "", 0.0, 20.0) if "strain" in value else None
+        return cls(ranges["rate"], ranges["temperature"], strain)
+
 
 @dataclass(frozen=True)
 class Strength:
@@ -268,3 +291,38 @@ class Strength:
     def flow_stress(self, eps_p: float, rate: float, T: float, T_m: float, rho: float) -> float:
         """Flow stress, Pa. rate: 1/s, T: K; T_m, rho: of the metal."""
         return LAWS[self.law].function(cast(Numbers, SimpleNamespace(**self.fields(T_m, rho))), eps_p, rate, T)
+
+
+def read(
+    table: Mapping[str, object], old: Strength | None, problems: list[str]
+) -> tuple[Strength, list[str], list[str]]:
+    """The strength law of a material's table: (law, keys of the table that are its, parameters that are missing). problems: grows.
+
+    What the table does not say is from the old one, if that has the same law.
+    """
+    law = table.get("law", old.law if old else "johnson_cook")
+    if not isinstance(law, str) or law not in LAWS:
+        problems.append(f"law = {str(law)[:40]!r}: expected one of {', '.join(LAWS)}{units.nearest(str(law), LAWS)}")
+        law = "johnson_cook"
+    schema = LAWS[law].parameters
+    numbers = {key: p.default for key, p in schema.items() if p.default is not None}
+    if old is not None and old.law == law:
+        numbers |= old.numbers
+    for key, p in schema.items():
+        if key in table:
+            try:
+                numbers[key] = library.read_number(table[key], p.unit, p.low, p.high)
+            except ValueError as error:
+                problems.append(f"{key} {error}")
+                numbers[key] = p.low
+    own = ["law", "fitted", *schema]
+    fitted, name, source = Fitted(), "", ""
+    if old is not None and not any(key in table for key in own):
+        fitted, name, source = old.fitted, old.set, old.source
+    if "fitted" in table:
+        try:
+            fitted = Fitted.read(table["fitted"])
+        except ValueError as error:
+            problems.append(f"fitted {error}")
+    lacks = [key for key in schema if key not in numbers]
+    return Strength(law, numbers | dict.fromkeys(lacks, 1.0), name, fitted, source), own, lacks

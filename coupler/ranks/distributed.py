@@ -150,7 +150,7 @@ class DistributedParticle:
         """Make `steps` steps of dt seconds. In each: begin(), which needs nothing of the particle; then x and v of the points `needed`
         (k,) are those of n+1; meet() fills in f_ext.
 
-        Raises what one of them or a rank raised; all ranks have then ended the window.
+        Raises what one of them or a rank raised; all ranks have then ended the chunk.
         """
         self.dt, self.failure = dt, None
         if self._alone:

@@ -90,7 +90,7 @@ def begin_impact(ranks: Ranks, i: int, place: np.ndarray, numerics: Mapping[str,
 
 @contextmanager
 def leading(ranks: Ranks) -> Iterator[None]:
-    """On the root rank: within it the others follow; at its end they are let go, with the error (if any) that ended the run.
+    """On the root rank: within it the others `serve`; at its end they are let go, with the error (if any) that ended the run.
 
     An error that is not of the program takes all ranks down.
     """
@@ -110,7 +110,7 @@ def leading(ranks: Ranks) -> Iterator[None]:
             ranks.comm.bcast(("end", (ended,), None), root=ranks.root)
 
 
-def follow(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
+def serve(ranks: Ranks, build: Callable[[int, np.ndarray, Mapping[str, float]], Particle]) -> None:
     """What a rank without the target does: build its part of each particle and do as the root asks until it is dismissed.
 
     build(i, place, numerics): this rank's part of the particle of impact i.

@@ -9,7 +9,7 @@ import numpy as np
 from ..contact import broad
 from ..contact.bodies import BodyContact, BodyContactState, ContactPast
 from ..contact.bond import Bond, penalty
-from ..contact.hold import HeldPlaces
+from ..contact.hold import BondedPlaces
 from ..contact.model import new_history
 from ..contact.overlap import lying_inside
 from ..contact.surfaces import Interface, Surfaces, earlier_neighbours, interface, neighbours
@@ -146,8 +146,8 @@ class Bodies:
     def energy(self) -> float:
         """What contact and bonds between bodies hold and have dissipated, J."""
         c, b = self.contact, self.bond
-        held = c.energy + c.lost if c is not None else 0.0
-        return held + (b.stored + b.dissipated if b is not None else 0.0)
+        energy = c.energy + c.lost if c is not None else 0.0
+        return energy + (b.stored + b.dissipated if b is not None else 0.0)
 
     def state(self) -> BodiesState:
         """Everything from which `from_state` makes the same bodies. The mesh is not copied: it never changes."""
@@ -230,14 +230,14 @@ class Bodies:
         origin: Point,
         ratio: float | None,
         impact: int,
-        held: HeldPlaces | None = None,
+        bonded: BondedPlaces | None = None,
     ) -> "Bodies":
         """These bodies and the finished splats of an impact, bonded where `adhesion` says, numbered outwards from origin (m). size: of
-        elements, m; ratio: velocity of the impact over the critical one; held: the places at which the impact has left it bonded, with
-        their laws and damage, where bonds act in the impact (`Adhesion.in_impact`).
+        elements, m; ratio: velocity of the impact over the critical one; bonded: where the impact has left it bonded, with the laws
+        and damage there, where bonds act in the impact (`Adhesion.in_impact`).
 
         The splats' surfaces are put on those they lie on, so that contact begins without force. The result is not yet in
-        equilibrium: see `deposition.equilibrium.settle`. Raises SolverError when a splat cannot be put in place.
+        equilibrium: see `equilibrium.settle`. Raises SolverError when a splat cannot be put in place.
         """
         self.release_heat()
         fitted = [placed_on(splat, self.target, self.body, size) for splat in splats]
@@ -260,11 +260,11 @@ class Bodies:
                 chosen = _bonded(contact_pairs, surfaces, new.target, adhesion, ratio) & (contact_pairs.area > 0.0)
                 if chosen.any():
                     bonds.append(Bond.between(contact_pairs.only(chosen), surfaces, x, stiffness, **adhesion.law()))
-            elif held is not None:
-                place, chosen = held.near(x[contact_pairs.nodes], size)
+            elif bonded is not None:
+                place, chosen = bonded.near(x[contact_pairs.nodes], size)
                 chosen &= contact_pairs.area > 0.0
                 if chosen.any():
-                    bonds.append(_taken_over(held, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
+                    bonds.append(_taken_over(bonded, place[chosen], contact_pairs.only(chosen), surfaces, x, stiffness))
         new.bond = Bond.joined(bonds) if bonds else None
         new.buried = np.unique(np.concatenate(buried)).astype(np.int64)
         past = self.past()
@@ -289,7 +289,7 @@ class Bodies:
             new.touch(past.on(rank, len(new.target.nodes.x)))
         return new
 
-    def held(self) -> np.ndarray:
+    def attached(self) -> np.ndarray:
         """Mask (bodies,) of those from which a path of unbroken bonds leads to the substrate.
 
         Bonds alone hold: that splats may be locked into each other by their shape is not modelled.
@@ -384,12 +384,12 @@ def _bonded(
 
 
 def _taken_over(
-    held: HeldPlaces, place: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
+    bonded: BondedPlaces, place: np.ndarray, where: Interface, surfaces: Surfaces, x: np.ndarray, stiffness: float
 ) -> Bond:
     """Bonds of an interface (n rows) with the laws and the damage of the places (n,)."""
-    strength, energy = held.strength[place], held.energy[place]
+    strength, energy = bonded.strength[place], bonded.energy[place]
     bond = Bond.between(where, surfaces, x, stiffness, strength[:, 0], energy[:, 0], strength[:, 1], energy[:, 1])
-    bond.damage[:] = held.damage[place]
+    bond.damage[:] = bonded.damage[place]
     return bond
 
 

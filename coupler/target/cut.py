@@ -173,9 +173,9 @@ def _bonds(whole: Bodies, parts: Sequence[tuple[Cut, Bodies, np.ndarray, np.ndar
         if bonds:
             b = bonds[0]
             n = 1 + max(int(b.nodes.max(initial=0)), int(b.triangles.max(initial=0)), int(cut.part.nodes.max()))
-            changed, held = np.zeros((2, n), bool)
-            changed[cut.nodes] = held[cut.part.nodes] = True
-            away = _any(b.nodes, b.triangles, changed) & held[b.nodes] & held[b.triangles].all(axis=1)
+            changed, copied = np.zeros((2, n), bool)
+            changed[cut.nodes] = copied[cut.part.nodes] = True
+            away = _any(b.nodes, b.triangles, changed) & copied[b.nodes] & copied[b.triangles].all(axis=1)
             bonds = [take(b, ~away)]
         if part.bond is not None:
             more = take(part.bond, _any(part.bond.nodes, part.bond.triangles, own))

@@ -45,9 +45,9 @@ def near(bodies: Bodies, places: Sequence[Point], radius: float) -> list[int]:
     return np.flatnonzero((np.linalg.norm(away, axis=2) < radius).any(axis=0)).tolist()
 
 
-def way_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
-    """The nodes (k,) of a target that were at the elastic edge of the window before, and the way (k,3) m that leads them back to where
-    they were at rest: what lies beyond the edge has not moved."""
+def displacement_back(before: Target, now: Target) -> tuple[np.ndarray, np.ndarray] | None:
+    """The nodes (k,) of a target that were at the elastic edge of the window before, and the displacement (k,3) m that leads them back
+    to where they were at rest: what lies beyond the edge has not moved."""
     if before.edge is None:
         return None
     number, place = now.nodes.node_number, np.full(1 + int(before.nodes.node_number.max()), -1)

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from ..contact.overlap import ways_out
+from ..contact.overlap import displacements_out
 from ..contact.surfaces import Surfaces, interface
 from ..errors import SolverError
 from ..fe.explicit import Target
@@ -60,23 +60,23 @@ def _cleared(
     """Points (n,3) m of a splat, the body `new`, moved out of what it still overlaps, with its volume. placed: nodes that lie on other
     bodies; before (N,3) m: the nodes of these."""
     for _ in range(ROUNDS):
-        way = ways_out(surfaces, np.concatenate([before, points]), new)[len(before) :]
-        depth = np.linalg.norm(way, axis=1)
+        out = displacements_out(surfaces, np.concatenate([before, points]), new)[len(before) :]
+        depth = np.linalg.norm(out, axis=1)
         if depth.max() < CLEAR * size:
             break
         placed = np.union1d(placed, np.flatnonzero(depth))
-        points = _as_far_as_possible(splat, points, points + followed(splat.tets, way))
+        points = _as_far_as_possible(splat, points, points + carried_along(splat.tets, out))
     return _of_volume(points, splat, placed, size)
 
 
-def followed(tets: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Displacements (n,3) m of the nodes of tetrahedra (m,4): those of way (n,3) m, and of nodes with none there the mean of their
+def carried_along(tets: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """Displacements (n,3) m of the nodes of tetrahedra (m,4): those given (n,3) m, and of nodes with none there the mean of their
     neighbours', up to FOLLOWING edges away: a thin rim moves as a whole."""
     edges = np.concatenate([tets[:, pair] for pair in combinations(range(4), 2)])
     both = np.concatenate([edges, edges[:, ::-1]])
-    beside = coo_matrix((np.ones(len(both)), both.T), shape=(len(way), len(way))).tocsr()
+    beside = coo_matrix((np.ones(len(both)), both.T), shape=(len(given), len(given))).tocsr()
     beside.data[:] = 1.0
-    moved, free = way.copy(), ~way.any(axis=1)
+    moved, free = given.copy(), ~given.any(axis=1)
     for _ in range(FOLLOWING):
         moved[free] = (beside @ moved)[free] / np.maximum(np.diff(beside.indptr), 1)[free, None]
     return moved

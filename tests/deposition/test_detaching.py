@@ -77,11 +77,11 @@ def part(bodies: Bodies, upper: int) -> None:
 
 
 def test_what_no_path_of_bonds_leads_to_is_not_held(column: Bodies) -> None:
-    assert column.held().all()
+    assert column.attached().all()
     part(column, 2)
-    np.testing.assert_array_equal(column.held(), [True, True, False, False])
+    np.testing.assert_array_equal(column.attached(), [True, True, False, False])
     part(column, 1)
-    np.testing.assert_array_equal(column.held(), [True, False, False, False])
+    np.testing.assert_array_equal(column.attached(), [True, False, False, False])
 
 
 def test_it_leaves_with_its_mass_and_its_contact(column: Bodies, planned: Plan) -> None:

@@ -15,11 +15,9 @@ from scenes import COLD
 
 from coupler import Scene
 from coupler.commands.main import main
-from coupler.deposition import equilibrium as relaxation
 from coupler.deposition import fold, joining, task
 from coupler.deposition import pause as closing_stage
 from coupler.deposition import run as deposition
-from coupler.deposition.equilibrium import settle
 from coupler.deposition.pause import AT_AMBIENT, COOLINGS, cool_to_ambient
 from coupler.deposition.summary import unsettled
 from coupler.errors import SolverError
@@ -32,8 +30,10 @@ from coupler.impact.ending import HELD_STILL, EndCriterion
 from coupler.physics.adhesion import Adhesion
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import Material, material
+from coupler.target import equilibrium as relaxation
 from coupler.target.bodies import Bodies
 from coupler.target.domain import BodyState
+from coupler.target.equilibrium import settle
 
 NI, STEEL = material("Ni"), material("SS304")
 STIFF_BASE = replace(STEEL, G=20 * STEEL.G, c0=np.sqrt(20) * STEEL.c0, rho=STEEL.rho)

@@ -13,9 +13,8 @@ from scenes import SHORT_DOUBLE, scene
 
 from coupler import Result, Scene, run
 from coupler.commands.main import main
-from coupler.contact.overlap import overlaps, ways_out
+from coupler.contact.overlap import displacements_out, overlaps
 from coupler.deposition import joining
-from coupler.deposition.equilibrium import settle
 from coupler.deposition.joining import cloud_of, release_time
 from coupler.deposition.summary import summary
 from coupler.errors import SplatError
@@ -41,6 +40,7 @@ from coupler.splat.convert import convert
 from coupler.studies.coating import first_step
 from coupler.target.bodies import Bodies
 from coupler.target.domain import domain_now, domain_of, merge
+from coupler.target.equilibrium import settle
 from coupler.target.places import level_under, points_of_impact
 
 DOUBLE = scene(("Ni", 25, 500), ("Ti", 22, 450), of_substrate='window = "50 um"\n', every=2)
@@ -149,7 +149,7 @@ def test_overlap_is_that_of_the_deepest_node() -> None:
     b = Blocks(((1.0,) * 3, 0.3, (0, 0, 0)), ((0.5,) * 3, 0.25, (0.25, 0.25, 0.7)))
     depth = overlaps(b.surfaces, b.target.nodes.x, [1])
     assert depth.max() == pytest.approx(0.3, rel=1e-3)
-    way = ways_out(b.surfaces, b.target.nodes.x, 1)
+    way = displacements_out(b.surfaces, b.target.nodes.x, 1)
     assert not way[b.nodes(0)].any()
     assert np.linalg.norm(way, axis=1).max() == pytest.approx(0.3, rel=1e-3)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes import scene_with
 
-from coupler.deposition.equilibrium import settle
 from coupler.fe import mesh as meshes
 from coupler.fe.boundary import HALF_SPACE, foundation
 from coupler.fe.explicit import Target
@@ -15,6 +14,7 @@ from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.target.bodies import Bodies
 from coupler.target.cut import cut_out
+from coupler.target.equilibrium import settle
 
 STEEL = material("SS304")
 

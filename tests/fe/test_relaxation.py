@@ -6,8 +6,6 @@ from blocks import Blocks, pinched
 
 from coupler.contact.bond import Bond, penalty
 from coupler.contact.surfaces import interface
-from coupler.deposition import equilibrium as relaxation
-from coupler.deposition.equilibrium import RELAX_STEPS, RELAXED, SEARCH_EVERY, settle
 from coupler.deposition.summary import unsettled
 from coupler.fe import mesh as meshes
 from coupler.fe.coarse import FREQUENCY, CoarseGrid
@@ -17,7 +15,9 @@ from coupler.fe.stability import HighestFrequency, masses_for
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
 from coupler.physics.materials import material
+from coupler.target import equilibrium as relaxation
 from coupler.target.bodies import Bodies
+from coupler.target.equilibrium import RELAX_STEPS, RELAXED, SEARCH_EVERY, settle
 
 KINETIC = 1e-7  # J
 STRICT = 1e-6 * KINETIC

@@ -155,14 +155,14 @@ def test_a_thin_rim_that_is_moved_out_moves_as_a_whole() -> None:
     points, tets = mesher.box((4.0, 4.0, 0.5), 0.5)
     way = np.zeros_like(points)
     way[points[:, 2] < 1e-9, 2] = 0.45
-    moved = placing.followed(tets, way)
+    moved = placing.carried_along(tets, way)
     before = volumes(points, tets)
     assert (volumes(points + way, tets) / before).min() < placing.LEAST_QUALITY
     assert (volumes(points + moved, tets) / before).min() > placing.LEAST_QUALITY
     np.testing.assert_array_equal(moved[way[:, 2] > 0.0], way[way[:, 2] > 0.0])
     far = np.zeros_like(points)
     far[np.linalg.norm(points[:, :2], axis=1) < 1e-9, 2] = 0.1
-    reach = points[placing.followed(tets, far)[:, 2] > 0.0, :2].max()
+    reach = points[placing.carried_along(tets, far)[:, 2] > 0.0, :2].max()
     assert 1.0 < reach < 1.5 * placing.FOLLOWING * 0.5
 
 

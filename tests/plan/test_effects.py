@@ -308,7 +308,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     from coupler.impact.domains import build_domains
     from coupler.impact.exchange import Impact
     from coupler.impact.heat import HeatPaths
-    from coupler.impact.loop import advance_window
+    from coupler.impact.loop import advance_chunk
     from coupler.particle.heat import PointConduction
 
     called: list[str] = []
@@ -330,7 +330,7 @@ def test_what_is_off_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
         domains = build_domains(plan(scene_with(effects=effects_of, particle__velocity="1500 m/s", **COARSE, **WIDE)))
         impact = Impact(domains)
         for _ in range(3):
-            advance_window(impact)
+            advance_chunk(impact)
         assert set(called) == (set() if effects_of == "none" else {"share", "crossing", "advance", "warm"})
         on = effects_of == "all"
         assert (domains.target.conduction is not None) == (domains.contact.friction > 0) == on

@@ -35,7 +35,7 @@ from coupler.files import checkpoint
 from coupler.geometry import mesher
 from coupler.impact.domains import build_domains, build_target
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_window
+from coupler.impact.loop import advance_chunk
 from coupler.impact.run import RunOptions
 from coupler.impact.summary import peak_memory
 from coupler.particle.inertia import ENOUGH
@@ -270,7 +270,7 @@ def test_an_impact_on_its_cut_is_that_on_the_whole_target() -> None:
         impact = Impact(domains)
         try:
             for _ in range(6):
-                advance_window(impact)
+                advance_chunk(impact)
             assert impact.force[2] != 0.0
             positions.append((np.array(domains.particle.x), bodies.target.nodes.x[: bodies.target.active_nodes].copy()))
         finally:
@@ -296,7 +296,7 @@ def test_bodies_are_searched_as_far_as_their_surfaces_move_in_a_window_of_steps(
     try:
         while impact.time < 15e-9:
             before = impact.target.nodes.x.copy()
-            advance_window(impact)
+            advance_chunk(impact)
             shares.append(2.0 * float(np.linalg.norm(impact.target.nodes.x - before, axis=1).max()) / searched[-1])
     finally:
         domains.particle.close()

@@ -20,7 +20,7 @@ from ..fe.explicit import Target
 from ..fe.relaxed import Relaxation
 from ..fe.stability import HighestFrequency
 from ..physics import motion
-from ..target.bodies import Bodies
+from .bodies import Bodies
 
 RELAX_STEP = 1e-10  # s: about a real one, so that strain rates are about those of the real motion
 SEARCH_EVERY = 10
@@ -84,18 +84,18 @@ def settle(
     if np.searchsorted(t.mesh.reach_element, radius) > LOCAL * len(t.mesh.conn):
         radius = np.inf
     reach = t.reach
-    held = _held(bodies) + t.kinetic()
+    energy = _stored(bodies) + t.kinetic()
     t.rest()
     relaxation = Relaxation(t, radius, RELAX_STEP)
     report = _relax(bodies, relaxation, (COOLED if ramp else RELAXED) * kinetic_0, ramp, known or Known(), back)
-    taken = held - _held(bodies)
+    taken = energy - _stored(bodies)
     released = _run_for(bodies, release_time)
     t.rest()
     t.deactivate_beyond(reach)
     return report | {"taken_J": taken, "released_J": released, "released": released / kinetic_0}
 
 
-def _held(bodies: Bodies) -> float:
+def _stored(bodies: Bodies) -> float:
     """Energy (J) of all that is not motion: what it loses, damping has taken."""
     t = bodies.target
     return t.elastic() + float(t.sums[0]) + bodies.energy
@@ -146,10 +146,10 @@ def _relax(
     return {"settle_steps": float(steps), "left_J": float(left)}
 
 
-def _ramp(way: float) -> float:
-    """Share of a change of temperature that has come when a share `way` of the ramp has passed. It begins and ends gently: where it
+def _ramp(passed: float) -> float:
+    """Share of a change of temperature that has come when a share `passed` of the ramp has. It begins and ends gently: where it
     does so suddenly, so little damping lets stresses overshoot, and more metal yields."""
-    return way * way * (3.0 - 2.0 * way)
+    return passed * passed * (3.0 - 2.0 * passed)
 
 
 def _weigh(bodies: Bodies, relaxation: Relaxation, highest: HighestFrequency) -> None:
