@@ -8,8 +8,6 @@ import io
 import re
 from importlib.metadata import version as installed
 
-from pygments.lexers.special import TextLexer
-
 project = "coldspray"
 version = release = installed("coldspray")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary"]
@@ -75,4 +73,3 @@ def setup(app) -> None:
     """Register the renderer of formulas and the filter of docstrings."""
     app.add_html_math_renderer("mathtext", (inline, None), (block, None))
     app.connect("autodoc-process-docstring", plain)
-    app.add_lexer("mermaid", TextLexer)  # a graph of CONTRIBUTING.md, which is drawn elsewhere

@@ -143,6 +143,26 @@ def test_the_table_has_no_circle() -> None:
             assert order.index(other) > order.index(package), f"{package} -> {other} goes up"
 
 
+def layers() -> list[str]:
+    """The table as text, a line for each package: its layer, its name, what it imports and no other of these imports."""
+    layer: dict[str, int] = {}
+    for package in reversed(ALLOWED):
+        layer[package] = 1 + max((layer[other] for other in ALLOWED[package]), default=0)
+    lines = []
+    for package in sorted(ALLOWED, key=lambda name: -layer[name]):
+        through = {below for other in ALLOWED[package] for below in ALLOWED[other]}
+        direct = [other for other in ALLOWED if other in ALLOWED[package] - through]
+        lines.append(f"{layer[package]} {package:<10} {'-> ' if direct else ''}{' '.join(direct)}".rstrip())
+    return lines
+
+
+def test_the_theory_pages_have_the_graph_of_the_table() -> None:
+    page = (ROOT.parent / "docs" / "theory" / "index.md").read_text()
+    assert "\n".join(["```text", *layers(), "```"]) in page, "docs/theory/index.md needs these lines:\n" + "\n".join(
+        layers()
+    )
+
+
 def test_modules_have_no_circle() -> None:
     """No module imports itself through others; imports for types alone count."""
     modules = {".".join(["coupler", *path.relative_to(ROOT).with_suffix("").parts]): path for path in FILES}
