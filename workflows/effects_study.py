@@ -214,10 +214,13 @@ def write(influence: list[Row], against: list[Row]) -> None:
     head = ["effect", "number", "of the scenes", *(f"{name}, %" for name in SHOWN.values()), "threshold"]
     ratios = [number(row, "ratio") for row in against]
     median = f"Median {np.median(ratios):.2f}, from {min(ratios):.2f} to {max(ratios):.2f}." if ratios else ""
-    saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", row["left_out"].replace(" ", ", ")] for row in against]
+    out = [row["left_out"].split() for row in against]
+    everywhere = [name for name in NAMES if all(name in names for names in out)]
+    saved = [[row["scene"], f"{number(row, 'ratio'):.2f}", ", ".join(name for name in names if name not in everywhere) or "-"]
+             for row, names in zip(against, out, strict=True)]  # fmt: skip
     write_parts(PAGES["effects"], {
         "table": [*markdown(head, lines), "", versions(influence)],
-        "proof": [*markdown("scene | time, everything over auto | left out", saved), "", median],
+        "proof": [*markdown(f"scene | time, everything over auto | left out beside {' and '.join(everywhere)}", saved), "", median],
     })  # fmt: skip
 
 
