@@ -16,7 +16,7 @@ from pydantic_core import PydanticUndefined
 
 from coupler import units
 from coupler.physics import materials
-from coupler.physics.strength import LAWS
+from coupler.physics.strength import LAWS, Parameter
 from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
 from coupler.scene.effects import NAMES
@@ -164,16 +164,20 @@ def _plain(kind: Any, defaults: dict[str, Any], words: dict[str, str], unit_of: 
 
 def _laws() -> list[str]:
     """The keys of a strength law, in the table of its material: key, unit and default in brackets, meaning."""
+    texts = {name: [_parameter(key, p) for key, p in law.parameters.items()] for name, law in LAWS.items()}
+    *_, last = texts.values()
+    shared = [text for text in last if all(text in own for name, own in texts.items() if name != "johnson_cook")]
     lines = ["Keys of its strength law, in the same table (needed unless a default is given):", ""]
     lines += [f"- `{key}`: {words}" for key, words in LAW.items()]
-    for name, law in LAWS.items():
-        keys = []
-        for key, p in law.parameters.items():
-            default = "" if p.default is None else f"default {p.default:g}"
-            about = ", ".join(text for text in (p.unit, default) if text)
-            keys.append(f"`{key}`{f' ({about})' if about else ''} {p.about}")
-        lines.append(f"- `{name}`: {'; '.join(keys)}.")
+    lines += [f"- `{name}`: {'; '.join(text for text in own if text not in shared)}." for name, own in texts.items()]
+    lines.append(f"- all but `johnson_cook`: {'; '.join(shared)}.")
     return [*lines, ""]
+
+
+def _parameter(key: str, parameter: Parameter) -> str:
+    default = "" if parameter.default is None else f"default {parameter.default:g}"
+    about = ", ".join(text for text in (parameter.unit, default) if text)
+    return f"`{key}`{f' ({about})' if about else ''} {parameter.about}"
 
 
 def _material_unit(name: str) -> str:
