@@ -4,15 +4,10 @@ workflows/coating_size.toml with other seeds, on its substrate and on one of twi
 docs/tables/coating_size_seeds.csv that is not computed again; --docs runs nothing and writes the sentence of the page.
 """
 
-import tempfile
-from pathlib import Path
-from time import process_time
-
 import numpy as np
-from pages import PAGES, ROOT, column, options, study_table, table_rows, versions, write_parts
+from pages import PAGES, ROOT, column, computed, options, study_table, table_rows, versions, write_parts
 
-from coupler import Scene, run
-from coupler.progress import Progress
+from coupler import Scene
 from coupler.studies import coating
 
 SEEDS = range(3, 11)
@@ -32,9 +27,7 @@ def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
         "substrate.height": f'"{height} um"',
     }
     scene = Scene.load(ROOT / "workflows" / "coating_size.toml", tuple(settings.items()))
-    started = process_time()
-    with tempfile.TemporaryDirectory() as place:
-        result = run(scene, Path(place) / "run", threads=1, progress=Progress(quiet=True))
+    with computed(scene) as (result, cpu):
         measures = coating.measure(coating.read(result), RADIUS)
     layers = [layer for layer in measures.layers if layer["layer"] > 0]
     volume = [layer["volume_m3"] for layer in layers]
@@ -43,7 +36,7 @@ def row_of(seed: int, diameter: float, height: float) -> dict[str, object]:
         "strain": np.average([layer["eps_p_mean"] for layer in layers], weights=volume),
         "von_mises_MPa": np.average([layer["von_mises_mean"] for layer in layers], weights=volume) * 1e-6,
         "thermal_MPa": measures.thermal_in_plane_Pa * 1e-6, "residual_MPa": measures.stress_in_plane_Pa * 1e-6,
-        "cpu_s": process_time() - started,
+        "cpu_s": cpu,
     }  # fmt: skip
 
 

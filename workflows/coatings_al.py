@@ -7,21 +7,30 @@ that is not computed again. Nothing is fitted.
 """
 
 import math
-import tempfile
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
-from pages import PAGES, column, figure_path, markdown, number, options, study_table, table_rows, versions, write_parts
+from pages import (
+    PAGES,
+    column,
+    computed,
+    figure_path,
+    markdown,
+    number,
+    options,
+    study_table,
+    table_rows,
+    versions,
+    write_parts,
+)
 
-from coupler import Result, Scene, run
+from coupler import Result, Scene
 from coupler.errors import ColdsprayError, SolverError
-from coupler.progress import Progress
 from coupler.report.picture import blank, save
 from coupler.studies import coating
 from coupler.studies.table import Row
@@ -124,14 +133,11 @@ def cases() -> Iterator[Case]:
 def row_of(case: Case) -> dict[str, object]:
     """The coating of a case as a row of the table."""
     row: dict[str, object] = dict(zip(KEY, case.key, strict=True))
-    started = process_time()
     try:
-        with tempfile.TemporaryDirectory() as place:
-            scene = Scene.from_text(case.text, "coating")
-            result = run(scene, Path(place) / "run", threads=1, skip_failed=True, progress=Progress(quiet=True))
+        with computed(Scene.from_text(case.text, "coating"), skip_failed=True) as (result, cpu):
             if result.undecided is not None:
                 raise SolverError(result.undecided)
-            return row | values_of(result, case) | {"cpu_s": process_time() - started, "failed": ""}
+            return row | values_of(result, case) | {"cpu_s": cpu, "failed": ""}
     except ColdsprayError as problem:
         return row | {"failed": " ".join(str(problem).split())[:200]}
 

@@ -10,14 +10,13 @@ other work on the machine slows down all alike, and the least of several rounds 
 
 import json
 import math
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from pages import (
     PAGES,
+    computed,
     markdown,
     number,
     options,
@@ -26,9 +25,9 @@ from pages import (
     study_table,
     versions,
     write_parts,
-)  # fmt: skip
+)
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
 from coupler.impact.loop import advance_chunk
@@ -102,10 +101,7 @@ def compute(text: str) -> dict[str, float]:
     """Run a scene: its measures at its end, temperatures as their rise, and `cpu_s`, the processor time of all of it. A measure outside
     its range is nan."""
     checked = Scene.from_text(text, "effects_study")
-    start = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        result = run(checked, Path(folder) / "run", threads=1, quiet=True)
-        cpu = time.process_time() - start
+    with computed(checked) as (result, cpu):
         last, T_0 = result.impacts[-1], checked.particles[-1].temperature
     end = {**last, **last["end"]}
     end["rebound_velocity_m_s"] = max(end["velocity_z_m_s"], 0.0)  # also of a particle that is tied at its end

@@ -10,15 +10,13 @@ size / 1.7.
 """
 
 import itertools
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
-from pages import PAGES, number, options, study_table, versions, write_parts
+from pages import PAGES, computed, number, options, study_table, versions, write_parts
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.errors import SolverError
 from coupler.geometry import mesher
 from coupler.geometry.extent import shape_measures
@@ -192,8 +190,7 @@ def by_elements(case: str, size: float) -> dict[str, object]:
 
 def by_points(case: str, size: float) -> dict[str, object]:
     """The same impact by points; a row of the table."""
-    with tempfile.TemporaryDirectory() as place:
-        r = run(scene_of(case, size), Path(place) / "run", quiet=True)
+    with computed(scene_of(case, size)) as (r, _):
         s, e, greatest = r.values, r.energies, r.greatest
     return {
         "points": s["points"], "elements": s["elements"], "steps": s["steps"], "dt_mean_ps": s["dt_mean_s"] * 1e12,

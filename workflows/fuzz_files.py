@@ -13,6 +13,7 @@ import json
 import os
 import random
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -66,18 +67,7 @@ resolution = { spacing = "1.1 um" }
 end = { time = "12 ns" }
 """
 SLOW = ("mesh", "animate", "report", "compare", "resume")  # a second of processor time each, or more
-GAS = [
-    "gas",
-    "--nozzles",
-    "FILE",
-    "--pressure",
-    "20 bar",
-    "--temperature",
-    "400 degC",
-    "--diameter",
-    "25 um",
-    "--nozzle",
-]
+GAS = shlex.split('gas --nozzles FILE --pressure "20 bar" --temperature "400 degC" --diameter "25 um" --nozzle')
 
 
 @dataclass(frozen=True)

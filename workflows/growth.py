@@ -6,14 +6,11 @@ before becomes a body, joins, comes to rest; building), who set dt. --docs compu
 """
 
 import random
-import tempfile
-from pathlib import Path
 
-from pages import TABLES, column, figure_path, options, table_rows, write_table
+from pages import TABLES, column, computed, figure_path, options, table_rows, write_table
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.impact.exchange import Impact
-from coupler.progress import Progress
 from coupler.report.picture import blank, save
 from coupler.studies.ladder import spent
 
@@ -38,7 +35,7 @@ def scene(impacts: int, seed: int) -> Scene:
 
 
 class Clock:
-    """A probe: the table's row of each impact, written anew after every chunk of steps."""
+    """A probe: the table's row of each impact."""
 
     def __init__(self) -> None:
         self.rows = list[list[str]]()
@@ -46,10 +43,10 @@ class Clock:
         self._began = self._last = spent()
 
     def __call__(self, impact: Impact) -> None:
-        now, before = spent(), 0.0
+        now = spent()
         if impact.ledger.before != self._ledger:  # a retry makes a new ledger with the same start
-            self._ledger, self._began, before = impact.ledger.before, now, now - self._last
-            self.rows.append(["0"] * 3 + [f"{before:.1f}"] + [""] * (len(COLUMNS) - 4))
+            self._ledger, self._began = impact.ledger.before, now
+            self.rows.append(["0"] * 3 + [f"{now - self._last:.1f}"] + [""] * (len(COLUMNS) - 4))
         self._last = now
         seconds, steps = now - self._began, impact.particle.steps
         self.rows[-1] = [
@@ -58,12 +55,6 @@ class Clock:
             f"{100 * impact.limits['target'] / steps:.0f}", f"{impact.particle.totals.stretch_min:.2f}",
             f"{impact.ledger.rows.get('drift', 0.0):.1e}",
         ]  # fmt: skip
-        if steps % 100 == 0 or before:
-            self.write()
-
-    def write(self) -> None:
-        rows = [dict(zip(COLUMNS, row, strict=True)) for row in self.rows]
-        write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
 
 
 def draw() -> None:
@@ -87,9 +78,9 @@ def main() -> None:
     a = options(__doc__, "docs", impacts=10, seed=2)
     if not a.docs:
         clock = Clock()
-        with tempfile.TemporaryDirectory() as place:
-            run(scene(a.impacts, a.seed), Path(place) / "run", progress=Progress(), threads=1, probe=clock)
-        clock.write()
+        with computed(scene(a.impacts, a.seed), probe=clock):
+            rows = [dict(zip(COLUMNS, row, strict=True)) for row in clock.rows]
+        write_table(TABLES / "growth.csv", rows, "remake: python workflows/growth.py")
     draw()
 
 

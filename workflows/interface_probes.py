@@ -6,20 +6,17 @@ workflows/critical_ni.toml and critical_al.toml. Rows in the tables are not comp
 """
 
 import itertools
-import tempfile
 import tomllib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from bonding_energy import scene_of
-from pages import study_table
+from pages import computed, study_table
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.impact.exchange import Impact
 from coupler.impact.touching import softer_strength
-from coupler.progress import Progress
 from coupler.studies.critical import at_velocity
 from coupler.studies.sweep import toml_text
 
@@ -72,9 +69,8 @@ class Springs:
 
 def compute(text: str, probe: Callable[[Impact], None], **numerics: float) -> dict[str, Any]:
     """The values of the run of a scene."""
-    with tempfile.TemporaryDirectory() as place:
-        scene, quiet = Scene.from_text(text, "probe"), Progress(quiet=True)
-        return dict(run(scene, Path(place) / "run", threads=1, probe=probe, progress=quiet, numerics=numerics).values)
+    with computed(Scene.from_text(text, "probe"), probe=probe, numerics=numerics) as (result, _):
+        return dict(result.values)
 
 
 def springs(preset: str, factor: float) -> dict[str, object]:

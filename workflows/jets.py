@@ -3,14 +3,22 @@
 Five fast impacts at the presets. Rows in docs/tables/jets.csv are not computed again. --docs: run nothing, write the table of the page.
 """
 
-import tempfile
-import time as clock
-from pathlib import Path
-
 import numpy as np
-from pages import PAGES, column, figure_path, markdown, number, options, study_table, versions, write_parts
+from pages import (
+    PAGES,
+    column,
+    computed,
+    figure_path,
+    markdown,
+    number,
+    options,
+    single_impact,
+    study_table,
+    versions,
+    write_parts,
+)
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.impact.exchange import Impact
 from coupler.report.picture import blank, save
 from coupler.studies.table import Row
@@ -31,11 +39,8 @@ COLUMNS = (
 
 
 def scene(case: str, preset: str) -> Scene:
-    metal, size, velocity, base = CASES[case]
-    text = (
-        f'preset = "{preset}"\n[particle]\nmaterial = "{metal}"\ndiameter = "{size} um"\nvelocity = "{velocity} m/s"\n'
-    )
-    return Scene.from_text(f'{text}[substrate]\nmaterial = "{base}"\n[adhesion]\nkind = "none"\n', "jets")
+    text = single_impact(*CASES[case], more='[adhesion]\nkind = "none"\n')
+    return Scene.from_text(f'preset = "{preset}"\n{text}', "jets")
 
 
 def row(case: str, preset: str) -> dict[str, object]:
@@ -46,9 +51,7 @@ def row(case: str, preset: str) -> dict[str, object]:
         p = impact.particle
         last["F"], last["skin"] = p.whole("F").reshape(-1, 3, 3), impact.surface.positions(p.x)
 
-    started = clock.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        result = run(scene(case, preset), Path(folder) / "run", quiet=True, threads=1, probe=probe)
+    with computed(scene(case, preset), probe=probe) as (result, cpu):
         end, diameter = dict(result.end), CASES[case][1] * 1e-6
     stretches = np.linalg.svd(last["F"], compute_uv=False)
     return {
@@ -60,7 +63,7 @@ def row(case: str, preset: str) -> dict[str, object]:
         "diameter": round(end["splat_diameter_m"] / diameter, 3),
         "top": round(float(last["skin"][:, 2].max()) / diameter, 3), "span": round(float(np.ptp(last["skin"][:, 2])) / diameter, 3),
         "jet_um": round(end["jet_length_m"] * 1e6, 2), "unresolved": round(end["unresolved_share"], 4),
-        "cpu_s": round(clock.process_time() - started, 1),
+        "cpu_s": round(cpu, 1),
     }  # fmt: skip
 
 

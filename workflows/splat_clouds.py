@@ -1,17 +1,15 @@
 """The clouds of the splat battery: those that real impacts leave, and synthetic hard ones."""
 
 import json
-import tempfile
 from collections.abc import Callable
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pages import spacing_of
+from pages import computed, spacing_of
 from scipy.spatial import cKDTree
 
-from coupler import Scene, run
+from coupler import Scene
 from coupler.deposition.joining import cloud_of
 from coupler.impact.exchange import Impact
 from coupler.particle import packing, shapes
@@ -20,9 +18,8 @@ from coupler.physics.materials import material
 
 D = 25e-6
 Map = Callable[[np.ndarray], np.ndarray]
-Made = dict[
-    str, Any
-]  # arrays and numbers of a cloud, by the names of `coupler.splat.cloud.Cloud`, with vertices and triangles
+# arrays and numbers of a cloud, by the names of `coupler.splat.cloud.Cloud`, with vertices and triangles
+Made = dict[str, Any]
 
 
 def particle(metal: str, velocity: float, **more: object) -> str:
@@ -45,15 +42,8 @@ def played(particles: tuple[str, ...], base: str, spacing: float) -> list[tuple[
             cloud["vertices"], cloud["triangles"] = cloud.pop("surface")
             seen.setdefault(now.bodies.count, [cloud, cloud])[1] = cloud
 
-    with tempfile.TemporaryDirectory() as folder:
-        run(
-            Scene.from_text("".join(particles) + rest + '[end]\nat = "rest"\n', "battery"),
-            Path(folder) / "run",
-            probe=watch,
-            threads=1,
-            quiet=True,
-        )
-    return [(greatest, end) for greatest, end in seen.values()]
+    with computed(Scene.from_text("".join(particles) + rest + '[end]\nat = "rest"\n', "battery"), probe=watch):
+        return [(greatest, end) for greatest, end in seen.values()]
 
 
 def impact(
