@@ -19,7 +19,6 @@ from coupler.physics import materials
 from coupler.physics.strength import LAWS, Parameter
 from coupler.plan import cost as estimates
 from coupler.plan.reading import Scene
-from coupler.scene.effects import NAMES
 from coupler.scene.json_schema import words
 from coupler.scene.tables import Quantity, Section
 from coupler.spray import nozzles
@@ -126,7 +125,6 @@ Units: {known}.
     own = f"A nozzle of your own; the library has {', '.join(nozzles.library())} ([gas](gas.md))."
     lines += ["## `[nozzles.NAME]`", "", own, "",
               *_plain(nozzles.Nozzle, nozzles._DEFAULTS, NOZZLE, lambda name: "mm" if name in nozzles._LIMITS else "")]  # fmt: skip
-    lines += ["## Effects", "", f"Names for `effects`: {', '.join(f'`{name}`' for name in NAMES)}."]
     return "\n".join(lines).rstrip() + "\n"
 
 
