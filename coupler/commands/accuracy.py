@@ -33,8 +33,9 @@ def add_to_run(option: Option) -> None:
         metavar="PERCENT",
         help='choose the resolution for this error of the splat\'s shape, as forecast: "2%%"',
     )
-    option("--spread", choices=("strength",),
-           help="compute the scene with the other strength sets of its metals, too, and print the range")  # fmt: skip
+    option("--spread", choices=("strength", "friction"),
+           help="compute the scene with the other strength sets of its metals, or without friction and with the greatest, too, and"
+           " print the range")  # fmt: skip
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -95,16 +96,16 @@ def forecast(plan: "Plan", pace: "Pace", verbose: bool = True) -> str:
     return "\n".join(lines)
 
 
-def spread_of_strength(scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
-    """Compute a scene with the other strength sets of its metals, and print the range of each measure. out: folder of its run."""
+def spread_of(choice: str, scene: "Scene", out: Path, jobs: int, quiet: bool) -> None:
+    """Compute a scene with the other values of a choice of the model, and print the range of each measure. out: folder of its run."""
     from ..files.result import Result
     from ..studies import spread
 
-    say, scenes = teller(quiet, "stdout"), spread.other_sets(scene)
-    if not scenes:
-        say("the library has no other strength set for the metals of this scene")
+    say, (others, none) = teller(quiet, "stdout"), spread.SPREADS[choice]
+    if not (scenes := others(scene)):
+        say(f"--spread {choice}: {none}")
         return
-    say("\n".join(spread.lines(Result(out), spread.compute(scenes, out / spread.FOLDER, jobs, say))))
+    say("\n".join(spread.lines(Result(out), spread.compute(scenes, out / choice, jobs, say))))
 
 
 def chosen(scene: "Scene", within: str | None, accuracy: str | None) -> tuple["Scene", str]:

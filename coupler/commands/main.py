@@ -256,7 +256,7 @@ def _run(arguments: argparse.Namespace) -> int:
     computed = partial(run, scene, out=out, force=arguments.force, skip_failed=arguments.skip_failed, error=error)
     code = _compute(arguments, out, computed)
     if arguments.spread and code in (0, _UNDECIDED) and is_first_rank():
-        accuracy.spread_of_strength(scene, out, jobs_of(arguments), arguments.quiet)
+        accuracy.spread_of(arguments.spread, scene, out, jobs_of(arguments), arguments.quiet)
     return code
 
 

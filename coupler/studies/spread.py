@@ -1,5 +1,6 @@
-"""What the choice of a strength set changes: a scene with the other sets that the library has for its metals."""
+"""What a choice of the model changes: a scene with other strength sets or coefficients of friction, a coating with other seeds."""
 
+import math
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -8,12 +9,26 @@ from ..errors import ColdsprayError
 from ..files.result import Result
 from ..measures import CONVERGING, measure
 from ..physics import materials
+from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..report.words import errors_of, shown
 from .runs import run_points
 from .table import in_columns
 
-FOLDER = "strength"  # of the runs with other sets, in that of the run
+# Coulomb's coefficient: no friction, and sticking: at a pressure of the flow stress more would shear the metal (von Mises; Johnson &
+# Mellor 1973, Engineering plasticity)
+FRICTIONS = (0.0, round(1.0 / math.sqrt(3.0), 3))
+
+
+def other_frictions(scene: Scene) -> dict[str, str]:
+    """Name, such as "friction 0" -> the scene (TOML) with this coefficient of FRICTIONS; none where its effects leave friction out."""
+    data = tomllib.loads(scene.to_toml())
+    scenes = {
+        f"friction {mu:g}": Scene.from_dict({**data, "contact": {"friction": mu}}, scene.name) for mu in FRICTIONS
+    }
+    if not any(plan(other).effects.friction for other in scenes.values()):
+        return {}
+    return {name: other.to_toml() for name, other in scenes.items() if other.contact.friction != scene.contact.friction}
 
 
 def other_sets(scene: Scene) -> dict[str, str]:
@@ -48,9 +63,16 @@ def compute(scenes: Mapping[str, str], folder: Path, jobs: int, log: Callable[[s
     }
 
 
+#: choice of the model, and folder of its runs in that of the run -> the other scenes, and why there are none
+SPREADS = {
+    "strength": (other_sets, "the library has no other strength set for the metals of this scene"),
+    "friction": (other_frictions, "the effects of this scene leave friction out"),
+}
+
+
 def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
-    """The measures of a run beside the least and the greatest that other strength sets give, as lines."""
-    rows: list[tuple[str, ...]] = [("", "this set", "least", "most", "")]
+    """The measures of a run beside the least and the greatest of the others, as lines."""
+    rows: list[tuple[str, ...]] = [("", "this run", "least", "most", "")]
     errors = errors_of(result.summary)
     for key in CONVERGING:
         found = {name: float(other.values[key]) for name, other in others.items() if other.values.get(key) is not None}
@@ -62,4 +84,4 @@ def lines(result: Result, others: Mapping[str, Result]) -> list[str]:
             rows.append((measure(key).label, shown(key, result.values[key], errors.get(key)), *ends, measure(key).unit))
     verdicts = [str(other.values.get("verdict")) for other in others.values()]
     counted = ", ".join(f"{verdicts.count(word)} {word}" for word in dict.fromkeys(verdicts))
-    return [f"other strength sets: {', '.join(others)}", *in_columns(rows), f"verdicts with them: {counted}"]
+    return [f"with {', '.join(others)}:", *in_columns(rows), f"verdicts with them: {counted}"]

@@ -1,4 +1,4 @@
-"""What the other strength sets of the metals change: `run --spread strength`."""
+"""What the other strength sets of the metals and other coefficients of friction change: `run --spread`."""
 
 import json
 import tomllib
@@ -40,6 +40,14 @@ def test_each_scene_has_one_other_set_of_one_metal() -> None:
     assert not [name for name in spread.other_sets(scene_with(materials=own)) if name.startswith("Ni")]
 
 
+def test_friction_goes_from_none_to_sticking() -> None:
+    """von Mises: the shear stress that metal bears is its flow stress over the root of three."""
+    scenes = spread.other_frictions(scene_with(contact={"friction": 0.3}))
+    assert [Scene.from_text(text).contact.friction for text in scenes.values()] == [0.0, 0.577]
+    assert list(spread.other_frictions(scene_with(contact={"friction": 0.577}))) == ["friction 0"]
+    assert spread.other_frictions(scene_with(effects="none")) == {}
+
+
 def test_the_range_names_the_sets_at_its_ends(tmp_path: Path) -> None:
     def result(name: str, crater: float, verdict: str) -> Result:
         folder = tmp_path / name
@@ -67,7 +75,7 @@ def test_the_command_prints_the_range(tmp_path: Path, capsys: pytest.CaptureFixt
     how = ["run", str(tmp_path / "al.toml"), "--out", str(tmp_path / "run"), "--no-error", "--spread", "strength"]
     assert cli.main(how) == 0
     text = capsys.readouterr().out
-    assert "other strength sets: Al7075 Steinberg_1996" in text
+    assert "with Al7075 Steinberg_1996:" in text
     own, other = Result(tmp_path / "run"), Result(tmp_path / "run" / "strength" / "Al7075_Steinberg_1996")
     assert own.eps_p_mean != other.eps_p_mean
     assert "error" not in other.summary["run"]
