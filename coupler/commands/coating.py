@@ -6,7 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from ..files.inputs import reading
-from .arguments import Commands, add_command, add_force, path, quantity, working
+from .arguments import Commands, add_command, add_force, at_least_one, path, quantity, teller, working
 
 if TYPE_CHECKING:
     from ..studies.coating import CoatingMeasures
@@ -23,6 +23,9 @@ def add(commands: Commands) -> None:
            help='radius of the disc that is measured, such as "20 um" (default: 0.6 of the patch)')  # fmt: skip
     option("--section", type=quantity("--section", "length", positive=False), metavar="L",
            help="the plane y of the cut (default: that which cuts the most particles)")  # fmt: skip
+    option("--seeds", type=at_least_one, default=0, metavar="N",
+           help="first compute the coating with N other seeds, and give each measure its error from all (default: none)")  # fmt: skip
+    option("--jobs", type=at_least_one, default=1, metavar="N", help="runs at a time, each on one core (default: 1)")
     add_force(option)
 
 
@@ -30,15 +33,19 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the command. Returns the exit code. Raises ColdsprayError for what a user can mend."""
     from ..files.outputs import claim_folder
     from ..files.result import Result
+    from ..plan.reading import Scene
     from ..report.picture import stage
-    from ..studies import coating, coating_files, coating_growth
+    from ..studies import coating, coating_files, coating_growth, coating_seeds, spread
 
     result = Result(arguments.run)
     folder = arguments.out or arguments.run / "coating"
     claim_folder(folder, "coating", coating_files.NAMES, [arguments.run], arguments.force)
+    if arguments.seeds:
+        others = coating_seeds.other_seeds(Scene.from_text(result.scene_text, str(arguments.run)), arguments.seeds)
+        spread.compute(others, arguments.run / coating_seeds.FOLDER, arguments.jobs, teller(False))
     with reading(arguments.run), working("measuring the coating") as progress:
         splats = coating.read(result)
-        measures = coating.measure(splats, arguments.window)
+        measures = coating_seeds.measured(result, splats, arguments.window)
         coating_files.write_measures(folder, measures)
         progress.stage("measuring how it has grown")
         coating_files.write_growth(folder, coating_growth.growth(result, arguments.window))

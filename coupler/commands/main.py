@@ -316,12 +316,12 @@ def _report(arguments: argparse.Namespace) -> int:
     from ..files.outputs import claim_file
     from ..files.result import Result
     from ..report.page import write_report
-    from ..studies import coating
+    from ..studies.coating_seeds import lines_of
 
     result, out = Result(arguments.run), arguments.out or arguments.run / "report.html"
     claim_file(out, (".html", ".htm"), [arguments.run], arguments.force)
     with reading(arguments.run), working("reading the run") as progress:
-        page = write_report(result, out, progress.stage, coating.lines_of(result))
+        page = write_report(result, out, progress.stage, lines_of(result))
     print(f"page in {page}")
     return 0
 

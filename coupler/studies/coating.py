@@ -24,11 +24,13 @@ from ..geometry.triangles import area_vectors
 from ..measures import UNDECIDED
 from ..physics.shapes import sphere_volume
 from ..plan.record import read_plan
+from ..report.words import with_error
 
 DISC = 0.6  # of the radius on which centres fall: what is measured, away from the rim of the patch
 FINEST = 0.25  # splat element sizes: voids thinner than that are not told from the facets that meshes make of a round surface
 SECTORS = 8  # of the disc, for the error of a mean
 COLUMN = 0.125  # splat element sizes between two columns, and between two heights
+NO_SEEDS = "not measured: coldspray coating DIR --seeds 3 computes three other seeds"
 NOT_COLD = "the bodies have not cooled: their stresses are not residual stresses"
 
 
@@ -223,6 +225,22 @@ def roughness(z: NDArray) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
+class SeedError:
+    """A measure over so many seeds, SI: its mean, the standard error of that, and the least and the greatest value."""
+
+    seeds: int
+    mean: float
+    error: float
+    least: float
+    greatest: float
+
+    def words(self, factor: float, unit: str) -> str:
+        """The error in a unit: "; 4 seeds: 40.8 ± 0.6 µm, 39.5 to 42.1"."""
+        ends = " to ".join(f"{factor * end:.3g}" for end in (self.least, self.greatest))
+        return f"; {self.seeds} seeds: {with_error(factor * self.mean, factor * self.error)}{unit}, {ends}"
+
+
+@dataclass(frozen=True)
 class CoatingMeasures:
     """Measures of a coating, SI; the keys of coating.json. impacts, of: finished and planned; undecided: impacts with that verdict,
     which count as stayed in deposition_efficiency and as lost in least_efficiency; thickness: height of the coating above the old
@@ -231,7 +249,8 @@ class CoatingMeasures:
     without coating; overlap_share: of the coating's volume that more than one body fills: the matter there is missing elsewhere, so
     that the porosity is too high by up to that; void_limit_m: height below which a void is not resolved; stress_in_plane_Pa: mean over
     the coating's volume in the disc of (xx + yy) / 2, residual once cold, and its standard error, None of one sector (`in_plane`);
-    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`."""
+    thermal_in_plane_Pa: the part of it that changes of temperature have made; layers, depth: rows of `per_layer`, `over_depth`;
+    seeds: measure -> its error, where other seeds are computed (`coating_seeds`)."""
 
     impacts: int
     of: int
@@ -258,6 +277,7 @@ class CoatingMeasures:
     layers: list[dict[str, float]]
     depth: list[dict[str, float]]
     warnings: list[str]
+    seeds: dict[str, SeedError]
 
 
 def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
@@ -277,6 +297,7 @@ def measure(splats: Splats, radius: float | None = None) -> CoatingMeasures:
         layers=per_layer(splats, -(-planned // splats.layers)), depth=over_depth(splats, radius, 0.5 * size),
         warnings=([] if splats.finished == planned else [unfinished])
         + ([] if splats.is_cold else [NOT_COLD]),
+        seeds={},
     )  # fmt: skip
 
 
@@ -326,16 +347,6 @@ def in_plane(splats: Splats, radius: float, name: str) -> tuple[float, float | N
     return mean, float(np.sqrt((n - 1) * without.var()))
 
 
-def lines_of(result: Result) -> list[tuple[str, str]]:
-    """The `lines` of a run, finished or not; none where no splat can be measured, or it is a single one that has not cooled."""
-    if len(result.plan.get("impacts", [])) < 2 and not len(result.times(COLD)):
-        return []
-    try:
-        return lines(measure(read(result)))
-    except StoreError:
-        return []
-
-
 def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
     """What a coating is, in words: label and value with its unit, for the terminal and the page."""
     um = {name: f"{1e6 * value:.1f} µm" for name, value in vars(measures).items() if name.endswith("_m")}
@@ -347,25 +358,35 @@ def lines(measures: CoatingMeasures) -> list[tuple[str, str]]:
     is_cold = NOT_COLD not in measures.warnings  # else it is not known what cooling adds
     error = "" if measures.stress_error_Pa is None else f" ± {1e-6 * measures.stress_error_Pa:.0f}"
     stress, thermal = 1e-6 * measures.stress_in_plane_Pa, 1e-6 * measures.thermal_in_plane_Pa
+
+    def seeds(key: str, factor: float, unit: str) -> str:
+        return measures.seeds[key].words(factor, unit) if key in measures.seeds else ""
+
     parts = f" = {stress - thermal:+.0f} MPa of the impacts {thermal:+.0f} MPa of cooling" if is_cold else ""
     return [
         (
             "thickness above the old surface",
             f"{um['thickness_mean_m']} in the mean, {um['thickness_min_m']} to {um['thickness_max_m']};"
-            f" {measures.bare_share:.1%} of the surface is bare",
+            f" {measures.bare_share:.1%} of the surface is bare{seeds('thickness_mean_m', 1e6, ' µm')}",
         ),
-        ("roughness", f"Sa {um['Sa_m']}, Sq {um['Sq_m']}"),
+        ("roughness", f"Sa {um['Sa_m']}, Sq {um['Sq_m']}{seeds('Sa_m', 1e6, ' µm')}"),
         (
             "porosity",
             f"{measures.porosity_closed:.2%} closed, {measures.porosity_open:.2%} open; too high by up to {measures.overlap_share:.2%},"
-            f" where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved",
+            f" where bodies overlap; voids lower than {1e6 * measures.void_limit_m:.2f} µm are not resolved"
+            + seeds("porosity_closed", 100.0, " %"),
         ),
-        ("deposition efficiency", f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}"),
+        (
+            "deposition efficiency",
+            f"{least}{measures.deposition_efficiency:.1%} of the mass: {stay}{seeds('deposition_efficiency', 100.0, ' %')}",
+        ),
         (
             f"{'residual stress' if is_cold else 'stress before cooling'}, in plane",
-            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from place to place",
+            f"{stress:+.0f}{error} MPa{parts}; mean over the volume of the splats, error from place to place"
+            + seeds("stress_in_plane_Pa", 1e-6, " MPa"),
         ),
         ("measured", f"within {um['window_radius_m']} of the axis, away from the rim of the patch"),
+        ("error", "standard error of the mean of the seeds, and the range" if measures.seeds else NO_SEEDS),
     ]
 
 

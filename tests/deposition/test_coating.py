@@ -1,5 +1,6 @@
 """A coating: particles from a seed, and what is measured of made-up bodies whose thickness, roughness and voids are known."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -8,16 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from runs import SharedRuns
-from scenes import COATING, COLD
+from scenes import COATING, COLD, scene_with
 
-from coupler import Scene
+from coupler import Scene, run
 from coupler.commands.coating import describe
 from coupler.commands.main import main
-from coupler.errors import SceneError
+from coupler.errors import SceneError, StoreError
 from coupler.files.fields import Fields
 from coupler.geometry import mesher
 from coupler.report.picture import _most_cut
-from coupler.studies import coating_growth
+from coupler.studies import coating_growth, coating_seeds
 from coupler.studies.coating import Columns, Splats, in_plane, lines, measure, over_depth, per_layer, read, roughness
 from coupler.studies.coating_files import _seen, micrograph
 from coupler.studies.coating_growth import growth
@@ -278,6 +279,44 @@ def test_the_error_of_the_stress_is_that_of_a_mean_over_places(built: Splats) ->
         body = np.minimum(built.body, 1)  # a plate all over the window
         one = replace(built, mesh=replace(built.mesh, data={"stress": stress}), body=body)
         assert in_plane(one, 25e-6, "stress")[1] == pytest.approx(error, rel=0.2, abs=1.0)
+
+
+def test_the_error_of_a_coating_is_that_of_the_mean_of_its_seeds(built: Splats) -> None:
+    """Of 10, 12 and 14 um the mean is 12 um and its standard error 2 um over the root of three."""
+    own = measure(built)
+    several = [replace(own, thickness_mean_m=h) for h in (10e-6, 12e-6, 14e-6)]
+    found = coating_seeds.errors(several)
+    thick = found["thickness_mean_m"]
+    assert (thick.mean, thick.error, thick.least, thick.greatest) == pytest.approx((12e-6, 2e-6 / 3**0.5, 10e-6, 14e-6))
+    assert found["porosity_closed"].error == 0.0
+    said = dict(lines(replace(own, seeds=found)))
+    assert said["thickness above the old surface"].endswith("; 3 seeds: 12.0 ± 1.2 µm, 10 to 14")
+    assert all("3 seeds" in said[label] for label in ("roughness", "porosity", "deposition efficiency"))
+    assert "--seeds" in dict(lines(own))["error"]
+    assert coating_seeds.errors([own]) == {}
+
+
+def test_other_seeds_draw_other_particles_from_the_same_table() -> None:
+    scene = Scene.from_text(COATING, "coating")
+    others = coating_seeds.other_seeds(scene, 2)
+    assert list(others) == ["seed 4", "seed 5"]
+    other = Scene.from_text(others["seed 4"], "coating")
+    assert other.particles == Scene.from_text(COATING.replace("seed = 3", "seed = 4"), "coating").particles
+    with pytest.raises(StoreError, match="no table \\[coating\\]"):
+        coating_seeds.other_seeds(scene_with(), 1)
+
+
+@pytest.mark.slow
+def test_the_command_computes_other_seeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of two particles on a disc of 4 um, until 3 ns after each contact."""
+    text = COATING.replace("number = 40\nlayers = 4", "number = 2\nlayers = 1").replace('"36 um"', '"4 um"')
+    text += 'diameter = "120 um"\nheight = "50 um"\n[resolution]\nspacing = "2.4 um"\n[end]\ntime = "30 ns"\n'
+    run(Scene.from_text(text, "two"), tmp_path / "run", quiet=True, threads=1)
+    assert main(["coating", str(tmp_path / "run"), "--seeds", "1"]) == 0
+    said = capsys.readouterr().out
+    assert "2 seeds: " in said
+    kept = json.loads((tmp_path / "run" / "coating" / "coating.json").read_text())["seeds"]["thickness_mean_m"]
+    assert kept["least"] < kept["mean"] < kept["greatest"]
 
 
 @pytest.mark.parametrize(("left", "says"), [(0, "all 4 particles stay"), (1, "3 of 4 particles stay")])

@@ -24,7 +24,7 @@ from coupler.report import charts
 from coupler.report.page import picks, report, write_report
 from coupler.report.picture import Range, stage
 from coupler.report.solid import TOP, frames, solid, thinned
-from coupler.studies import coating
+from coupler.studies import coating, coating_seeds
 
 
 @pytest.fixture(scope="module")
@@ -441,7 +441,7 @@ def test_a_browser_shows_a_real_run(tmp_path, shared_run):
 def test_a_cold_run_shows_its_residual_stress(shared_run: SharedRuns) -> None:
     """The cut through all bodies after the closing stage, by in-plane stress too, and the one number that the coating has."""
     result = shared_run(COLD)
-    page = report(result, coating=coating.lines_of(result))
+    page = report(result, coating=coating_seeds.lines_of(result))
     section = page[page.index('<section id="cold">') :].split("</section>")[0]
     assert section.count("<img") == 3
     assert "in-plane stress" in section

@@ -1,0 +1,64 @@
+"""The error of a coating from seeds: the same coating of other particles from the same distributions, run beside it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import StoreError
+from ..files.result import COLD, Result
+from ..plan.reading import Scene
+from .coating import CoatingMeasures, SeedError, Splats, lines, measure, read
+
+FOLDER = "seeds"  # of the runs, in that of the run
+MEASURES = (
+    "thickness_mean_m", "Sa_m", "Sq_m", "porosity_closed", "porosity_open", "deposition_efficiency", "stress_in_plane_Pa",
+)  # fmt: skip
+
+
+def other_seeds(scene: Scene, count: int) -> dict[str, str]:
+    """Name, such as "seed 8" -> the scene (TOML) with this seed; `count` of them after that of the scene. Raises StoreError for a scene
+    without a table [coating]."""
+    if scene.coating is None:
+        raise StoreError("--seeds: the scene of this run has no table [coating], and so no seed")
+    data = tomllib.loads(scene.to_toml())
+    del data["particle"]  # which the seed of the scene has made
+    seeds = range(scene.coating.seed + 1, scene.coating.seed + 1 + count)
+    return {
+        f"seed {n}": Scene.from_dict({**data, "coating": {**data["coating"], "seed": n}}, scene.name).to_toml()
+        for n in seeds
+    }
+
+
+def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
+    """The error of each of MEASURES from coatings of several seeds; none of one coating."""
+    if len(coatings) < 2:
+        return {}
+    found = {}
+    for key in MEASURES:
+        values = np.array([getattr(each, key) for each in coatings])
+        error = float(values.std(ddof=1)) / math.sqrt(len(values))
+        found[key] = SeedError(len(values), float(values.mean()), error, float(values.min()), float(values.max()))
+    return found
+
+
+def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:
+    """`coating.measure` of what a run has built, with the errors from the finished seeds in its folder. radius m: of the disc."""
+    own = measure(splats, radius)
+    runs = sorted((result.directory / FOLDER).glob("*/summary.json"))
+    others = [measure(read(Result(path.parent)), own.window_radius_m) for path in runs]
+    return replace(own, seeds=errors([own, *others]))
+
+
+def lines_of(result: Result) -> list[tuple[str, str]]:
+    """The `lines` of a run, finished or not; none where no splat can be measured, or it is a single one that has not cooled."""
+    if len(result.plan.get("impacts", [])) < 2 and not len(result.times(COLD)):
+        return []
+    try:
+        return lines(measured(result, read(result)))
+    except StoreError:
+        return []
