@@ -35,7 +35,9 @@ JOINED = 0.05  # volume of a splat's elements when it joins, against its mass ov
 VOLUME = 0.015  # change of a body's volume in an impact, against its pressure; of the substrate: over V_p
 SKIN = 0.20  # volume inside the particle's surface, which is carried between the points, off that of the points
 SUNK = 0.01  # share of a particle that may lie deeper than a spacing in the target: single points of a jet, as the program allows
-IMPULSE = 0.3  # integral of the contact force over the rows of the history, if it acts in so many, against the momentum it takes
+# momentum that the contact takes, outside the sums of the lesser and of the greater force of two rows of the history, if it acts in so
+# many: a force of one step may rise and fall between rows
+IMPULSE = 0.1
 ROWS = 10
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
 FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
@@ -378,9 +380,11 @@ class _ImpactCheck:
         """Impulse of the contact force, depth of the particle in the target, motion at the end."""
         rows, target = self.rows, self.last["target"]
         taken = self.mass * (rows["velocity_z"][-1] - rows["velocity_z"][0])
-        impulse = np.trapezoid(rows["contact_force"], rows["time"]) - taken
+        force = np.sort(np.stack([rows["contact_force"][:-1], rows["contact_force"][1:]]), axis=0)
+        low, high = force @ np.diff(rows["time"])
         if np.count_nonzero(rows["contact_force"]) > ROWS:
-            self.hold("impulse", impulse / (self.mass * self.p.velocity), IMPULSE, "impulse of the contact force")
+            outside = max(low - taken, taken - high, 0.0) / (self.mass * self.p.velocity)
+            self.hold("impulse", outside, IMPULSE, "impulse of the contact force")
         # where the run says that its surface does not follow the points, the points count
         name = "particle" if value(self.record, "thickness_m") is None else "surface"
         depth = depths(self.last[name].points, target.points, target.cells) / self.scene.derived.spacing

@@ -129,6 +129,15 @@ def test_a_fault_is_found(shared_run: SharedRuns, tmp_path: Path, kind: str) -> 
     assert any(expected in fault for fault in verify.check(Result(copy)).faults)
 
 
+def test_a_force_that_rises_and_falls_between_rows_is_no_fault(shared_run: SharedRuns, tmp_path: Path) -> None:
+    """The first shock of a flat contact lasts a few steps, the rows of the history lie ten apart: the impulse lies between the sums of
+    the lesser and of the greater force of each two rows."""
+    copy = tmp_path / "run"
+    shutil.copytree(shared_run(WHOLE).directory, copy)
+    column("contact_force", lambda c: at(int(np.argmax(c)), 40.0 * c.max())(c))(copy)
+    assert verify.check(Result(copy)).faults == []
+
+
 def test_a_good_result_has_no_fault_and_a_splat_of_another_volume_is_found(
     shared_run: SharedRuns, tmp_path: Path
 ) -> None:
