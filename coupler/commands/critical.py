@@ -4,6 +4,7 @@ import argparse
 import shlex
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .arguments import (
     Commands,
@@ -17,6 +18,10 @@ from .arguments import (
     study_folder,
     teller,
 )
+
+if TYPE_CHECKING:
+    from ..plan.reading import Scene
+    from ..studies.critical import Bracket, Row
 
 _NAMES = ("scene.toml", "critical.csv", "critical.png")
 _LIMITS = "10 m/s", "2000 m/s"  # those of a scene's particle
@@ -39,8 +44,10 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Search the critical velocity of a scene, or continue it, and draw. Returns the exit code."""
     from ..errors import StoreError
+    from ..plan.refinement import at_points, companions
     from ..studies import critical
     from ..studies.critical_figure import draw
+    from ..studies.table import write_rows
 
     scene = scene_of(arguments)
     critical.check(scene)
@@ -50,19 +57,30 @@ def run(arguments: argparse.Namespace) -> int:
         raise StoreError(f"--low {limits[0]:g} m/s must be less than --high {limits[1]:g} m/s")
     out, say = study_folder(arguments, scene, "critical", _NAMES), teller(arguments.quiet)
     about = f"remake: coldspray critical {shlex.join(_given(arguments, out))} (finished runs are not computed again)"
+
+    def search(at: "Scene", folder: Path) -> "tuple[Bracket, list[Row]]":
+        return critical.search(at, folder, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
+
+    coarser: dict[int, Bracket] = {}
     try:
-        bracket, rows = critical.search(scene, out, limits, tolerance, say, arguments.repeat, jobs_of(arguments), about)
+        bracket, rows = search(scene, out)
+        for points in companions(scene) if scene.resolution.error else ():
+            say(f"the error of the resolution: the same search with {points} points")
+            coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
     except KeyboardInterrupt:
         count = len(critical.rows_of(out / "runs"))
         say(f"stopped; go on with the same command: {out / 'runs'} has {count} finished runs")
         raise
-    draw(rows, bracket, scene.particle.diameter, out / "critical.png")
+    error = critical.resolution_error(scene, bracket, coarser)
+    draw(rows, bracket, scene.particle.diameter, out / "critical.png", error)
     print(bracket.words)
     if bracket.velocity is None and (slowest := critical.slowest_rebound(rows)) is not None:
         print(f"nearest to sticking: {slowest}")
     if arguments.repeat == 1:
         print("one placement at each velocity: that its verdict may be chance is not in the band (--repeat 3)")
-    print(critical.resolution_words(scene))
+    print(resolution := critical.resolution_words(scene, bracket, coarser))
+    if coarser:
+        write_rows(out / critical.TABLE, critical.COLUMNS, rows, f"{about}\n{bracket.words}\n{resolution}")
     print(critical.verdict_words(bracket, critical.formula_of(scene)))
     if not arguments.quiet:
         print(f"table in {out / critical.TABLE}\nfigure in {out / 'critical.png'}")

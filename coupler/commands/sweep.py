@@ -127,8 +127,7 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
     keys = distribution.varied_numbers(rows, sweep.varied)
     for row in rows:
         row |= {key: row["keys"].get(key) for key in keys}
-    measured = [name for name in runs_table.ERRORS if any(row.get(name) is not None for row in rows)]
-    runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", [*keys, *measured])
+    runs_table.write_table(rows, out / OUTPUTS[0], f"{MARK} sweep; SI units", keys)
     count = runs_table.counts(rows)
     lines = [f"{len(rows)} points: " + ", ".join(f"{n} {status}" for status, n in count.items() if n)]
     bad = [row for row in rows if row["status"] in ("failed", "undecided")]
@@ -146,19 +145,18 @@ def summarise(sweep: "Sweep", out: Path) -> list[str]:
 
 
 def _table(measures: "Sequence[Spread]") -> list[str]:
-    """The distributions in columns."""
+    """The distributions in columns; error: that of the resolution, the median over the runs that measure it."""
     from ..studies.table import in_columns
 
-    head = ("", "runs", "mean", "deviation", "5 %", "median", "95 %", "unit", "strongest rank correlation")
+    head = ("", "runs", "mean", "deviation", "error", "5 %", "median", "95 %", "unit", "strongest rank correlation")
     cells: list[tuple[str, ...]] = [head]
     for spread in measures:
         m = spread.measure
         low, middle, high = spread.quantiles[0], spread.quantiles[len(spread.quantiles) // 2], spread.quantiles[-1]
-        numbers = (spread.values.mean(), spread.values.std(ddof=1), low, middle, high)
-        cells.append(
-            (m.label, str(len(spread.values)), *(f"{m.factor * x:.4g}" for x in numbers), m.unit, spread.strongest)
-        )
-    return in_columns(cells, range(1, 7))
+        numbers = (spread.values.mean(), spread.values.std(ddof=1), spread.error, low, middle, high)
+        texts = ("" if x is None else f"{m.factor * x:.4g}" for x in numbers)
+        cells.append((m.label, str(len(spread.values)), *texts, m.unit, spread.strongest))
+    return in_columns(cells, range(1, 8))
 
 
 def _verdicts(rows: "Sequence[Row]") -> str:

@@ -16,7 +16,7 @@ from ..files.result import Result
 from ..measures import BALANCE
 from . import charts, parts, picture
 from .page import Page, embedded
-from .words import fill_table, plain, table_lines, title
+from .words import Line, errors_of, fill_table, plain, shown, table_lines, title
 
 MOST = 12  # runs: more do not stand beside each other
 CURVES = (
@@ -54,7 +54,6 @@ def comparison_table(results: Sequence[Result]) -> Table:
     Raises StoreError if a summary is damaged or the runs are too few or too many.
     """
     check_count(len(results))
-    entries = [plain(result.values) for result in results]
     table = Table(title=Text("  |  ".join(dict.fromkeys(title(result) for result in results))), title_justify="left")
     table.add_column("")
     for name, result in zip(names_of(results), results, strict=True):
@@ -68,13 +67,22 @@ def comparison_table(results: Sequence[Result]) -> Table:
         table.add_row(Text("scene, where it differs", style="bold"))
         for key, values in differ:
             table.add_row(Text("  " + key), *(Text(value) for value in values), *[""] * two, "")
-    groups = table_lines(entries)
-    for group, lines in groups.items() if two else ():
-        for line in lines:  # of what ought to be zero a change says nothing
-            before, after = (entry.get(line.key) for entry in entries)
-            line.cells.append("" if group == BALANCE else _change(before, after))
-    fill_table(table, groups)
+    fill_table(table, _measures(results))
     return table
+
+
+def _measures(results: Sequence[Result]) -> dict[str, list[Line]]:
+    """The measures of the runs, with the errors that they have; of two runs also the change, and whether it is within both errors."""
+    entries, errors = [plain(result.values) for result in results], [errors_of(result.summary) for result in results]
+    groups = table_lines(entries)
+    for group, lines in groups.items():
+        for line in lines:
+            values, widths = [each.get(line.key) for each in entries], [each.get(line.key) for each in errors]
+            known = zip(values, widths, line.cells, strict=True)
+            line.cells[:] = [cell if value is None else shown(line.key, value, width) for value, width, cell in known]
+            if len(results) == 2:  # of what ought to be zero a change says nothing
+                line.cells.append("" if group == BALANCE else _change(values[0], values[1], *widths))
+    return groups
 
 
 def comparison_picture(results: Sequence[Result]) -> Figure:
@@ -135,7 +143,9 @@ def comparison_page(results: Sequence[Result]) -> str:
     page.section("cuts", "Cuts", f"<figure>{image}</figure>")
     rows = [[key, *values] for key, values in differences(results)]
     page.section("scenes", "Scenes, where they differ", parts.table(["", *names], rows) if rows else "")
-    page.section("measures", "Measures", parts.several([plain(result.values) for result in results], names))
+    page.section(
+        "measures", "Measures", parts.side_by_side(_measures(results), [*names, *["change"] * (len(names) == 2)])
+    )
     histories = {n: r.history() for n, r in of_name.items() if (r.directory / "history.csv").is_file()}
     curves = [page.chart(column, charts.compared(histories, column, label, factor)) for column, label, factor in CURVES]
     page.section("time", "Over time", f'<div class="two">{"".join(curves)}</div>' if any(curves) else "")
@@ -169,9 +179,13 @@ def _cuts(results: Sequence[Result], names: Sequence[str]) -> tuple[list[picture
     return cuts, (half, low, high)
 
 
-def _change(before: object, after: object) -> str:
+def _change(before: object, after: object, *errors: float | None) -> str:
+    """The change in %, and whether it is less than both errors together."""
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (before, after))
-    return f"{round((after - before) / abs(before), 3) + 0.0:+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
+    text = f"{round((after - before) / abs(before), 3) + 0.0:+.1%}" if numbers and before else ""  # type: ignore[operator,arg-type]
+    known = [error for error in errors if error is not None]
+    is_within = text and len(known) == 2 and abs(after - before) <= sum(known)  # type: ignore[operator]
+    return f"{text}, within the errors" if is_within else text
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Parts of the page in HTML: tables, lists. Everything that comes from a run is escaped here."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from ..errors import StoreError
@@ -10,7 +10,7 @@ from ..files.result import Result
 from ..files.summary import Summary, Values
 from ..measures import measure
 from .words import (
-    Block,
+    Line,
     brief,
     columns,
     error_note,
@@ -98,17 +98,15 @@ def measures(summary: Summary) -> str:
     return f'<div class="measures">{"".join(tables)}</div>{note}' if tables or note else ""
 
 
-def several(entries: Sequence[Block], headings: Sequence[str]) -> str:
-    """Measures of several impacts or runs, one column each; without the keys that none has a number for."""
-    numeric = {key for entry in entries for key, value in entry.items() if isinstance(value, int | float)}
-    groups = table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries])
+def side_by_side(groups: Mapping[str, Sequence[Line]], headings: Sequence[str]) -> str:
+    """Groups of measures (`words.table_lines`), one column for each heading."""
     rows: list[list[str]] = []
     heads = []  # of the groups, in grey
     for group, lines in groups.items():
         heads.append(len(rows))
-        rows.append([group.capitalize(), *[""] * len(entries)])
+        rows.append([group.capitalize(), *[""] * len(headings)])
         rows += [[f"{line.label}, {line.unit}" if line.unit else line.label, *line.cells] for line in lines]
-    return table(["", *headings], rows, range(1, len(entries) + 1), off=heads, stack=True) if rows else ""
+    return table(["", *headings], rows, range(1, len(headings) + 1), off=heads, stack=True) if rows else ""
 
 
 def each_impact(summary: Summary) -> str:
@@ -117,7 +115,9 @@ def each_impact(summary: Summary) -> str:
     if len(entries) > SIDE_BY_SIDE:
         head, *rows = brief(summary)
         return table(head, rows, range(1, len(head)), stack=True)
-    return several(entries, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
+    numeric = {key for entry in entries for key, value in entry.items() if isinstance(value, int | float)}
+    groups = table_lines([{k: v for k, v in entry.items() if k in numeric} for entry in entries])
+    return side_by_side(groups, [f"impact {k + 1}" for k in range(len(entries))]) if len(entries) > 1 else ""
 
 
 COLD_ROWS = (

@@ -19,6 +19,7 @@ from ..errors import SceneError, StoreError
 from ..files.result import Result
 from ..measures import REBOUNDS, STICKS, UNDECIDED
 from ..physics.adhesion import PairFormula
+from ..plan import refinement
 from ..plan.planning import plan
 from ..plan.reading import Scene
 from ..plan.text import duration
@@ -179,6 +180,7 @@ def at_velocity(scene: Scene, velocity: float, placement: int = 0) -> str:
         if scene.particle.shape == "sphere":
             particle["tilt"] = f"{45.0 * turn:.4g} deg"
     data.pop("name", None)
+    data.get("resolution", {}).pop("error", None)  # that of the critical velocity is asked for
     return toml_text(data)
 
 
@@ -213,18 +215,32 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
     return f"verdict: rebounds up to {low:.0f} m/s, sticks from {high:.0f} m/s on, undecided between; {formula.words()}"
 
 
-def resolution_words(scene: Scene) -> str:
-    """What is known of the error of the scene's resolution, which is not in the band."""
+def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> str:
+    """What is known of the error of the scene's resolution, which is not in the band. coarser: by points, as `errors` takes them."""
+    if coarser:
+        error = resolution_error(scene, found, coarser)
+        told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
+        return f"error of the resolution: {'not measured' if error is None else f'+- {error:.2g} m/s'}; {told}"
     own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
     if not own and scene.preset in WITH_GRADIENTS and plan(scene).effects.gradient_hardening:
         return f"not in the band: the error of the resolution; {WITH_GRADIENTS[scene.preset]}"
     known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
     if known is None:
-        return "not in the band: the error of the resolution, which is not known for this spacing (compare with a smaller one)"
+        return "not in the band: the error of the resolution (error = true under [resolution] measures it)"
     return (
         "not in the band: the error of the resolution; at half the spacing of `fine` copper sticks at"
         f" {100 * known:.0f} % lower velocities than at `{scene.preset}`, or at even lower ones"
     )
+
+
+def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
+    """Error (m/s) of the critical velocity from those of the same scene with fewer points, by the rule of a run's measures
+    (`refinement.error`); None with fewer than two critical velocities, or without that of the scene itself."""
+    velocities = {scene.derived.points: found.velocity} | {points: each.velocity for points, each in coarser.items()}
+    known = [(points ** (-1.0 / 3.0), v) for points, v in velocities.items() if v is not None]
+    if found.velocity is None or len(known) < 2:
+        return None
+    return refinement.error(*zip(*known, strict=True))[0]
 
 
 def search(

@@ -12,9 +12,9 @@ from .critical import Bracket, Row
 _MARKERS = {STICKS: "o", REBOUNDS: "v", UNDECIDED: "s"}
 
 
-def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path) -> None:
+def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path, error: float | None = None) -> None:
     """Figure over velocity: restitution, bonded area over the cross section of the particle (diameter, m), and with several placements
-    the share that sticks; markers by verdict, lines through the means."""
+    the share that sticks; markers by verdict, lines through the means. error m/s: of the resolution, where it is measured."""
     figure = blank(10.0 + 4.0 * bool(bracket.shares), 4.0, dpi=130, layout="constrained")
     left, right, *more = figure.subplots(1, 3 if bracket.shares else 2)
     section = 0.25 * math.pi * diameter**2
@@ -47,6 +47,9 @@ def draw(rows: Sequence[Row], bracket: Bracket, diameter: float, picture: Path) 
     for at in (left, right, *more):
         if bracket.velocity is not None:
             at.axvspan(low or at.get_xlim()[0], high or at.get_xlim()[1], color="#d55e00", alpha=0.25, linewidth=0.0)
+            if error is not None:
+                ends = bracket.velocity - error, bracket.velocity + error
+                at.axvspan(*ends, color="0.5", alpha=0.15, linewidth=0.0, zorder=0, label="error of the resolution")
         if at.get_legend_handles_labels()[0]:
             at.legend(fontsize=7)
     figure.suptitle(bracket.words, fontsize=9)

@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 
 from ..measures import Measure, measure
 from ..report.picture import blank, save
-from .runs_table import MEASURES, Row
+from .runs_table import MEASURES, Row, errors_of
 from .table import write_rows
 
 SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -22,12 +22,13 @@ FEWEST = 3  # runs
 @dataclass(frozen=True)
 class Spread:
     """A measure over the runs. values (n,): SI, ascending; quantiles: at SHARES; correlations: key of the scene -> Spearman's rank
-    correlation with it."""
+    correlation with it; error: of the resolution, the median over the runs that measure it."""
 
     measure: Measure
     values: NDArray[np.float64]
     quantiles: tuple[float, ...]
     correlations: dict[str, float]
+    error: float | None
 
     @property
     def strongest(self) -> str:
@@ -58,7 +59,8 @@ def spreads(rows: Sequence[Row], keys: Sequence[str]) -> list[Spread]:
             if np.ptp(x) > 0.0 and np.ptp(y) > 0.0:  # not with a nan either
                 correlations[key] = float(spearmanr(x, y).statistic)
         quantiles = tuple(float(q) for q in np.quantile(y, SHARES))
-        result.append(Spread(measure(name), np.sort(y), quantiles, correlations))
+        error = float(np.median(errors)) if (errors := errors_of(rows, name)) else None
+        result.append(Spread(measure(name), np.sort(y), quantiles, correlations, error))
     return result
 
 
@@ -67,14 +69,15 @@ def write_spreads(path: Path, measures: Sequence[Spread], about: str) -> None:
     keys = dict.fromkeys(key for spread in measures for key in spread.correlations)
     names = [f"quantile_{share:g}" for share in SHARES]
     rows = [
-        {"measure": s.measure.key, "runs": len(s.values), "mean": float(s.values.mean()), "deviation": float(s.values.std(ddof=1))}
+        {"measure": s.measure.key, "runs": len(s.values), "mean": float(s.values.mean()), "deviation": float(s.values.std(ddof=1)),
+         "error": s.error}
         | dict(zip(names, s.quantiles, strict=True))
         | {f"rank_correlation {key}": value for key, value in s.correlations.items()}
         for s in measures
     ]  # fmt: skip
     write_rows(
         path,
-        ("measure", "runs", "mean", "deviation", *names, *(f"rank_correlation {key}" for key in keys)),
+        ("measure", "runs", "mean", "deviation", "error", *names, *(f"rank_correlation {key}" for key in keys)),
         rows,
         about,
     )

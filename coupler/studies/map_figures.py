@@ -20,7 +20,7 @@ from ..measures import MEASURES, REBOUNDS, STICKS, UNDECIDED, Measure, axis_labe
 from ..report.picture import blank, label_log, save
 from . import maps
 from .maps import BAND, FORMULAS, LOGARITHMIC, Interpolation, shown
-from .runs_table import Row, others_that_vary
+from .runs_table import Row, errors_of, others_that_vary
 
 COLOURS = {"T_p99_K": "inferno", "T_mean_K": "inferno", "restitution": "cividis", "rebound_velocity_m_s": "cividis",
            "velocity_ratio": "PuOr_r"}  # fmt: skip
@@ -79,6 +79,11 @@ def _drawn(path: Path, rows: Sequence[Row], axes: Axes_, quantity: str) -> list[
         return [f"{head}: no map; {error}"]
     remarks = [f"{head}: {_quality(fit, m) if fit else problem}; {path}"]
     remarks += [f"  {text}" for text in (fit.warnings if fit else ())]
+    if errors := errors_of(rows, quantity):
+        middle, most = (f"{m.factor * end:.3g}" for end in (np.median(errors), max(errors)))
+        remarks.append(
+            f"  error of the resolution: {middle} {m.unit} in the median, {most} at most".replace("  in", " in")
+        )
     if fit is not None and len(axes) > 1 and quantity not in FORMULAS and maps.brackets(done, axes):
         remarks.append("  the verdict changes between points: the surface is smooth there, where the measure can jump")
     if point.at:
@@ -140,6 +145,9 @@ def _lines(rows: Sequence[Row], axes: Axes_, quantity: str) -> Figure:
         y = [low if kind == NO_VALUE else m.factor * row[quantity] for row in points]
         edge = [edges.get(tuple(row[axis] for axis in others), "k") for row in points]
         _scatter(at, [row[x_axis] for row in points], y, kind, edgecolors=edge)
+        widths = [m.factor * (row.get(f"{quantity}_error") or 0.0) for row in points]
+        if kind != NO_VALUE and any(widths):
+            at.errorbar([row[x_axis] for row in points], y, widths, fmt="none", ecolor="0.4", elinewidth=0.8, zorder=1)
     at.set_ylim(bottom=low)
     if quantity in FORMULAS:
         at.axhline(1.0, color="k", linewidth=2.0, zorder=1)

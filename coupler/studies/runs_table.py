@@ -166,5 +166,12 @@ def _as_written(path: Path) -> Row:
 
 
 def write_table(rows: Iterable[Row], path: Path, about: str = "", axes: Sequence[str] = ()) -> None:
-    """The rows as CSV; about: a first line after "# "; axes: columns beside COLUMNS. Raises StoreError."""
-    write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS)), rows, about)
+    """The rows as CSV; about: a first line after "# "; axes: columns beside COLUMNS and ERRORS that runs have. Raises StoreError."""
+    rows = list(rows)
+    measured = (name for name in ERRORS if any(row.get(name) is not None for row in rows))
+    write_rows(path, (*COLUMNS, *(axis for axis in axes if axis not in COLUMNS), *measured), rows, about)
+
+
+def errors_of(rows: Iterable[Row], name: str) -> list[float]:
+    """The errors of a measure, of the rows that are done and have one."""
+    return [row[f"{name}_error"] for row in rows if row["status"] == "done" and row.get(f"{name}_error") is not None]

@@ -457,6 +457,12 @@ def test_a_change_below_its_digits_has_no_minus():
     assert _change(True, 1.0) == _change(0.0, 1.0) == ""
 
 
+def test_a_change_less_than_both_errors_is_said_to_be_within() -> None:
+    """.50 +- .03 and .55 +- .03 overlap, .50 +- .02 and .55 +- .02 do not."""
+    assert _change(0.50, 0.55, 0.03, 0.03) == "+10.0%, within the errors"
+    assert _change(0.50, 0.55, 0.02, 0.02) == _change(0.50, 0.55, 0.2, None) == "+10.0%"
+
+
 def test_a_picture_keeps_its_size_while_the_particle_flies_away(folder) -> None:
     """30 and 300 um above the surface, also aside: the same view, in which the crater stays as large."""
     result = Result(folder)

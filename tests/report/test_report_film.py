@@ -1,6 +1,7 @@
 """Films of a run, and runs side by side."""
 
 import io
+import json
 import shutil
 
 import made_up_run
@@ -140,6 +141,21 @@ def test_two_runs_in_a_table(folder, other):
     assert "substrate.material" not in rows
     three = printed([Result(folder), Result(other), Result(folder)])
     assert three["flattening, above surface"] == ["0.5561", "0.6117", "0.5561", ""]
+
+
+def test_two_runs_with_errors_in_a_table(folder, other, tmp_path):
+    """0.5561 and 0.6117 with errors of .03 overlap; the crater has an error in one run alone."""
+    results = []
+    for source, errors in ((folder, ("flattening_ratio", "crater_depth_m")), (other, ("flattening_ratio",))):
+        copy = shutil.copytree(source, tmp_path / source.parent.name / source.name)
+        summary = json.loads((copy / "summary.json").read_text())
+        widths = {"flattening_ratio": 0.03, "crater_depth_m": 1e-7}
+        summary["impacts"][-1]["errors"] = {key: {"half_width": widths[key]} for key in errors}
+        (copy / "summary.json").write_text(json.dumps(summary))
+        results.append(Result(copy))
+    rows = printed(results)
+    assert rows["flattening, above surface"] == ["0.556 ± 0.030", "0.612 ± 0.030", "+10.0%, within the errors", ""]
+    assert rows["crater depth"] == ["5.02 ± 0.10", "5.02", "+0.0%", "µm"]
 
 
 def test_runs_are_told_apart_by_name_and_scene(folder, other, tmp_path):

@@ -93,13 +93,31 @@ def test_what_the_answer_says_of_the_resolution_is_what_was_measured() -> None:
         measured = 1.0 - float(copper["half of fine"]["sticks_from_m_s"]) / float(copper[preset]["critical_m_s"])
         assert round(measured, 2) == pytest.approx(lower)
     exposed = scene(("Ni", 25, 500), **TINY, more=EXPOSED)
-    assert "not known for this spacing" in critical.resolution_words(Scene.from_text(exposed))
+    none = Bracket(None, None), {}
+    assert "error = true under [resolution]" in critical.resolution_words(Scene.from_text(exposed), *none)
     text = (Path(__file__).parents[2] / "workflows/critical_cu.toml").read_text()
-    assert "the same verdicts at half the spacing of `fine`" in critical.resolution_words(Scene.from_text(text))
+    assert "the same verdicts at half the spacing of `fine`" in critical.resolution_words(Scene.from_text(text), *none)
     coarse = text.replace('preset = "fine"', 'preset = "standard"')
-    assert "3 % lower at `fine`" in critical.resolution_words(Scene.from_text(coarse))
+    assert "3 % lower at `fine`" in critical.resolution_words(Scene.from_text(coarse), *none)
     plain = Scene.from_text('effects = ["auto", "-gradient_hardening"]\n' + text)
-    assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain)
+    assert "5 % lower velocities than at `fine`" in critical.resolution_words(plain, *none)
+
+
+def test_the_error_of_the_resolution_is_that_of_the_same_search_with_fewer_points() -> None:
+    """Critical velocities v + a h with v = 500 m/s: the error is 1.25 times the distance a h of the finest (Eca & Hoekstra 2014)."""
+    given = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
+    points = (given.derived.points, given.derived.points / 4, given.derived.points / 16)
+    found, *others = (Bracket(v - 5.0, v + 5.0) for v in (500.0 + 300.0 * n ** (-1 / 3) for n in points))
+    coarser = dict(zip(points[1:], others, strict=True))
+    expected = 1.25 * 300.0 * points[0] ** (-1 / 3)
+    assert critical.resolution_error(given, found, coarser) == pytest.approx(expected, rel=1e-6)
+    assert f"error of the resolution: +- {expected:.2g} m/s" in critical.resolution_words(given, found, coarser)
+    assert critical.resolution_error(given, found, {100: Bracket(400.0, None)}) is None
+    asked = Scene.from_text(
+        scene(("Ni", 25, 500), **TINY, more=EXPOSED).replace("[resolution]", "[resolution]\nerror = true")
+    )
+    assert asked.resolution.error
+    assert "error" not in critical.at_velocity(asked, 500.0)  # the runs of the search need none of their own
 
 
 def test_bonds_by_exposure_are_fine_unless_the_scene_says_how_fine() -> None:

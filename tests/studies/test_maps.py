@@ -338,6 +338,19 @@ def test_one_axis_gives_a_curve_with_its_band(tmp_path, capsys) -> None:
     assert abs(mean - flattening(np.array(520.0), np.array(25e-6))) < min(2.5 * std, 0.03)
 
 
+def test_errors_that_runs_have_measured_are_bars_and_a_remark(tmp_path, capsys, figures) -> None:
+    velocities = [f"{v} m/s" for v in (150, 250, 400, 650, 1100)]
+    folder = made(tmp_path, Sweep.from_dict(points(diameter=["25 um"], velocity=velocities)))
+    for path in folder.glob("*/summary.json"):
+        summary = json.loads(path.read_text())
+        summary["impacts"][-1]["errors"] = {"flattening_ratio": {"half_width": 0.02}}
+        path.write_text(json.dumps(summary))
+    assert "error of the resolution: 0.02 in the median, 0.02 at most" in drawn(folder, capsys)
+    (bars,) = figures["map_Ni_flattening_ratio"].axes[0].containers
+    (segments,) = (lines.get_segments() for lines in bars[2])
+    assert np.ptp(segments, axis=1)[:, 1] == pytest.approx(0.04)
+
+
 def test_a_length_below_the_distance_of_points_is_no_answer(tmp_path) -> None:
     """Values that alternate: the points cannot tell the length, and the remark says it."""
     velocities = [f"{v} m/s" for v in (200, 300, 400, 500, 600, 700)]
