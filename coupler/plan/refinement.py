@@ -15,7 +15,8 @@ from .reading import Scene
 REDUCTION = 16
 COARSEST = 250  # points: fewer, and a sphere is six spacings wide
 LEAST_REDUCTION = 1.5  # of points, between two resolutions that are compared
-# Eca & Hoekstra (2014), J. Comput. Phys. 262, 104
+# Eca & Hoekstra (2014), J. Comput. Phys. 262, 104; they take the second also where the observed order lies outside ORDERS: that doubles
+# the errors here (docs/evidence/accuracy.md)
 SAFETY, SAFETY_UNCERTAIN = 1.25, 3.0
 ORDERS = np.linspace(
     0.5, 2.0, 61
