@@ -35,14 +35,6 @@ BELOW = 3  # steps below the start that are tried where the particle rebounds at
 TOLERANCE = 0.05  # width of the bracket over its middle
 UNKNOWN_START = 600.0  # m/s, where there is no formula to begin with
 BAND = 0.16, 0.84  # shares of the placements that stick, at the ends of the band: one standard deviation
-#: how much lower the critical velocity of copper lies at half the spacing of `fine`, at least, without hardening by gradients
-#: (docs/tables/critical_resolution.csv)
-LOWER_AT_SMALL_SPACING = {"standard": 0.10, "fine": 0.05}
-WITH_GRADIENTS = {  # docs/evidence/bonding.md
-    "standard": "the velocity at which copper's margin is zero is some 3 % lower at `fine`, 6 % at half the spacing of `fine`",
-    "fine": "copper and nickel have the same verdicts at half the spacing of `fine`, 5 % below and above the velocity at which their"
-    " margin is zero",
-}
 # of an additive sequence in three dimensions: powers of the plastic number, and the golden ratio
 SEQUENCE = 0.7548776662466927, 0.5698402909980532, 0.6180339887498949
 _MEASURES = (
@@ -216,26 +208,17 @@ def verdict_words(found: Bracket, formula: PairFormula) -> str:
 
 
 def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> str:
-    """What is known of the error of the scene's resolution, which is not in the band. coarser: by points, as `errors` takes them."""
+    """The error of the scene's resolution, which is not in the band. coarser: points -> what the same search with so many finds."""
     if coarser:
         error = resolution_error(scene, found, coarser)
         told = "; ".join(f"with {points} points: {each.words}" for points, each in coarser.items())
         return f"error of the resolution: {'not measured' if error is None else f'+- {error:.2g} m/s'}; {told}"
-    own = scene.resolution.spacing is not None or scene.resolution.element_size is not None
-    if not own and scene.preset in WITH_GRADIENTS and plan(scene).effects.gradient_hardening:
-        return f"not in the band: the error of the resolution; {WITH_GRADIENTS[scene.preset]}"
-    known = None if own else LOWER_AT_SMALL_SPACING.get(scene.preset)
-    if known is None:
-        return "not in the band: the error of the resolution (error = true under [resolution] measures it)"
-    return (
-        "not in the band: the error of the resolution; at half the spacing of `fine` copper sticks at"
-        f" {100 * known:.0f} % lower velocities than at `{scene.preset}`, or at even lower ones"
-    )
+    return "not in the band: the error of the resolution (error = true under [resolution] measures it)"
 
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
     """Error (m/s) of the critical velocity from those of the same scene with fewer points, by the rule of a run's measures
-    (`refinement.error`); None with fewer than two critical velocities, or without that of the scene itself."""
+    (`refinement.error`); None with fewer than two critical velocities, or without that of the scene itself. coarser: as above."""
     velocities = {scene.derived.points: found.velocity} | {points: each.velocity for points, each in coarser.items()}
     known = [(points ** (-1.0 / 3.0), v) for points, v in velocities.items() if v is not None]
     if found.velocity is None or len(known) < 2:
