@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     coarser: dict[int, Bracket] = {}
     try:
         bracket, rows = search(scene, out)
-        for points in companions(scene) if scene.resolution.error else ():
+        for points in companions(scene) if scene.resolution.error and bracket.velocity else ():
             say(f"the error of the resolution: the same search with {points} points")
             coarser[points] = search(at_points(scene, points), out / f"{points}_points")[0]
     except KeyboardInterrupt:

@@ -218,12 +218,14 @@ def resolution_words(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket
 
 def resolution_error(scene: Scene, found: Bracket, coarser: Mapping[int, Bracket]) -> float | None:
     """Error (m/s) of the critical velocity from those of the same scene with fewer points, by the rule of a run's measures
-    (`refinement.error`); None with fewer than two critical velocities, or without that of the scene itself. coarser: as above."""
-    velocities = {scene.derived.points: found.velocity} | {points: each.velocity for points, each in coarser.items()}
-    known = [(points ** (-1.0 / 3.0), v) for points, v in velocities.items() if v is not None]
+    (`refinement.error`), and at least half the widest bracket, below which it is unseen; None with fewer than two critical velocities,
+    or without that of the scene itself. coarser: as above."""
+    brackets = {scene.derived.points: found} | dict(coarser)
+    known = [(points ** (-1.0 / 3.0), each.velocity) for points, each in brackets.items() if each.velocity is not None]
     if found.velocity is None or len(known) < 2:
         return None
-    return refinement.error(*zip(*known, strict=True))[0]
+    widest = max(each.half_width for each in brackets.values() if each.velocity is not None)
+    return max(refinement.error(*zip(*known, strict=True))[0], widest)
 
 
 def search(

@@ -90,12 +90,15 @@ def test_the_error_of_the_resolution_is_that_of_the_same_search_with_fewer_point
     """Critical velocities v + a h with v = 500 m/s: the error is 1.25 times the distance a h of the finest (Eca & Hoekstra 2014)."""
     given = Scene.from_text(scene(("Ni", 25, 500), **TINY, more=EXPOSED))
     points = (given.derived.points, given.derived.points / 4, given.derived.points / 16)
-    found, *others = (Bracket(v - 5.0, v + 5.0) for v in (500.0 + 300.0 * n ** (-1 / 3) for n in points))
+    found, *others = (Bracket(v - 1.0, v + 1.0) for v in (500.0 + 300.0 * n ** (-1 / 3) for n in points))
     coarser = dict(zip(points[1:], others, strict=True))
     expected = 1.25 * 300.0 * points[0] ** (-1 / 3)
     assert critical.resolution_error(given, found, coarser) == pytest.approx(expected, rel=1e-6)
     assert f"error of the resolution: +- {expected:.2g} m/s" in critical.resolution_words(given, found, coarser)
     assert critical.resolution_error(given, found, {100: Bracket(400.0, None)}) is None
+    assert found.velocity is not None
+    wide = Bracket(found.velocity - 50.0, found.velocity + 50.0)  # of the same velocity
+    assert critical.resolution_error(given, found, {100: wide}) == pytest.approx(50.0)
     assert "error = true under [resolution]" in critical.resolution_words(given, found, {})
     asked = Scene.from_text(
         scene(("Ni", 25, 500), **TINY, more=EXPOSED).replace("[resolution]", "[resolution]\nerror = true")
