@@ -42,9 +42,9 @@ ROWS = 10
 REST = 0.05  # of the impact speed, downwards: faster is not at rest
 FOLLOWED = 20.0  # plastic strain beyond which the summary gives no number, and points have no shape
 SAME = 1e-3  # figures of the summary against those of the fields
-# of the highest rise of temperature: nodes see what warms one element as the mean over those around them, and pass more of it on than
-# its neighbours have; linear elements with obtuse angles add to it. 1.2 % under a particle at 888 K
-UNDERSHOOT = 0.015
+# of the highest rise of temperature: what warms one element raises its nodes by the mean over the 24 elements or so around each, and
+# where nodes pass this on, a neighbour that shares three of its four nodes loses what it never had: at most 3/4 of a 24th
+UNDERSHOOT = 0.75 / 24.0
 YIELD = 1.1  # von Mises stress over the greatest flow stress of the law
 AMBIENT = 5.0  # K from ambient after the closing stage, of any element: what flows as it comes to rest warms
 DISSIPATION = 0.25  # both schemes together; more needs a warning
