@@ -154,7 +154,7 @@ def _table(measures: "Sequence[Spread]") -> list[str]:
         m = spread.measure
         low, middle, high = spread.quantiles[0], spread.quantiles[len(spread.quantiles) // 2], spread.quantiles[-1]
         numbers = (spread.values.mean(), spread.values.std(ddof=1), spread.error, low, middle, high)
-        texts = ("" if x is None else f"{m.factor * x:.4g}" for x in numbers)
+        texts = ("-" if x is None else f"{m.factor * x:.4g}" for x in numbers)
         cells.append((m.label, str(len(spread.values)), *texts, m.unit, spread.strongest))
     return in_columns(cells, range(1, 8))
 
