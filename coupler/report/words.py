@@ -113,7 +113,7 @@ def shown(key: str, value: object, error: float | None = None) -> str:
 
 def with_error(value: float, error: float) -> str:
     """Value and error to the digits that the error leaves of the value: two of its own."""
-    if not (error > 0 and math.isfinite(error) and math.isfinite(value)):
+    if not (error > 1e-9 * abs(value) and math.isfinite(error) and math.isfinite(value)):  # rounding is none
         return f"{value:.4g}"
     digits = min(max(1 - math.floor(math.log10(error)), 0), 12)
     return f"{value:.{digits}f} ± {error:.{digits}f}"
