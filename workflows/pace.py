@@ -8,6 +8,7 @@ The machine is timed again before every TIMED-th scene, as other work on it come
 start of the program. Rows in the tables are not computed again.
 """
 
+import itertools
 import math
 import tempfile
 from pathlib import Path
@@ -25,12 +26,14 @@ from coupler.plan.forecast import forecast
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 from coupler.studies import ladder, pace, timing
+from coupler.studies.table import cell
 
 TIMED = 4
 COLUMNS = ("scene", "points", "steps_said", "steps", "said_s", "took_s", "off_percent", "retries", "pace")
 DRAWN = ("particle", "target", "diameter_um", "velocity_m_s", "temperature_K", "target_K", "angle_deg")
 METALS = ("Al", "Al7075", "OFHC_Cu", "Ni", "Ti", "SS304", "SS316L", "42CrMo4", "IN718")
-SAMPLE = 39
+SAMPLE = 75
+SAMPLED = ("draft", "standard")  # presets
 SCATTER = 0.15  # of the logarithms of the fit: what is farther off counts less
 Table = dict[str, object]
 
@@ -77,20 +80,18 @@ def draw(count: int) -> list[Table]:
     return drawn
 
 
-def computed(made: Table) -> tuple[dict[str, object], float]:
-    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s; before, a short run compiles
-    the kernels."""
+def computed(made: Table, **more: object) -> tuple[dict[str, object], float]:
+    """The summary of a scene's impact, run in one thread, with its `retries`, and the processor time, s. more: keys of the scene."""
     with tempfile.TemporaryDirectory() as folder:
-        short = Scene.from_dict({**made, "name": "pace", "end": {"time": "3 ns"}})
-        run(short, Path(folder) / "short", threads=1, quiet=True)
         before = ladder.spent()
-        result = run(Scene.from_dict({**made, "name": "pace"}), Path(folder) / "run", threads=1, quiet=True)
+        result = run(Scene.from_dict({**made, "name": "pace", **more}), Path(folder) / "run", threads=1, quiet=True)
         return {**result.impacts[0], "retries": len(result.summary["run"]["retries"])}, ladder.spent() - before
 
 
 def judge(name: str, here: pace.Pace) -> Table:
     """Estimate, run, compare."""
     planned = plan(Scene.from_dict({**SCENES[name], "name": "pace"}))
+    computed(SCENES[name], end={"time": f"{0.2e9 * planned.impact.expected:.3g} ns"})  # compiles the kernels
     estimate, (impact, took) = here.seconds(planned), computed(SCENES[name])
     values = (
         name, planned.impact.points, sum(forecast(planned).steps), impact["steps"], round(estimate, 2), round(took, 2),
@@ -101,21 +102,19 @@ def judge(name: str, here: pace.Pace) -> Table:
 
 def sample() -> None:
     """Run the impacts that are drawn."""
-    table = study_table(
-        "pace_sample", (*DRAWN, "steps", "time_ns", "retries"), DRAWN, "python workflows/pace.py --sample"
-    )
-    for drawn in draw(SAMPLE):
-        key = tuple(str(value) for value in drawn.values())
-        if key not in table:
+    columns, key = (*DRAWN, "preset", "steps", "time_ns", "retries"), (*DRAWN, "preset")
+    table = study_table("pace_sample", columns, key, "python workflows/pace.py --sample")
+    for preset, drawn in itertools.product(SAMPLED, draw(SAMPLE)):
+        if (*(cell(value) for value in drawn.values()), preset) not in table:
             metal, on, diameter, velocity, T, T_target, angle = drawn.values()
-            impact, _ = computed(scene(metal, diameter, velocity, on, "draft", T, T_target, angle))  # type: ignore[arg-type]
+            impact, _ = computed(scene(metal, diameter, velocity, on, preset, T, T_target, angle))  # type: ignore[arg-type]
             found = {"steps": impact["steps"], "time_ns": 1e9 * impact["end"]["time_s"], "retries": impact["retries"]}  # type: ignore[operator]
-            print(table.add({**drawn, **found}), flush=True)
+            print(table.add({**drawn, "preset": preset, **found}), flush=True)
 
 
 def impacts() -> tuple[np.ndarray, ...]:
     """Damage numbers d_p, d_t, points N, angle (rad), ln(time to rest v / D), ln(spacing / (c dt)), each (n,), of the single impacts in
-    docs/tables that nothing has rescued."""
+    docs/tables that nothing has rescued and that are no coarser than `draft`."""
     singles: list[tuple[Material, Material, float, float, float, float, float, float, float, float]] = []
     steel = material("SS304")
     battery = stability.battery()
@@ -141,14 +140,15 @@ def impacts() -> tuple[np.ndarray, ...]:
         if row["retries"] == "0":
             D, v, T, T_t, angle, steps, time = (float(row[c]) for c in (*DRAWN[2:], "steps", "time_ns"))
             pair = material(row["particle"]), material(row["target"])
-            singles.append((*pair, 1e-6 * D, v, T, T_t, math.radians(angle), 1000.0, steps, 1e-9 * time))
+            points = cost.PRESETS[row["preset"]]
+            singles.append((*pair, 1e-6 * D, v, T, T_t, math.radians(angle), points, steps, 1e-9 * time))
     data = []
     for first, base, D, v, T, T_t, angle, N, steps, time in singles:
         pair = first, base
         spacing = cost.spacing(sphere_volume(D), round(N))
         inverse = steps * spacing / (pair[0].wave_speed * time)
         data.append((*cost.loads(pair, (T, T_t), v, D), N, angle, math.log(time * v / D), math.log(inverse)))
-    return tuple(np.array(data).T)
+    return tuple(np.array([row for row in data if row[2] > 0.9 * cost.PRESETS["draft"]]).T)
 
 
 def fit() -> None:
@@ -159,14 +159,15 @@ def fit() -> None:
         return np.log(np.exp(k[0]) * w_p ** k[1] + np.exp(k[2]) * w_t ** k[3]) + k[4] * np.sin(angle) ** 2
 
     def steps(k: np.ndarray) -> np.ndarray:
-        pressed = np.cos(angle) * (np.cos(angle) + k[5] * np.sin(angle))
-        excess = np.exp(k[0]) * (pressed * w_p) ** k[1] + np.exp(k[2]) * (pressed * w_t) ** k[3]
-        return np.log(1.0 / cost.CFL["enriched"] + excess * (N / 1000.0) ** (k[4] * np.log(1.0 + w_p + w_t)))
+        pressed, alone = np.cos(angle) * (np.cos(angle) + k[6] * np.sin(angle)), ((w_p - w_t) / (w_p + w_t)) ** 2
+        excess = np.exp(k[0]) * (pressed * w_p) ** k[1] * (1.0 + w_p) ** (k[4] * alone)
+        excess += np.exp(k[2]) * (pressed * w_t) ** k[3]
+        return np.log(1.0 / cost.CFL["enriched"] + excess * (N / 1000.0) ** (k[5] * alone))
 
     print(len(rest), "impacts; a, b of the particle, a, b of the target, and the last ones")
     parts = []
     for name, model, wanted, start in (("REST_FIT", crossings, rest, [-1, 0.3, -1, 0.5, 1]),
-                                       ("STEP_FIT, SHEARED", steps, inverse, [-1, 1, -1, 0.6, 0.2, 1.5])):  # fmt: skip
+                                       ("STEP_FIT, SHEARED", steps, inverse, [-1, 1, -1, 0.6, 0.5, 0.5, 1.5])):  # fmt: skip
         k = least_squares(lambda k, f=model, y=wanted: f(k) - y, start, loss="soft_l1", f_scale=SCATTER).x
         parts.append(model(k) - wanted)
         print(name, [round(float(x), 3) for x in (math.exp(k[0]), k[1], math.exp(k[2]), *k[3:])])

@@ -31,11 +31,12 @@ ON_SPLATS = (
 HARDNESS_OVER_YIELD = 3.0  # Tabor (1951), The Hardness of Metals
 GREATEST_OVER_REST = 0.75  # time of the greatest deformation over that of rest
 # Fits (workflows/pace.py --fit) of sums over particle and target, of `loads` w. (Time to rest) v / height: a w^b of each, times
-# exp(c sin^2 angle). What spacing / (c dt) has more than at rest: a w^b of each, w times cos^2 angle + SHEARED sin angle cos angle,
-# times (N / 1000)^(c ln(1 + both w)), N points in a sphere of the particle's diameter: the finer, the farther rims are stretched.
-REST_FIT = (0.724, 0.329), (0.293, 0.654), 0.862
-STEP_FIT = (0.646, 1.122), (0.478, 0.851), 0.146
-SHEARED = 1.914
+# exp(c sin^2 angle). What spacing / (c dt) has more than at rest: a w^b of each, w times cos^2 angle + SHEARED sin angle cos angle. A
+# body that deforms alone is compressed most where it flows along the other, the more the finer it is: times (1 + w_p)^(e alone) of the
+# particle, and (N / 1000)^(f alone), with alone = ((w_p - w_t) / (w_p + w_t))^2 and N points in a sphere of the particle's diameter.
+REST_FIT = (0.75, 0.316), (0.259, 0.78), 0.953
+STEP_FIT = (0.59, 1.127), (0.443, 0.976), (0.541, 0.608)
+SHEARED = 2.348
 CFL = {"enriched": 0.54, "compiled": 0.41, "machdyn": 0.41}  # c dt / spacing as long as nothing is deformed, by engine
 STEP_ON_SPLAT = 0.69  # of an impact on a splat over that on a substrate: 0.58 to 0.78 in docs/tables/validation.csv
 STRAIN_OF_FLOW = 0.3  # at which the flow stress of a damage number is taken
@@ -156,10 +157,11 @@ def time_step(
 ) -> float:
     """Mean time step of an impact to rest, s: the spacing shrinks as the particle deforms. spacing m, wave_speed m/s; points: of a
     sphere of its size; slenderness: height over the diameter of the sphere of equal volume; the rest as for `expected_time`."""
-    (a, b), (c, d), finer = STEP_FIT
+    (a, b), (c, d), (e, f) = STEP_FIT
     pressed = math.cos(angle) * (math.cos(angle) + SHEARED * math.sin(angle))
-    excess = a * (pressed * load[0]) ** b + c * (pressed * load[1]) ** d
-    excess *= (points / 1000.0) ** (finer * math.log(1.0 + sum(load)))
+    alone = ((load[0] - load[1]) / sum(load)) ** 2
+    excess = a * (pressed * load[0]) ** b * (1.0 + load[0]) ** (e * alone) + c * (pressed * load[1]) ** d
+    excess *= (points / 1000.0) ** (f * alone)
     return spacing / wave_speed / (1.0 / CFL[engine] + excess * max(slenderness, 1.0))
 
 
