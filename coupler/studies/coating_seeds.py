@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import StoreError
+from ..files.inputs import parse_toml
 from ..files.result import COLD, Result
 from ..plan.reading import Scene
 from .coating import CoatingMeasures, SeedError, Splats, lines, measure, read
@@ -47,11 +48,17 @@ def errors(coatings: Sequence[CoatingMeasures]) -> dict[str, SeedError]:
 
 
 def measured(result: Result, splats: Splats, radius: float | None = None) -> CoatingMeasures:
-    """`coating.measure` of what a run has built, with the errors from the finished seeds in its folder. radius m: of the disc."""
-    own = measure(splats, radius)
-    runs = sorted((result.directory / FOLDER).glob("*/summary.json"))
-    others = [measure(read(Result(path.parent)), own.window_radius_m) for path in runs]
-    return replace(own, seeds=errors([own, *others]))
+    """`coating.measure` of what a run has built, with the errors from the finished seeds of this very scene in its folder. radius m: of
+    the disc."""
+    own, runs = measure(splats, radius), sorted((result.directory / FOLDER).glob("*/summary.json"))
+    others = [other for path in runs if _but_its_seed(other := Result(path.parent)) == _but_its_seed(result)]
+    return replace(own, seeds=errors([own, *(measure(read(other), own.window_radius_m) for other in others)]))
+
+
+def _but_its_seed(result: Result) -> dict[str, object]:
+    """The scene of a run without what its seed makes."""
+    data = parse_toml(result.scene_text)
+    return {**data, "particle": None, "coating": {**data.get("coating", {}), "seed": None}}
 
 
 def lines_of(result: Result) -> list[tuple[str, str]]:

@@ -319,6 +319,10 @@ def test_the_command_computes_other_seeds(tmp_path: Path, capsys: pytest.Capture
     assert "2 seeds: " in said
     kept = json.loads((tmp_path / "run" / "coating" / "coating.json").read_text())["seeds"]["thickness_mean_m"]
     assert kept["least"] < kept["mean"] < kept["greatest"]
+    scene = tmp_path / "run" / "seeds" / "seed_4" / "scene.toml"
+    scene.write_text(scene.read_text().replace('radius = "4 um"', 'radius = "5 um"'))  # of another coating
+    assert main(["coating", str(tmp_path / "run")]) == 0
+    assert "seeds: " not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("left", "says"), [(0, "all 4 particles stay"), (1, "3 of 4 particles stay")])
