@@ -20,7 +20,7 @@ from coupler.core.threads import threads_of
 from coupler.deposition.run import run
 from coupler.impact.domains import build_domains
 from coupler.impact.exchange import Impact
-from coupler.impact.loop import advance_window
+from coupler.impact.loop import advance_chunk
 from coupler.plan.planning import plan
 from coupler.plan.reading import Scene
 
@@ -53,13 +53,13 @@ def steps_on(points: int, counts: list[int]) -> dict[int, float]:
     with threads_of(counts[-1]):
         impact = Impact(build_domains(plan(scene(points))))
         while impact.time < BEGIN:
-            advance_window(impact)
+            advance_chunk(impact)
     for _ in range(ROUNDS):
         for n in counts:
             with threads_of(n):
                 before, start = impact.particle.steps, time.perf_counter()
                 while impact.particle.steps < before + STEPS:
-                    advance_window(impact)
+                    advance_chunk(impact)
                 times[n].append((time.perf_counter() - start) / (impact.particle.steps - before))
     impact.particle.close()
     return {n: statistics.median(own) for n, own in times.items()}
