@@ -4,7 +4,6 @@ Nothing is unpickled or executed; a file cannot make the reader open another fil
 """
 
 import csv
-import difflib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import StoreError
+from ..units import nearest
 from .fields import CELL_COLUMNS, Fields, opened, read_step, times_of
 from .inputs import SCENE_LIMIT, read_json_object, read_text, require_memory, similar
 from .summary import Summary, Values, impact_values, read_summary, run_values
@@ -124,9 +124,7 @@ class Result:
                 f"{name!r} is not known: the run in {self.directory} is not finished (no summary.json); "
                 "history() and fields() give what was written so far"
             )
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise AttributeError(f"the summary in {self.directory} has no {name!r}{hint}")
+        raise AttributeError(f"the summary in {self.directory} has no {name!r}{nearest(name, known)}")
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self._known()]
@@ -204,10 +202,7 @@ class Result:
         if column is None:
             return table
         if column not in table:
-            near = difflib.get_close_matches(column, table, n=1)
-            raise KeyError(
-                f"history has no column {column!r}; " + (f"did you mean {near[0]!r}?" if near else f"has {names}")
-            )
+            raise KeyError(f"history has no column {column!r}{nearest(column, table)}; it has {', '.join(names)}")
         return table[column]
 
     def _rows(self) -> tuple[list[str], NDArray[np.float64]]:

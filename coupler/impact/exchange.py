@@ -63,7 +63,7 @@ class Impact:
     """
 
     def __init__(self, domains: Domains):
-        self.domains, self.paths = domains, domains.paths
+        self.domains = domains
         self.particle, self.bodies, self.target = domains.particle, domains.bodies, domains.target
         self.surface, self.contact, self.folding = domains.surface, domains.contact, domains.folding
         self._softness = self.surface.softness(self.particle.mass)
@@ -179,12 +179,6 @@ class Impact:
         if self.folding is not None:
             self.folding.forces(p)
         t.finish()
-
-    def conduct_heat(self, time: float) -> None:
-        """Let heat flow for `time` s and turn the heat of friction and fracture into temperature, of points and of elements behind
-        facets."""
-        self.paths.flow(time)
-        self.paths.release(self.hold)
 
     def expose(self, plan: Plan, impact_plan: ImpactPlan, touching: Touching) -> None:
         """Take note of the clean metal that this chunk has exposed where it touches now."""

@@ -53,5 +53,6 @@ def advance_chunk(impact: Impact, end_time: float | None = None) -> float:
         dt = (end_time - impact.time) / steps
     impact.search_contacts(steps * dt)
     impact.advance(steps, dt)  # LAMMPS runs the steps; each of them calls impact.exchange_forces
-    impact.conduct_heat(steps * dt)
+    impact.domains.paths.flow(steps * dt)
+    impact.domains.paths.release(impact.hold)
     return dt

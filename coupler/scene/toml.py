@@ -99,39 +99,39 @@ def changed(text: str, settings: Settings) -> str:
     """
     document = tomlkit.parse(text)
     for key, value in settings:
-        _set(document, key, value)
+        try:
+            set_key(document, key, None if value is None else _value(value))
+        except ValueError as error:
+            raise ValueError(f"--set {error}") from None
     return document.as_string()
 
 
-def _set(document: tomlkit.TOMLDocument, key: str, value: str | None) -> None:
+def set_key(table: Any, key: str, value: object) -> None:
+    """Set a key of a scene, of nested dicts or a document of tomlkit, such as "particle[2].velocity". value: None removes the key.
+
+    Raises ValueError for a key that leads nowhere.
+    """
     steps = _STEP.findall(key)
     if not steps or "".join(m[0] for m in _STEP.finditer(key)) != key or key.endswith(".") or steps[-1][1]:
-        raise ValueError(f'--set {key}: is not a key of a scene, such as particle.velocity or "particle[2].velocity"')
-    table: Any = document
+        raise ValueError(f'{key}: is not a key of a scene, such as particle.velocity or "particle[2].velocity"')
     for name, number in steps[:-1]:
         name = name.strip('"')
         if name not in table:
             if value is None:
                 return
-            table.append(name, tomlkit.table())
-        table = table[name]
-        several = isinstance(table, list)
-        if several and not (number and 1 <= int(number) <= len(table)):
-            raise ValueError(f'--set {key}: the scene has {len(table)} tables [[{name}]]: say which, as "{name}[1]"')
-        if (not several and number and number != "1") or not isinstance(table, dict | list):
-            raise ValueError(
-                f"--set {key}: the scene has no table {name}[{number}]"
-                if number
-                else f"--set {key}: {name} is no table"
-            )
-        table = table[int(number) - 1] if several else table
+            table[name] = {}
+        table, at = table[name], int(number or 1)
+        if isinstance(table, list):
+            if not ((number or len(table) == 1) and 1 <= at <= len(table)):
+                raise ValueError(f'{key}: the scene has {len(table)} tables [[{name}]]: say which, as "{name}[1]"')
+            table, at = table[at - 1], 1
+        if at != 1 or not isinstance(table, dict):
+            raise ValueError(f"{key}: the scene has no table {name}[{at}]" if at != 1 else f"{key}: {name} is no table")
     name = steps[-1][0].strip('"')
     if value is None:
         table.pop(name, None)
-    elif name in table:
-        table[name] = _value(value)
     else:
-        table.append(name, _value(value))
+        table[name] = value
 
 
 def _value(text: str) -> Any:

@@ -14,6 +14,7 @@ from ..errors import ColdsprayError, SceneError
 from ..files.inputs import read_toml, similar
 from ..plan.reading import Scene
 from ..scene.model import safe_name
+from ..scene.toml import set_key
 from ..units import UnitError, nearest, parse, rounded
 from .ensemble import Distribution, distribution_of, draws
 from .runs import run_points, write_scene
@@ -22,7 +23,6 @@ MOST_POINTS = 10_000
 SUBSTRATE = {"diameter": 8.0, "height": 4.0}  # over the particle's diameter: 200 x 100 um for 25 um
 SHORT = {name: f"particle.{name}" for name in ("material", "diameter", "velocity", "temperature")}
 _KEYS = ("name", "points", "ensemble", "scene", "target")
-_STEP = re.compile(r"([A-Za-z0-9_-]+)(?:\[(\d+)\])?(?:\.|$)")
 # problems of a scene that do not depend on its other keys, nor on a limit
 _MISWRITTEN = re.compile(
     r"\S+( = .*)?(: unknown|: expected| has no unit| has an unknown unit| is an? | is not | needs )"
@@ -149,22 +149,6 @@ def _toml_value(value: object) -> str:
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_toml_key(key)} = {_toml_value(item)}" for key, item in value.items()) + " }"
     return f"[{', '.join(map(_toml_value, value))}]" if isinstance(value, list) else json.dumps(value)
-
-
-def set_key(table: Table, key: str, value: object) -> None:
-    """Set a key of nested dicts, such as "particle.velocity" or "particle[2].velocity". Raises ValueError for an unknown key."""
-    steps = _STEP.findall(key)
-    if not steps or not re.fullmatch(f"(?:{_STEP.pattern})+", key) or key.endswith("."):
-        raise ValueError(f"{key}: is not a key of a scene, such as particle.velocity or particle[2].velocity")
-    at: object = table
-    for name, number in steps[:-1]:
-        at = at.setdefault(name, {}) if isinstance(at, dict) else None
-        if isinstance(at, list):
-            at = at[int(number or 1) - 1] if (number or len(at) == 1) and 1 <= int(number or 1) <= len(at) else None
-        if not isinstance(at, dict):
-            raise ValueError(f"{key}: the scene has no such table; say which of several, as {name}[1]")
-    assert isinstance(at, dict)
-    at[steps[-1][0]] = value
 
 
 def _base(scene: object, source: str, problems: list[str]) -> Table:

@@ -58,7 +58,7 @@ def test_what_is_wrong_with_a_sweep_is_said_at_once() -> None:
         ({"points": {"velocity": []}, "scene": SHARED}, "points.particle.velocity: expected a list"),
         ({"points": {"velocity": [f"{v} m/s" for v in range(100, 200)], "diameter": [f"{d} um" for d in range(10, 120)]},
           "scene": SHARED}, "at most 10000"),
-        ({"points": {"particle[3].velocity": ["500 m/s"]}, "scene": SHARED | {"particle": [{}, {}]}}, "no such table"),
+        ({"points": {"particle[3].velocity": ["500 m/s"]}, "scene": SHARED | {"particle": [{}, {}]}}, "has 2 tables"),
         (points() | {"target": {"width": 3}}, "target.width"),
         (points() | {"ensemble": {"runs": 3}}, "give .points"),
         ({"scene": SHARED, "ensemble": {"runs": 0, "velocity": {"mean": "500 m/s", "deviation": "3 K"}}},
