@@ -1,6 +1,7 @@
 # make run    one nickel particle on steel, into runs/single_ni
 # make test   format, lint, types and tests, those marked slow left out
 # make test-all  also the slow ones: batteries, fine bars, whole runs on several ranks, browsers
+# make coverage  the lines of coupler/ that make test does not run (numba's kernels count as not run)
 # make bench  what a step costs, and what ranks gain, into docs/tables (10 minutes)
 # make studies  Taylor bars, and the particle as finite elements, into docs/tables (hours)
 # make accuracy  what accuracy costs in time, and whether the errors of runs are true, into docs/evidence/accuracy.md (hours; rows in the table are not computed again)
@@ -26,7 +27,7 @@ LIBRARIES := libglu1-mesa libxft2 libxcursor1 libxinerama1 libxrender1 libxext6 
 # Tests and documents also need a browser that opens the report:
 TEST_LIBRARIES := chromium
 
-.PHONY: setup test-setup test-libraries run check test test-all bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
+.PHONY: setup test-setup test-libraries run check test test-all coverage bench studies effects accuracy stability fuzz fuzz-files validate maps gallery docs clean
 
 # Where Python may not keep what it compiles, each start would compile all that it imports (some 7 s)
 COMPILED := $(if $(PYTHONDONTWRITEBYTECODE),UV_COMPILE_BYTECODE=1)
@@ -103,8 +104,13 @@ test: check
 test-all: check
 	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -n $(WORKERS) --dist worksteal
 
+coverage: test-setup
+	OMP_NUM_THREADS=1 $(VENV)/bin/python -m pytest -q -n $(WORKERS) --dist worksteal -m "not slow" \
+	  --cov=coupler --cov-report=term:skip-covered
+
 bench: setup
 	$(VENV)/bin/python workflows/bench.py
+	$(VENV)/bin/python workflows/serial_share.py
 	$(VENV)/bin/python workflows/bench_ranks.py
 
 studies: test-setup
