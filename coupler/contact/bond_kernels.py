@@ -12,7 +12,7 @@ from .closest import closest_on_triangle
 
 
 class Ties(NamedTuple):
-    """Bonds of points to places on triangles of nodes, row by row as in `bond.BondRows`; weakness (n,2): 1/strength, 1/Pa; ease (n,2):
+    """Bonds of points to places on triangles of nodes, row by row as in `bond.Bond`; weakness (n,2): 1/strength, 1/Pa; ease (n,2):
     1/energy, m2/J; alpha: exponent of the power law of mixed modes.
 
     gap: distance of the point above its place, along the triangle's normal n, at which the bond is at rest. With d from the place to

@@ -153,14 +153,12 @@ class Body(MetalState):
     """One body of tetrahedra with its state; a field is None where the cloud has none. SI units.
 
     points (n,3); tets (m,4), positively oriented. In elements: stress (m,6) Cauchy, Voigt xx yy zz yz xz xy, J (m,), and the
-    state of the metal. At nodes: velocity (n,3), energy (n,) J per reference m3. mass_scale: factor
-    on the sum over elements of rho V / J that gives the mass of the points of this body. cloud_index (k,): those points. report:
-    measures of this body.
+    state of the metal. At nodes: velocity (n,3), energy (n,) J per reference m3. cloud_index (k,): the points of this body. report:
+    measures of it.
     """
 
     points: np.ndarray
     tets: np.ndarray
-    mass_scale: float
     cloud_index: np.ndarray
     velocity: np.ndarray | None = None
     energy: np.ndarray | None = None

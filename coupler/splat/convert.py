@@ -113,14 +113,14 @@ def mesh_body(shape: CloudShape, index: np.ndarray, element_size: float, method:
             failed.append(f"{strategy}: {type(problem).__name__}: {problem}")
             continue
         start = clock.perf_counter()
-        state, mass_scale, errors = transfer(cloud, points, tets)
+        state, errors = transfer(cloud, points, tets)
         report |= {"method": str(strategy), "points": len(index), "transfer": errors}
         report |= fit_of(points, tets, cloud)
         if cloud.wave_speed is not None:
             report["dt_s"] = report["step_length_min_m"] / cloud.wave_speed
         seconds["transfer"] = clock.perf_counter() - start
         report |= {"seconds": seconds, "failed": failed}
-        return Body(points, tets, mass_scale, index, report=report, **state)
+        return Body(points, tets, index, report=report, **state)
     reasons = "; ".join(dict.fromkeys(reason.split(": ", 1)[1] for reason in failed))
     raise SplatError(
         f"no mesh of a body of {len(index)} points passed: {reasons}. Try another element size, or check the spacing"

@@ -88,8 +88,8 @@ def with_sum(values: np.ndarray, weights: np.ndarray, total: float, floor: float
     return shifted
 
 
-def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], float, dict[str, float]]:
-    """Fields of a mesh as in `cloud.Body`, those that the cloud has; its mass_scale; relative errors.
+def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[str, Any], dict[str, float]]:
+    """Fields of a mesh as in `cloud.Body`, those that the cloud has; relative errors.
 
     points (n,3) m, tets (m,4). The errors are those of each sum over the mass (temperature, plastic strain, energy, linear and
     angular momentum, kinetic energy) after its correction, with `_raw` before it, and of the volume integral of
@@ -102,7 +102,6 @@ def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[s
     fields: dict[str, Any] = {}
     J = None if cloud.J is None else at_elements(cloud.J)
     reference = volume if J is None else volume / J
-    scale = float(cloud.volume.sum() / reference.sum())
     share = reference / reference.sum()
     node_share = lumped(tets, share, len(points))
     errors: dict[str, float] = {}
@@ -140,7 +139,7 @@ def transfer(cloud: Cloud, points: np.ndarray, tets: np.ndarray) -> tuple[dict[s
         errors["angular_momentum"] = float(np.linalg.norm(node_mass @ np.cross(points, v) - L)) / (L_size or 1.0)
         own = 0.5 * float(node_mass @ np.einsum("ij,ij->i", v, v))
         errors["kinetic_energy"] = own / kinetic - 1.0 if kinetic else 0.0
-    return fields, scale, errors
+    return fields, errors
 
 
 def _square(stress: np.ndarray) -> np.ndarray:

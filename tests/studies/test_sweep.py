@@ -140,9 +140,9 @@ def test_a_run_of_another_scene_is_not_gone_on_with(tmp_path) -> None:
     name = next(iter(few.points))
     scene = few.write(tmp_path, name)
     pretend(tmp_path, name)
-    assert "resume" in study_runs._command(scene, tmp_path / name)
+    assert "resume" in study_runs._command(scene, tmp_path / name, 1)
     scene.write_text(few.points[name].replace("draft", "fine"))
-    assert "resume" not in study_runs._command(scene, tmp_path / name)
+    assert "resume" not in study_runs._command(scene, tmp_path / name, 1)
 
 
 def test_points_are_a_list_and_settings_reach_any_table(tmp_path) -> None:
