@@ -1,9 +1,41 @@
 """3x3 matrices as tuples, row by row (numba): inverse, products, transposed, rotation of a deformation gradient."""
 
 from ..compiling import njit
-from ..core.arrays import Matrix, Vector
+from ..core.arrays import Floats, Matrix, Vector
 
 ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
+ZERO = (0.0,) * 9
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def matrix_of(a: Floats, i: int) -> Matrix:
+    """Matrix i of a (n,9)."""
+    return a[i, 0], a[i, 1], a[i, 2], a[i, 3], a[i, 4], a[i, 5], a[i, 6], a[i, 7], a[i, 8]
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def write_matrix(a: Floats, i: int, b: Matrix) -> None:
+    """a[i] = b, a (n,9)."""
+    for k in range(9):
+        a[i, k] = b[k]
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def sum_of(a: Matrix, b: Matrix) -> Matrix:
+    """a + b."""
+    return (
+        a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5], a[6] + b[6], a[7] + b[7], a[8] + b[8],
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
+def add_outer(a: Matrix, u: Vector, v: Vector) -> Matrix:
+    """a + u (x) v."""
+    return (
+        a[0] + u[0] * v[0], a[1] + u[0] * v[1], a[2] + u[0] * v[2],
+        a[3] + u[1] * v[0], a[4] + u[1] * v[1], a[5] + u[1] * v[2],
+        a[6] + u[2] * v[0], a[7] + u[2] * v[1], a[8] + u[2] * v[2],
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath=ROUNDING, error_model="numpy")

@@ -2,6 +2,7 @@
 
 from ..compiling import njit
 from ..core.arrays import Floats, Vector
+from .matrix_kernels import ROUNDING
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -28,3 +29,21 @@ def add(f: Floats, i: int, f0: float, f1: float, f2: float) -> None:
     f[i, 0] += f0
     f[i, 1] += f1
     f[i, 2] += f2
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def vector_of(a: Floats, i: int) -> Vector:
+    """a[i], a (n,3)."""
+    return a[i, 0], a[i, 1], a[i, 2]
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def apart(a: Floats, i: int, j: int) -> Vector:
+    """a[j] - a[i], a (n,3)."""
+    return a[j, 0] - a[i, 0], a[j, 1] - a[i, 1], a[j, 2] - a[i, 2]
+
+
+@njit(cache=True, nogil=True, forceinline=True, fastmath=ROUNDING)
+def dot(a: Vector, b: Vector) -> float:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -7,17 +7,18 @@ F, Q and the plastic strain of those points over fixed lists. No sum depends on 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.arrays import Arrays
 from ..core.loops import PARTS
 from ..core.records import Rows
 from ..core.threads import share, together
 from ..errors import SolverError
 from . import compiled_kernels as k
+from .model import Deformation, Losses, Motion, Pairs, Scheme, Sides
 from .particle import Particle, PointState
 from .start import H
 
@@ -47,28 +48,27 @@ class CompiledParticle(Particle):
         array = self.lmp.numpy.extract_atom
         everyone = self.n + int(self.lmp.extract_setting("nghost"))
         self._tag = array("id", nelem=everyone)[:everyone].astype(np.int64)
-        self._all_x, self._all_v, self._all_half = (array(name, nelem=everyone, dim=3) for name in ("x", "vest", "v"))
-        self._X = self._all_x.copy()
-        self._all_F, self._all_Q = np.zeros((everyone, 9)), np.zeros((everyone, 9))
-        self._all_F[:] = np.eye(3).ravel()
-        self._effective = np.ones(everyone)
-        self.points = replace(self.points, F=self._all_F[: self.n], R=self._all_F[: self.n].copy())
-        self._h = 2.0 * self.numerics.kernel_radius * self.spacing
-        law = self.law[0]
+        x, v, v_half = (array(name, nelem=everyone, dim=3) for name in ("x", "vest", "v"))
+        self._motion = Motion(x.copy(), x, v, v_half)
+        F = np.tile(np.eye(3).ravel(), (everyone, 1))
+        self.points = replace(self.points, F=F[: self.n], R=F[: self.n].copy())
+        self._deformation = Deformation(F, self.points.R, np.zeros((everyone, 9)), np.ones(everyone))
+        law, num, h = self.law[0], self.numerics, 2.0 * self.numerics.kernel_radius * self.spacing
         self._warming = float(law["expansion"] * law["taylor_quinney"])  # share of plastic work that makes pressure
-        K, G, self._rho = (float(law[name]) for name in ("K", "G", "rho"))
-        self._E = 9 * K * G / (3 * K + G)
-        self._list_neighbours()
+        K, G, rho = (float(law[name]) for name in ("K", "G", "rho"))
+        E = 9 * K * G / (3 * K + G)
+        self._scheme = Scheme(self.volume_of_point, rho, h, self.wave_speed, E, H, num.Q1, num.Q2, num.hourglass)
+        of_pairs = self._list_neighbours()
         self._list_exchange()
-        self._force = np.zeros((len(self._pairs), 3))
-        self._of_points: tuple[np.ndarray, ...] = ()  # further arrays of a scheme, for the two passes
-        self._of_pairs: tuple[np.ndarray, ...] = ()
-        self._strength, self._loss = np.zeros((2, len(self._pairs), 2))
+        self._pairs = self._list_pairs(*of_pairs)
+        m = len(self._pairs.points)
+        self._force, self._losses = np.zeros((m, 3)), Losses(*np.zeros((2, m, 2)))
         self._heat = np.zeros((self.n, 2))
 
-    def _list_neighbours(self) -> None:
-        """Neighbours of each point and pairs, ascending by the points' numbers in the whole particle; gradients on both."""
-        n, X, tag, h, V = self.n, self._X, self._tag, self._h, self.volume_of_point
+    def _list_neighbours(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """List the sides of each point, ascending by the points' numbers in the whole particle. Returns points, r0, w and W of the
+        pairs, see `model.Pairs`, in the same order."""
+        n, X, tag, h = self.n, self._motion.X, self._tag, self._scheme.h
         pairs = cKDTree(X).query_pairs(1.12 * h, output_type="ndarray") if len(X) else np.empty((0, 2), np.int64)
         pairs = pairs[(pairs < n).any(axis=1)]
         pairs = np.where((tag[pairs[:, 0]] < tag[pairs[:, 1]])[:, None], pairs, pairs[:, ::-1])
@@ -76,32 +76,37 @@ class CompiledParticle(Particle):
         r0 = np.sqrt((d * d).sum(axis=1))
         order = np.lexsort((tag[pairs[:, 1]], tag[pairs[:, 0]]))
         order = order[self._are_neighbours(pairs, r0)[order]]
-        pairs, d, r0 = pairs[order], d[order], r0[order]
+        pairs, r0 = pairs[order], r0[order]
         slope = KERNEL * np.maximum(h - r0, 0.0) ** 2 / h**6
         W = np.float32(-THIRD * (h - r0) * slope).astype(float)
         w = np.float32(slope).astype(float) / r0  # MACHDYN keeps both in single precision
-        self._pairs, self._r0, self._w, self._W = pairs.astype(np.uint32), r0, w, W
 
         # each pair is seen from both its points, where they are here
         point, other = pairs.T.ravel(), pairs[:, ::-1].T.ravel()
         row = np.concatenate([np.arange(len(pairs)), ~np.arange(len(pairs))])
         order = np.lexsort((tag[other], point))
         order = order[point[order] < n]
-        point, other, row = point[order], other[order], row[order]
-        self._w_of = np.concatenate([w, w])[order]
-        d = X[other] - X[point]
-        K = np.zeros((n, 3, 3))
-        np.add.at(K, point, self._w_of[:, None, None] * d[:, :, None] * d[:, None, :])
+        self._point, other, row = point[order], other[order], row[order]
+        first = np.searchsorted(self._point, np.arange(n + 1)).astype(np.uint32)
+        w_of = np.concatenate([w, w])[order]
+        gradient = self._gradients(first, X[other] - X[self._point], w_of)
+        self._sides = Sides(first, other.astype(np.uint32), row.astype(np.int32), w_of, gradient)
+        return pairs, r0, w, W
+
+    def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Weights (sides,3) 1/m of the neighbours of each point, at d (sides,3) m from it: the gradient of a field u is the sum of
+        (u_j - u_i) weight."""
+        K = np.zeros((self.n, 3, 3))
+        np.add.at(K, self._point, w[:, None, None] * d[:, :, None] * d[:, None, :])
         stretch, axes = np.linalg.eigh(K)
-        inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=np.abs(V * stretch) > 1e-16)
-        self._K_inverse = np.ascontiguousarray(np.einsum("nik,nk,njk->nij", axes, inverse, axes))
-        self._first = np.searchsorted(point, np.arange(n + 1)).astype(np.uint32)
-        self._point, self._side_d = point, d
-        self._neighbour, self._signed = other.astype(np.uint32), row.astype(np.int32)
+        is_seen = np.abs(self.volume_of_point * stretch) > 1e-16
+        inverse = np.divide(1.0, stretch, out=np.zeros_like(stretch), where=is_seen)
+        K_inverse = np.ascontiguousarray(np.einsum("nik,nk,njk->nij", axes, inverse, axes))
+        return w[:, None] * np.einsum("kij,kj->ki", K_inverse[self._point], d)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
         """Which of the pairs (k,2) of rows at the distances r0 (k,) m interact (k,)."""
-        return r0 < self._h
+        return r0 < self._scheme.h
 
     def _list_exchange(self) -> None:
         """Which rows go to which rank between the passes, and which come from there."""
@@ -109,7 +114,7 @@ class CompiledParticle(Particle):
         self._receives: RowsOfRanks = []
         if self.comm.size == 1:
             return
-        needed = np.unique(self._neighbour[self._neighbour >= self.n]).astype(np.int64)
+        needed = np.unique(self._sides.neighbour[self._sides.neighbour >= self.n]).astype(np.int64)
         owner = np.empty(self.total, np.int64)
         for rank, ids in enumerate(self.comm.allgather(self.ids)):
             owner[ids] = rank
@@ -123,29 +128,59 @@ class CompiledParticle(Particle):
                 if len(rows):
                     lists.append((rank, rows))
 
+    def _list_pairs(self, points: np.ndarray, r0: np.ndarray, w: np.ndarray, W: np.ndarray) -> Pairs:
+        """The pairs, with the rows of both sides and the gradients there, those of other ranks' points too."""
+        s, n = self._sides, len(self._sides.neighbour)
+        sides, seconds = np.zeros((len(points), 2), np.int64), s.pair < 0
+        sides[s.pair[~seconds], 0], sides[~s.pair[seconds], 1] = np.flatnonzero(~seconds), np.flatnonzero(seconds)
+        self._side_sends: RowsOfRanks = []
+        self._side_receives: RowsOfRanks = []
+        foreign = 0
+        if self.comm.size > 1:
+            tag = self._tag
+            pair, which = np.nonzero(points >= self.n)
+            far, near = points[pair, which], points[pair, 1 - which]
+            order = np.lexsort((tag[near], tag[far]))
+            foreign = len(order)
+            sides[pair[order], which[order]] = n + np.arange(foreign)
+            out = np.flatnonzero(s.neighbour >= self.n)
+            out = out[np.lexsort((tag[s.neighbour[out]], tag[self._point[out]]))]
+            for rank in range(self.comm.size):
+                send, receive = (
+                    out[self._owner[s.neighbour[out]] == rank],
+                    np.flatnonzero(self._owner[far[order]] == rank),
+                )
+                for lists, rows in ((self._side_sends, send), (self._side_receives, n + receive)):
+                    if len(rows):
+                        lists.append((rank, rows))
+        gradient = np.zeros((n + foreign, 3))
+        gradient[:n] = s.gradient
+        self._swap(self._side_sends, self._side_receives, gradient)
+        return Pairs(points.astype(np.uint32), sides.astype(np.uint32), r0, w, W, gradient[sides].reshape(-1, 6))
+
     def _update_stress(self) -> None:
-        failed, num, p = np.full(PARTS, -1), self.numerics, self.points
+        failed, m, d = np.full(PARTS, -1), self._motion, self._deformation
         try:
-            together(
-                k.stress_of_all, self.n, failed,
-                (self.dt, self._special, self.volume_of_point, H, self._first, self._neighbour, self._w_of,
-                 self._K_inverse, self._X, self._all_x, self._all_v, p.R, self._all_F, self._all_Q, p.smd_stress, self._effective,
-                 p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient, *self._of_points),
-            )  # fmt: skip
+            self._stress(failed, (self.dt, self._special, self._scheme, self._sides, m, d, self._state))
         finally:
             self._skip_step()
         if failed.max() >= 0:
             self._refuse(int(failed[failed >= 0][0]))
-        together(
-            k.forces_of_all, self.n,
-            (self._pairs, self._r0, self._w, self._W, self._X, self._all_x, self._all_v, self._all_F, self._all_Q,
-             self._effective, self._h, self.wave_speed, self._E, self.volume_of_point, self._rho, num.Q1, num.Q2, num.hourglass,
-             self.dt, self._steps_left == 0, self._all_half, self._strength, self._loss, self._force, *self._of_pairs),
-            (self._first, self._signed, self._force, p.f),
-        )  # fmt: skip
-        plastic = self.volume_of_point * float(p.work.sum())
+        is_last = self._steps_left == 0
+        self._forces(
+            (self.dt, is_last, self._scheme, self._pairs, m, d, self._losses), (self._sides, self._force, self.points.f)
+        )
+        plastic = self.volume_of_point * float(self.points.work.sum())
         self.sums[1] += self._warming * (plastic - self.sums[0])
         self.sums[0] = plastic
+
+    def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
+        """Pass 1 in all threads. failed (PARTS,): the first point that fails of each part is written."""
+        together(k.stress_of_all, self.n, failed, of_points)
+
+    def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
+        """Pass 2 in all threads, and the sums of the forces."""
+        together(k.forces_of_all, self.n, (*of_pairs, self._force), of_sum)
 
     def run(self, steps: int, dt: float, on_step: Callable[[], None]) -> None:
         """`Particle.run`; the plastic strain of the chunk of steps adds to its gradient, where that hardens the metal."""
@@ -156,47 +191,26 @@ class CompiledParticle(Particle):
         try:
             super().run(steps, dt, on_step)
         finally:  # other ranks count on this one
-            grown = np.zeros(len(self._all_F))
+            grown = np.zeros(len(self._tag))
             grown[: self.n] = self.points.eps_p - before
             self._swap(self._sends, self._receives, grown[:, None])
-            k.grow_gradients(
-                self.n,
-                grown,
-                self._first,
-                self._neighbour,
-                self._gradient,
-                self._all_F,
-                self.points.R,
-                self.points.eps_gradient,
-            )
-
-    @cached_property
-    def _gradient(self) -> np.ndarray:
-        """Weights (sides,3) 1/m of the neighbours of each point: the gradient of a field u is sum (u_j - u_i) weight."""
-        return self._gradients()
-
-    def _gradients(self) -> np.ndarray:
-        """Those weights, computed."""
-        return self._w_of[:, None] * np.einsum("kij,kj->ki", self._K_inverse[self._point], self._side_d)
+            k.grow_gradients(self.n, grown, self._sides, self._deformation, self.points.eps_gradient)
 
     def _end_chunk(self) -> None:
         """Book the losses of the chunk of steps, and turn them into heat of the points where the law says so."""
-        share(
-            lambda lo, hi: k.share_losses(lo, hi, self._first, self._signed, self._loss, self._heat),
-            self.n,
-            LEAST_POINTS,
-        )
+        share(lambda lo, hi: k.share_losses(lo, hi, self._sides, self._losses.work, self._heat), self.n, LEAST_POINTS)
         self.sums[2:] += self._heat.sum(axis=0)
         if self.law[0]["dissipation"]:
             self.warm(self._heat.sum(axis=1))
-        share(self._forget_losses, len(self._loss), LEAST_PAIRS)
+        share(self._forget_losses, len(self._force), LEAST_PAIRS)
 
     def _forget_losses(self, lo: int, hi: int) -> None:
-        self._strength[lo:hi], self._loss[lo:hi] = 0.0, 0.0
+        self._losses.strength[lo:hi], self._losses.work[lo:hi] = 0.0, 0.0
 
     def _skip_step(self) -> None:
         """Exchange what pass 2 needs of points of other ranks."""
-        self._swap(self._sends, self._receives, self._all_F, self._all_Q, self._effective[:, None])
+        d = self._deformation
+        self._swap(self._sends, self._receives, d.F, d.Q, d.effective[:, None])
 
     def _swap(self, sends: RowsOfRanks, receives: RowsOfRanks, *arrays: np.ndarray) -> None:
         """Send rows of arrays (k, ...) to other ranks, and write those that come from there."""

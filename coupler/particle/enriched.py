@@ -22,11 +22,15 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..core.arrays import Arrays
 from ..core.records import Rows
+from ..core.threads import together
 from ..errors import SolverError
+from . import enriched_kernels as k
 from .compiled import CompiledParticle, CompiledPoints
-from .frequency import LONGEST, PointFrequency, Sides
+from .frequency import LONGEST, PointFrequency
 from .inertia import CellInertia
+from .model import Residuals
 from .particle import LocalState
 
 MOST_SIDES = 18  # neighbours of a point at the most: the two nearest layers of a face-centred cubic lattice
@@ -55,75 +59,44 @@ class EnrichedParticle(CompiledParticle):
 
     def _start_engine(self) -> None:
         super()._start_engine()
-        counts = np.diff(self._first.astype(np.int64))
+        sides = self._sides
+        counts = np.diff(sides.first.astype(np.int64))
         if counts.max(initial=0) > MOST_SIDES:
             raise SolverError(
                 f"a point has {counts.max()} neighbours, more than {MOST_SIDES}: use a smaller kernel_radius"
             )
-        sides = len(self._neighbour)
-        rows = np.arange(sides)
-        self._slot = 3 * (rows - self._first[self._point].astype(np.int64))[:, None] + np.arange(3)
-        self._plastic = np.zeros((sides, 3))
-        pair_rows = np.zeros((len(self._pairs), 2), np.int64)
-        seconds = self._signed < 0
-        pair_rows[self._signed[~seconds], 0] = rows[~seconds]
-        pair_rows[~self._signed[seconds], 1] = rows[seconds]
-        pair_rows, foreign = self._list_sides(pair_rows, sides)
-        self._residual = np.zeros((sides + foreign, 3))
-        gradient = np.zeros((sides + foreign, 3))
-        gradient[:sides] = self._gradient
-        self._swap(self._side_sends, self._side_receives, gradient)
-        self._of_points = gradient[:sides], self._plastic, self._residual, self.points.unseen
-        self._of_pairs = gradient[pair_rows].reshape(-1, 6), self._residual, pair_rows.astype(np.uint32)
-        lists = Sides(
-            self._first, self._neighbour, self._w_of, self._of_points[0], self._X, self._pairs, self._signed,
-            self._of_pairs[0], self._of_pairs[2], len(gradient),
-        )  # fmt: skip
+        count = len(sides.neighbour)
+        foreign = sum(len(rows) for _, rows in self._side_receives)
+        self._slot = 3 * (np.arange(count) - sides.first[self._point].astype(np.int64))[:, None] + np.arange(3)
+        self._residuals = Residuals(np.zeros((count, 3)), np.zeros((count + foreign, 3)), self.points.unseen)
         random = np.random.default_rng(1).standard_normal((self.total, 3))[self.ids]
         step = self.numerics.inertia * self.spacing / self.wave_speed / self.numerics.frequency
-        cells = self._first, self._neighbour, self._of_points[0]
         self._inertia = CellInertia(
-            self.law, self.volume_of_point, step, cells, self._tag - 1, self.total, self.comm.allgather
+            self.law, self.volume_of_point, step, sides, self._tag - 1, self.total, self.comm.allgather
         )
         self._frequency = PointFrequency(
-            self.law, self.volume_of_point, lists, random, self.comm.allgather, self._fetch, self._inertia.slow
-        )
+            self.law, self.volume_of_point, sides, self._pairs, self._motion.X, count + foreign, random, self.comm.allgather,
+            self._fetch, self._inertia.slow,
+        )  # fmt: skip
 
-    def _list_sides(self, pair_rows: np.ndarray, sides: int) -> tuple[np.ndarray, int]:
-        """Rows (m,2) of both sides of each pair, those of other ranks' points after the own; how many these are."""
-        self._side_sends: list[tuple[int, np.ndarray]] = []
-        self._side_receives: list[tuple[int, np.ndarray]] = []
-        if self.comm.size == 1:
-            return pair_rows, 0
-        tag, pairs = self._tag, self._pairs.astype(np.int64)
-        pair, which = np.nonzero(pairs >= self.n)
-        far, near = pairs[pair, which], pairs[pair, 1 - which]
-        order = np.lexsort((tag[near], tag[far]))
-        pair_rows[pair[order], which[order]] = sides + np.arange(len(order))
-        out = np.flatnonzero(self._neighbour >= self.n)
-        out = out[np.lexsort((tag[self._neighbour[out]], tag[self._point[out]]))]
-        for rank in range(self.comm.size):
-            send, receive = (
-                out[self._owner[self._neighbour[out]] == rank],
-                np.flatnonzero(self._owner[far[order]] == rank),
-            )
-            for lists, rows in ((self._side_sends, send), (self._side_receives, sides + receive)):
-                if len(rows):
-                    lists.append((rank, rows))
-        return pair_rows, len(order)
+    def _stress(self, failed: np.ndarray, of_points: Arrays) -> None:
+        together(k.stress_of_all, self.n, failed, (*of_points, self._residuals))
+
+    def _forces(self, of_pairs: Arrays, of_sum: Arrays) -> None:
+        together(k.forces_of_all, self.n, (*of_pairs, self._residuals.force, self._force), of_sum)
 
     def _are_neighbours(self, pairs: np.ndarray, r0: np.ndarray) -> np.ndarray:
-        self._rim = _one_sided(self._whole, self._h)[self._tag - 1]
-        return (r0 < self._h) | ((r0 < SECOND_LAYER * self.spacing) & self._rim[pairs].any(axis=1))
+        self._rim = _one_sided(self._whole, self._scheme.h)[self._tag - 1]
+        return (r0 < self._scheme.h) | ((r0 < SECOND_LAYER * self.spacing) & self._rim[pairs].any(axis=1))
 
-    def _gradients(self) -> np.ndarray:
-        d, gradient = self._side_d, super()._gradients()
+    def _gradients(self, first: np.ndarray, d: np.ndarray, w: np.ndarray) -> np.ndarray:
+        gradient = super()._gradients(first, d, w)
         D = d / self.spacing
         weight = np.maximum(FIT_REACH - np.sqrt((D * D).sum(axis=1)), 0.0) ** 2
         x, y, z = D.T
         basis = np.stack([x, y, z, x * x, y * y, z * z, y * z, x * z, x * y], axis=1)
         ridge = np.diag([0.0] * 3 + [RIDGE] * 6)
-        rim, first = np.flatnonzero(self._rim[: self.n]), self._first.astype(np.int64)
+        rim, first = np.flatnonzero(self._rim[: self.n]), first.astype(np.int64)
         for points in np.array_split(rim, len(rim) // FITTED + 1):  # so many at a time, for their matrices' memory
             if not len(points):
                 continue
@@ -142,7 +115,7 @@ class EnrichedParticle(CompiledParticle):
 
     def _skip_step(self) -> None:
         super()._skip_step()
-        self._swap(self._side_sends, self._side_receives, self._residual)
+        self._swap(self._side_sends, self._side_receives, self._residuals.force)
 
     def _fetch(self, points: np.ndarray, sides: np.ndarray | None = None) -> None:
         self._swap(self._sends, self._receives, points)
@@ -162,8 +135,8 @@ class EnrichedParticle(CompiledParticle):
         """
         # of all ranks together, before one of them raises
         if self.numerics.inertia > 0.0:
-            self._inertia.weigh(self._all_x, self.points.J)
-        longest = self._frequency.longest_step(self._all_F, self.points.J, self.points.mode)
+            self._inertia.weigh(self.points.F, self.points.J)
+        longest = self._frequency.longest_step(self._deformation.F, self.points.J, self.points.mode)
         bound = super().stable_dt()
         return min(LONGEST * bound, self.numerics.frequency * longest) if longest > 0.0 else bound
 
@@ -171,14 +144,14 @@ class EnrichedParticle(CompiledParticle):
         return super().elastic() + self.volume_of_point * float(self.points.unseen.sum())
 
     def state(self) -> LocalState:
-        self.points.bend[self._point[:, None], self._slot] = self._plastic
+        self.points.bend[self._point[:, None], self._slot] = self._residuals.plastic
         return super().state()
 
     def restore(self, state: LocalState, first: bool = True) -> None:
         super().restore(state, first)
-        self._plastic[:] = self.points.bend[self._point[:, None], self._slot]
+        self._residuals.plastic[:] = self.points.bend[self._point[:, None], self._slot]
         if self.numerics.inertia > 0.0:
-            self._inertia.weigh(state.points.x[self._tag - 1], self.points.J)
+            self._inertia.weigh(self.points.F, self.points.J)
 
 
 def _one_sided(X: np.ndarray, h: float) -> np.ndarray:

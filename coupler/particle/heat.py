@@ -31,42 +31,33 @@ class PointConduction:
 
     def __init__(self, X: np.ndarray, spacing: float, volume: np.ndarray, law: np.ndarray):
         n = len(X)
-        self.volume, self.law, self.spacing = volume, law, spacing
+        self.law, self.spacing = law, spacing
         rows, columns, weights = _fits(X, spacing)
         places, back = np.arange(n + 1), np.lexsort((rows, columns))
-        self.operators = np.searchsorted(rows, places).astype(np.uint32), columns.astype(np.uint32), weights
-        self._transposed = (
-            np.searchsorted(columns[back], places).astype(np.uint32),
-            rows[back].astype(np.uint32),
-            weights[back],
+        self.operators = k.Operators(
+            np.searchsorted(rows, places).astype(np.uint32), columns.astype(np.uint32), weights
         )
-        self._reach = np.stack([np.bincount(rows, column, n) for column in np.abs(weights).T], axis=1)
-        self._D, self._kD = np.zeros((2, n, 6))
-        self._q, (self._c, self._capacity) = np.zeros((n, 4)), np.zeros((2, n))
+        self._transposed = k.Operators(
+            np.searchsorted(columns[back], places).astype(np.uint32), rows[back].astype(np.uint32), weights[back]
+        )
+        reach = np.stack([np.bincount(rows, column, n) for column in np.abs(weights).T], axis=1)
+        (D, kD), (c, capacity, T, gained) = np.zeros((2, n, 6)), np.zeros((4, n))
+        self._flow = k.Conduction(volume, np.asarray(reach, float), D, kD, c, capacity, np.zeros((n, 4)), T, gained)
 
     def share(self, time: float, x: np.ndarray, T: np.ndarray) -> np.ndarray:
         """Heat (n,) J that points gain by conduction over `time` s at positions x (n,3) m from temperatures T (n,) K.
 
         Explicit steps, as many as stability needs. The sum over the points is zero to rounding.
         """
-        n, kD, c, q, capacity = len(T), self._kD, self._c, self._q, self._capacity
-        gained, current, left = np.zeros(n), np.array(T, float), time
+        n, left, flow, operators = len(T), time, self._flow, (self.operators, self._transposed)
+        flow.T[:], flow.gained[:] = T, 0.0
         while left > 0.0:
             rates = np.zeros(PARTS)
-            together(
-                k.prepare, n, (*self.operators, x, self.volume, self._D),
-                (self.law, self.spacing, self.volume, current, self._D, self._reach, kD, c, capacity, q),
-                (*self._transposed, q, capacity), rates,
-            )  # fmt: skip
+            together(k.prepare, n, self.law, self.spacing, x, *operators, flow, rates)
             dt = left / ceil(left * rates.max() / (2.0 * CONDUCTION_SAFETY))
-            together(
-                k.conduct,
-                n,
-                (*self.operators, current, kD, c, q),
-                (dt, *self._transposed, q, capacity, gained, current),
-            )
+            together(k.conduct, n, dt, *operators, flow)
             left = left - dt if left > 1.5 * dt else 0.0
-        return gained
+        return flow.gained.copy()
 
 
 def _fits(X: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

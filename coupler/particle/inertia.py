@@ -18,9 +18,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..compiling import njit
-from ..core.arrays import Floats, Ints, Laws
+from ..core.arrays import Floats, Laws
+from ..geometry.matrix_kernels import applied, inverse, matrix_of, transposed
 from ..physics.constitutive import bulk_stiffness
-from . import compiled_kernels as k
+from .model import Sides
 
 ENOUGH = 0.25  # spacings over wave speed: cells whose safe step is that long do not limit the particle
 STIFFER = 2.0  # cells that swing together are faster than each of them alone
@@ -28,28 +29,16 @@ STIFFER = 2.0  # cells that swing together are faster than each of them alone
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def inertia_of_cells(
-    lo: int, hi: int, laws: Laws, scale: float, mass: float, start: Ints, neighbour: Ints, gradient: Floats, x: Floats, J: Floats,
-    spatial: Floats, inertia: Floats,
+    lo: int, hi: int, laws: Laws, scale: float, mass: float, sides: Sides, F: Floats, J: Floats, spatial: Floats, inertia: Floats
 ) -> None:  # fmt: skip
     """spatial (sides,3) 1/m: F^-T g; inertia (n,) kg m2: c of each cell, 0 where it needs none. scale m3 s2: STIFFER V (T / 2)^2."""
     law = laws[0]
     for i in range(lo, hi):
-        f00 = f01 = f02 = f10 = f11 = f12 = f20 = f21 = f22 = 0.0
-        for s in range(start[i], start[i + 1]):
-            j = neighbour[s]
-            d0, d1, d2 = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-            g0, g1, g2 = gradient[s, 0], gradient[s, 1], gradient[s, 2]
-            f00, f01, f02 = f00 + d0 * g0, f01 + d0 * g1, f02 + d0 * g2
-            f10, f11, f12 = f10 + d1 * g0, f11 + d1 * g1, f12 + d1 * g2
-            f20, f21, f22 = f20 + d2 * g0, f21 + d2 * g1, f22 + d2 * g2
-        (b00, b01, b02, b10, b11, b12, b20, b21, b22), _ = k.inverse((f00, f01, f02, f10, f11, f12, f20, f21, f22))
+        B, _ = inverse(matrix_of(F, i))
         square = s0 = s1 = s2 = 0.0
-        for s in range(start[i], start[i + 1]):
-            g0, g1, g2 = gradient[s, 0], gradient[s, 1], gradient[s, 2]
-            t0 = b00 * g0 + b10 * g1 + b20 * g2
-            t1 = b01 * g0 + b11 * g1 + b21 * g2
-            t2 = b02 * g0 + b12 * g1 + b22 * g2
-            spatial[s, 0], spatial[s, 1], spatial[s, 2] = t0, t1, t2
+        for k in range(sides.first[i], sides.first[i + 1]):
+            t0, t1, t2 = applied(transposed(B), sides.gradient[k, 0], sides.gradient[k, 1], sides.gradient[k, 2])
+            spatial[k, 0], spatial[k, 1], spatial[k, 2] = t0, t1, t2
             square += t0 * t0 + t1 * t1 + t2 * t2
             s0, s1, s2 = s0 + t0, s1 + t1, s2 + t2
         square += s0 * s0 + s1 * s1 + s2 * s2
@@ -64,34 +53,28 @@ class CellInertia:
     """
 
     def __init__(
-        self, law: Laws, volume: float, step: float, sides: tuple[Ints, Ints, Floats], numbers: np.ndarray, total: int, gather:
-        Callable[..., list[Any]],
+        self, law: Laws, volume: float, step: float, sides: Sides, numbers: np.ndarray, total: int, gather: Callable[..., list[Any]],
     ):  # fmt: skip
-        """law (1,); volume m3 of each point; step s: that cells are to bear, as 2 / omega. sides: first (n+1,), neighbour (sides,) and
-        gradient (sides,3) 1/m of the points; numbers (N,): of all points here in the whole particle of `total`, the n own ones first.
-        gather(values): those of each rank."""
+        """law (1,); volume m3 of each point; step s: that cells are to bear, as 2 / omega. numbers (N,): of all points here in the
+        whole particle of `total`, the n own ones first. gather(values): those of each rank."""
         self._law, self._mass, self._scale = law, volume * float(law[0]["rho"]), STIFFER * volume * (0.5 * step) ** 2
-        self._first, self._neighbour, self._gradient = sides
-        self._numbers, self._total, self._gather = numbers, total, gather
-        n = len(self._first) - 1
+        self._sides, self._numbers, self._total, self._gather = sides, numbers, total, gather
+        n = len(sides.first) - 1
         self._alone = len(gather(n)) == 1
-        self._inertia, self._spatial = np.zeros(n), np.zeros((len(self._neighbour), 3))
+        self._inertia, self._spatial = np.zeros(n), np.zeros((len(sides.neighbour), 3))
         self._own = numbers[:n]
         self.cells = 0  # how many are scaled now, on all ranks
 
-    def weigh(self, x: np.ndarray, J: np.ndarray) -> None:
-        """Choose the cells and their inertia for positions x (N,3) m of all points here and volume ratios J (n,)."""
+    def weigh(self, F: np.ndarray, J: np.ndarray) -> None:
+        """Choose the cells and their inertia for deformation gradients F (n,9) and volume ratios J (n,)."""
         n = len(J)
-        inertia_of_cells(
-            0, n, self._law, self._scale, self._mass, self._first, self._neighbour, self._gradient, x, J, self._spatial,
-            self._inertia,
-        )  # fmt: skip
+        inertia_of_cells(0, n, self._law, self._scale, self._mass, self._sides, F, J, self._spatial, self._inertia)
         chosen = np.flatnonzero(self._inertia)
-        first = self._first.astype(np.int64)
+        first = self._sides.first.astype(np.int64)
         rows = np.repeat(np.arange(len(chosen)), first[chosen + 1] - first[chosen])
         sides = np.concatenate([rows[:0], *(np.arange(first[i], first[i + 1]) for i in chosen)])
         own = np.column_stack([
-            self._own[chosen[rows]], self._numbers[self._neighbour[sides]], self._inertia[chosen[rows]], self._spatial[sides],
+            self._own[chosen[rows]], self._numbers[self._sides.neighbour[sides]], self._inertia[chosen[rows]], self._spatial[sides],
         ])  # fmt: skip
         table = np.concatenate(self._gather(own))
         table = table[np.lexsort((table[:, 1], table[:, 0]))]

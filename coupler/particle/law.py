@@ -8,12 +8,15 @@ push and the Hugoniot term is too stiff; writing into esph the e that makes that
 `coupler.physics.constitutive` mends both. Both lag by one step.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Laws
 from ..core.loops import ranges
 from ..physics.constitutive import Law, harden, heated, hugoniot_pressure, mie_gruneisen, on, softened
+from .model import State
 
 LEAST_POINTS = 1000  # in a range of a loop that threads share
 
@@ -44,47 +47,49 @@ def _volume_ratio(law: Law, mean: float, J: float, e: float) -> float:
     return J
 
 
+class Machdyn(NamedTuple):
+    """What MACHDYN keeps of points (n,): mass kg; eps, e (J) and de (W), by which we prescribe the next step; set_e J/kg: the e
+    prescribed for this step."""
+
+    mass: Floats
+    eps: Floats
+    e: Floats
+    de: Floats
+    set_e: Floats
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_law(
-    laws: Laws, dt: float, H: float, volume: Floats, mass: Floats, stress: Floats, machdyn_eps: Floats, machdyn_e: Floats,
-    machdyn_de: Floats, sigma_y: Floats, eps_p: Floats, rate: Floats, T: Floats, J: Floats, p: Floats, energy: Floats, set_e:
-    Floats, work: Floats, sums: Floats,
-) -> None:  # fmt: skip
+def apply_law(laws: Laws, dt: float, H: float, volume: Floats, m: Machdyn, a: State, sums: Floats) -> None:
     """Read what MACHDYN did in this step, move the state of every point on, and prescribe the next step.
 
-    laws: one LAW record, dt s, H Pa. Per point (n,): volume m3 and mass kg; machdyn_eps, machdyn_e (J), machdyn_de
-    (W) of LAMMPS, written; stress (n,6) of LAMMPS, xx xy xz yy yz zz, read; sigma_y Pa, eps_p, rate 1/s, T K, J, p
-    Pa, energy J per reference m3, work (plastic work per reference m3); set_e: the e (J/kg) prescribed for this
-    step. sums (2,) grows by plastic work and by what of its heat makes pressure, J.
+    laws: one LAW record, dt s, H Pa, volume (n,) m3; the stress of a is that of LAMMPS, read. sums (2,) grows by plastic work and by
+    what of its heat makes pressure, J.
     """
     law = laws[0]
-    for i in range(len(eps_p)):
-        mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
-        Ji = _volume_ratio(law, mean, J[i], set_e[i])  # what MACHDYN saw
-        deps = max(machdyn_eps[i] - sigma_y[i] / H, 0.0)
-        eps_p[i], rate[i], T[i], sigma_y[i], w = harden(
-            law, deps, dt, Ji, sigma_y[i], sigma_y[i], eps_p[i], rate[i], T[i]
-        )
+    for i in range(len(volume)):
+        mean = (a.stress[i, 0] + a.stress[i, 3] + a.stress[i, 5]) / 3.0
+        J, sy = _volume_ratio(law, mean, a.J[i], m.set_e[i]), a.sigma_y[i]  # what MACHDYN saw
+        deps = max(m.eps[i] - sy / H, 0.0)
+        a.eps_p[i], a.rate[i], a.T[i], a.sigma_y[i], w = harden(law, deps, dt, J, sy, sy, a.eps_p[i], a.rate[i], a.T[i])
         heat = 0.0
         if on(law.taylor_quinney) and on(law.expansion):
             heat = law.expansion * law.taylor_quinney * w
             sums[1] += volume[i] * heat
-        p[i], energy[i] = mie_gruneisen(law, J[i], Ji, p[i], energy[i], heat)
-        J[i] = Ji
-        work[i] += w
+        a.p[i], a.energy[i] = mie_gruneisen(law, a.J[i], J, a.p[i], a.energy[i], heat)
+        a.J[i] = J
+        a.work[i] += w
         sums[0] += volume[i] * w
-        machdyn_eps[i] = sigma_y[i] / H
+        m.eps[i] = a.sigma_y[i] / H
         if on(law.Gamma0) and law.Gamma0 > 0.0:
-            set_e[i] = (hugoniot_pressure(law, Ji) - p[i]) * Ji / (law.rho * law.Gamma0)
-        machdyn_e[i] = set_e[i] * mass[i]
-        machdyn_de[i] = 0.0
+            m.set_e[i] = (hugoniot_pressure(law, J) - a.p[i]) * J / (law.rho * law.Gamma0)
+        m.e[i] = m.set_e[i] * m.mass[i]
+        m.de[i] = 0.0
 
 
 @njit(cache=True, nogil=True)
 def warm_points(
-    team: Ints, laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, sigma_y: Floats, eps_p: Floats, T: Floats,
-    energy: Floats, pressing: Floats,
-) -> None:  # fmt: skip
+    team: Ints, laws: Laws, H: float, volume: Floats, heat: Floats, machdyn_eps: Floats, a: State, pressing: Floats
+) -> None:
     """Give points heat (n,) J: T by enthalpy, sigma_y by softening, and the energy that makes pressure in the next step.
 
     machdyn_eps (n,), written, prescribes sigma_y for the next step; pressing (PARTS,): what went into the energy, J, part by part.
@@ -94,24 +99,25 @@ def warm_points(
         for i in range(lo, hi):
             if heat[i] == 0.0:
                 continue
-            old = T[i]
-            T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
-            sigma_y[i] = softened(law, sigma_y[i], eps_p[i], old, T[i])
-            machdyn_eps[i] = sigma_y[i] / H
-            energy[i] += law.expansion * heat[i] / volume[i]
+            old = a.T[i]
+            a.T[i] = heated(law, old, heat[i] / (law.rho * volume[i]))
+            a.sigma_y[i] = softened(law, a.sigma_y[i], a.eps_p[i], old, a.T[i])
+            machdyn_eps[i] = a.sigma_y[i] / H
+            a.energy[i] += law.expansion * heat[i] / volume[i]
             pressing[part] += law.expansion * heat[i]
 
 
 @njit(cache=True, nogil=True)
-def stored_energy(laws: Laws, volume: Floats, stress: Floats, J: Floats, energy: Floats) -> float:
+def stored_energy(laws: Laws, volume: Floats, a: State) -> float:
     """Energy in J that stresses hold: deviators (J V s:s / 4G) and that of the volume, the heat in it included."""
     law = laws[0]
     total = 0.0
-    for i in range(len(J)):
-        mean = (stress[i, 0] + stress[i, 3] + stress[i, 5]) / 3.0
-        xx, yy, zz = stress[i, 0] - mean, stress[i, 3] - mean, stress[i, 5] - mean
-        ss = xx * xx + yy * yy + zz * zz + 2.0 * (stress[i, 1] ** 2 + stress[i, 2] ** 2 + stress[i, 4] ** 2)
-        total += volume[i] * (J[i] * ss / (4.0 * law.G) + energy[i])
+    for i in range(len(volume)):
+        s = a.stress[i]
+        mean = (s[0] + s[3] + s[5]) / 3.0
+        xx, yy, zz = s[0] - mean, s[3] - mean, s[5] - mean
+        ss = xx * xx + yy * yy + zz * zz + 2.0 * (s[1] ** 2 + s[2] ** 2 + s[4] ** 2)
+        total += volume[i] * (a.J[i] * ss / (4.0 * law.G) + a.energy[i])
     return total
 
 

@@ -26,12 +26,13 @@ class MachdynParticle(Particle):
     POINTS = MachdynPoints
     points: MachdynPoints
 
-    def _update_stress(self) -> None:
+    def _start_engine(self) -> None:
+        super()._start_engine()
         p = self.points
-        k.apply_law(
-            self._special, self.dt, H, self.volume, self._mass, p.smd_stress, p.eff_plastic_strain, p.esph, p.desph, p.sigma_y, p.eps_p,
-            p.rate, p.T, p.J, p.p, p.energy, p.set_e, p.work, self.sums,
-        )  # fmt: skip
+        self._machdyn = k.Machdyn(self._mass, p.eff_plastic_strain, p.esph, p.desph, p.set_e)
+
+    def _update_stress(self) -> None:
+        k.apply_law(self._special, self.dt, H, self.volume, self._machdyn, self._state, self.sums)
         if not np.isfinite(self.sums[0]):
             bad = int(np.argmin(np.isfinite(self.points.work)))
             raise SolverError(self._failure(f"the stress at point {self.ids[bad]} is no longer a number", bad))

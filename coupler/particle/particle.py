@@ -22,6 +22,7 @@ from ..physics.constitutive import sound_speed, specialised, yield_stress
 from ..physics.metal import MetalState, carried
 from . import law as k
 from .law import LEAST_POINTS
+from .model import State
 from .start import H, silence, start
 
 
@@ -177,6 +178,8 @@ class Particle(ABC):
         self.f_ext = np.zeros((self.n, 3))
         kept = {name: self._lammps(name) for name, spec in rows_of(self.POINTS).items() if spec.lammps}
         self.points, self._mass = new_rows(self.POINTS, self.n, **kept), self._lammps("rmass")
+        p = self.points
+        self._state = State(p.smd_stress, p.sigma_y, p.eps_p, p.rate, p.T, p.J, p.p, p.energy, p.work, p.eps_gradient)
         self.points.T[:], self.points.eps_p[:] = temperature, self.initial_strain
         self.points.sigma_y[:] = yield_stress(self.law[0], self.initial_strain, 0.0, temperature)
         self.sums = np.zeros(4)  # see LocalState
@@ -333,16 +336,12 @@ class Particle(ABC):
 
     def elastic(self) -> float:
         """Recoverable energy in J."""
-        stored = k.stored_energy(self.law, self.volume, self.points.smd_stress, self.points.J, self.points.energy)
-        return float(stored - self.sums[1])
+        return float(k.stored_energy(self.law, self.volume, self._state) - self.sums[1])
 
     def warm(self, heat: np.ndarray) -> None:
         """Put heat (n,) J into points, between runs: temperature and yield stress at once, pressure in the next step."""
-        p, pressing = self.points, np.zeros(PARTS)
-        together(
-            k.warm_points, self.law, H, self.volume, np.ascontiguousarray(heat, float), p.eff_plastic_strain, p.sigma_y, p.eps_p, p.T,
-            p.energy, pressing,
-        )  # fmt: skip
+        heat, pressing = np.ascontiguousarray(heat, float), np.zeros(PARTS)
+        together(k.warm_points, self.law, H, self.volume, heat, self.points.eff_plastic_strain, self._state, pressing)
         self.sums[1] += float(pressing.sum())
 
     def totals(self) -> PointTotals:

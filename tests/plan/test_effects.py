@@ -14,6 +14,7 @@ from coupler.fe.explicit import Target
 from coupler.geometry import mesher
 from coupler.impact.validity import Extremes, greatest_compression, merged, pressure
 from coupler.particle import law as points_law
+from coupler.particle.model import State
 from coupler.physics import constitutive as law
 from coupler.physics.materials import material
 from coupler.plan import effects
@@ -209,26 +210,11 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
     return vars(t.nodes) | vars(t.elements) | {"sums": t.sums}
 
 
-POINT = (
-    "eps",
-    "e",
-    "de",
-    "sigma_y",
-    "eps_p",
-    "rate",
-    "T",
-    "J",
-    "p",
-    "energy",
-    "set_e",
-    "work",
-)  # as apply_law takes them
-
-
 def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarray]:
     """Points under pressure, half of which flow, after two steps of the law."""
     rng, n = np.random.default_rng(3), 50
-    a = {name: np.zeros(n) for name in POINT}
+    names = "eps", "e", "de", "sigma_y", "eps_p", "rate", "T", "J", "p", "energy", "set_e", "work"
+    a = {name: np.zeros(n) for name in names}
     a["J"], a["sigma_y"], a["T"] = rng.uniform(0.96, 1.01, n), rng.uniform(2e8, 4e8, n), rng.uniform(350.0, 800.0, n)
     a["eps_p"], a["rate"] = rng.uniform(0.1, 1.0, n), np.full(n, 1e7)
     sums = np.zeros(2)
@@ -236,7 +222,11 @@ def squeezed(laws: np.ndarray, law_of_kernel: np.ndarray) -> dict[str, np.ndarra
         stress = np.zeros((n, 6))
         stress[:, [0, 3, 5]] = (laws["K"][0] * rng.uniform(-0.05, 0.01, n))[:, None]
         a["eps"] = a["sigma_y"] / 1e9 + np.where(np.arange(n) % 2, 3e-4, 0.0)
-        points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), np.ones(n), stress, *a.values(), sums)
+        state = State(
+            stress=stress, eps_gradient=np.zeros((n, 3)), **{name: a[name] for name in a.keys() & set(State._fields)}
+        )
+        machdyn = points_law.Machdyn(np.ones(n), a["eps"], a["e"], a["de"], a["set_e"])
+        points_law.apply_law(law_of_kernel, 1e-10, 1e9, np.ones(n), machdyn, state, sums)
     return a | {"sums": sums}
 
 
