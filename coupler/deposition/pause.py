@@ -15,6 +15,7 @@ from ..contact.surfaces import earlier_neighbours, interface
 from ..fe.cooling import Film, Links, cool
 from ..fe.explicit import Target
 from ..fe.heat import take_heat
+from ..fe.model import Elements
 from ..files.summary import Values
 from ..geometry.triangles import areas
 from ..physics.constitutive import heat_capacities
@@ -120,9 +121,7 @@ def _take_heat_away(t: Target, ambient: float) -> None:
             return
         c_p = heat_capacities(t.laws[t.law_of], 0.5 * (t.elements.T + ambient))
         gain = rho * t.mesh.V0 * c_p * (ambient - t.elements.T)
-        t.sums[2] += take_heat(
-            0, m, gain, t.mesh.V0, t.laws, t.law_of, t.elements.T, t.elements.heat, t.elements.sigma_y, t.elements.eps_p
-        )
+        t.sums[2] += take_heat(0, m, gain, t.cells, t.metals, Elements.of(t.elements))
 
 
 def _contraction(metal: Material, T: float, ambient: float) -> float:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ..compiling import njit
 from ..core.arrays import Floats, Ints, Matrix, Symmetric
+from ..geometry.matrix_kernels import ROUNDING
 from ..physics.constitutive import von_mises_squared
+from .model import Cells, Elements, Nodes
 
 BLOCK = 32  # elements laid out side by side: their numbers fit the first-level cache
-ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic only what changes the last bits, and not what hides a NaN
 CUBE_ROOT = 0x2A9F7893782DA1CE  # with a third of a float's bits: its cube root to 3 % (Kahan, as in fdlibm's cbrt)
 
 
@@ -132,32 +133,32 @@ def rows_of(w: Floats) -> Rows:
 
 @njit(cache=True, nogil=True, forceinline=True, error_model="numpy", fastmath=ROUNDING)
 def kinematics(
-    first: int, hi: int, dt: float, x: Floats, v: Floats, conn: Ints, B: Floats, V0: Floats, volume: Floats, p: Floats, two_G:
-    Floats, law_of: Ints, s: Floats, w: Floats,
-) -> None:  # fmt: skip
+    first: int, hi: int, dt: float, c: Cells, nodes: Nodes, elements: Elements, two_G: Floats, law_of: Ints, w: Floats
+) -> None:
     """Lay out the block of elements that begins with `first`, and what its motion from n to n+1 does, into w.
 
-    Arrays as in `coupler.fe.kernels.element_forces`; two_G (k,) Pa, twice the shear modulus of each law; w (ROWS, BLOCK).
+    two_G (k,) Pa: twice the shear modulus of each law; law_of (m,): that of each element; w (ROWS, BLOCK).
     A block that is not full is filled up with its last element, hi - 1: each element is treated alike, wherever a range begins.
     """
     half = 0.5 * dt
     b = rows_of(w)
     F, G, C, S, now, length = b.F, b.Fdot, b.C, b.S, b.volume, b.length
     bits = length.view(np.int64)
+    x, v, p, s = nodes.x, nodes.v, nodes.p, elements.s
     for i in range(BLOCK):
         e = min(first + i, hi - 1)
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
         F[0, i], F[1, i], F[2, i], F[3, i], F[4, i], F[5, i], F[6, i], F[7, i], F[8, i] = _gradient(
-            x[n0], x[n1], x[n2], x[n3], B[e]
+            x[n0], x[n1], x[n2], x[n3], c.B[e]
         )
         G[0, i], G[1, i], G[2, i], G[3, i], G[4, i], G[5, i], G[6, i], G[7, i], G[8, i] = _gradient(
-            v[n0], v[n1], v[n2], v[n3], B[e]
+            v[n0], v[n1], v[n2], v[n3], c.B[e]
         )
         S[0, i], S[1, i], S[2, i], S[3, i], S[4, i], S[5, i] = s[e, 0], s[e, 1], s[e, 2], s[e, 3], s[e, 4], s[e, 5]
         b.pressure[i] = 0.25 * (p[n0] + p[n1] + p[n2] + p[n3])
         b.two_G_dt[i] = two_G[law_of[e]] * dt
-        b.V0[i] = V0[e]
-        now[i] = length[i] = volume[e]
+        b.V0[i] = c.V0[e]
+        now[i] = length[i] = elements.volume[e]
         bits[i] = bits[i] // 3 + CUBE_ROOT
 
     for i in range(BLOCK):

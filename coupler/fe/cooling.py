@@ -24,6 +24,7 @@ from ..geometry.products import times
 from ..physics.constitutive import conductivities
 from .explicit import Target
 from .heat import gains, means, shares, take_heat
+from .model import Elements
 
 GAMMA = 1.0 - 0.5**0.5  # of Alexander's scheme
 STEP_GROWTH = (
@@ -66,11 +67,12 @@ def cool(
     t = target
     n, m = len(t.nodes.x), len(t.mesh.conn)
     carried, own, gain, capacity, mean = np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(n), np.zeros(n)
-    heat, laws, law_of, V0 = np.zeros(m), t.laws, t.law_of, t.mesh.V0
+    heat, V0 = np.zeros(m), t.mesh.V0
+    elements = Elements.of(t.elements)._replace(heat=heat)
 
     def nodal(values: np.ndarray) -> np.ndarray:
-        shares(0, m, V0, laws, law_of, t.elements.T, carried)
-        means(0, n, t.start, t.table, carried, values, capacity, mean)
+        shares(0, m, t.cells, t.metals, t.elements.T, carried)
+        means(0, n, t.cells, carried, values, capacity, mean)
         return mean.copy()
 
     before = _extremes(t)
@@ -83,7 +85,7 @@ def cool(
     free = np.ones(n)
     free[held] = 0.0
     between = free[matrix.indices] * np.repeat(free, np.diff(matrix.indptr))
-    conducting = repack_fields(laws[["k_0", "k_slope", "k_T0", "k_T1"]])[law_of]
+    conducting = repack_fields(t.laws[["k_0", "k_slope", "k_T0", "k_T1"]])[t.law_of]
     dt, left, steps, taken = 0.0, time, 0, 0.0
     known = np.full(n, np.inf)
     while left > 0.0:
@@ -117,7 +119,7 @@ def cool(
             change += weight * stage
         # each element gets what its nodes gained, and gives what it had above them
         gains(0, m, t.mesh.conn, carried, change, own, gain)
-        take_heat(0, m, gain, V0, laws, law_of, t.elements.T, heat, t.elements.sigma_y, t.elements.eps_p)
+        take_heat(0, m, gain, t.cells, t.metals, elements)
         taken -= float(gain.sum())
         T += change
         nodal(t.elements.T)

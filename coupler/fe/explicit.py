@@ -23,7 +23,8 @@ from . import kernels as k
 from .boundary import HALF_SPACE, dashpots, foundation, nodes_of, together_with
 from .heat import Conduction, ConductionState, take_heat
 from .inertia import ElementInertia, InertiaState, step_for
-from .mesh import TetMesh, inverted
+from .mesh import TetMesh, cells_of, inverted
+from .model import Active, Elements, Metals, Nodes
 from .stability import FrequencyState, HighestFrequency, Springs
 from .state import EdgeState, ElementState, NodeState
 from .window import LAYER, Edge, layer, outside
@@ -102,18 +103,19 @@ class Target:
         """
         n, m = len(mesh.points), len(mesh.conn)
         self.mesh, self.laws = mesh, np.ascontiguousarray(laws, LAW)
-        self._laws_of_pressure, self._laws_of_flow = specialised(self.laws, PRESSURE), specialised(self.laws, FLOW)
         self.law_of = np.zeros(m, np.int32) if law_of is None else np.ascontiguousarray(law_of, np.int32)
-        self.law_of_node = np.zeros(n, np.int32)
-        self.law_of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
-        if np.any(self.law_of_node[mesh.conn] != self.law_of[:, None]):
+        of_node = np.zeros(n, np.int32)
+        of_node[mesh.conn.ravel()] = np.repeat(self.law_of, 4)
+        if np.any(of_node[mesh.conn] != self.law_of[:, None]):
             raise SolverError("elements of different materials share nodes of the target: join meshes of one body each")
+        self.cells, self.metals = cells_of(mesh), Metals(self.laws, self.law_of, of_node)
+        self._of_pressure = self.metals._replace(laws=specialised(self.laws, PRESSURE))
+        self._of_flow = self.metals._replace(laws=specialised(self.laws, FLOW))
         T = np.broadcast_to(np.asarray(temperature, np.float64), (m,)).copy()
         sigma_y = yield_stresses(self.laws, self.law_of, np.zeros(m), T, np.zeros((m, 3)))
         self.nodes = new_rows(NodeState, n, x=mesh.points.copy())
         self.elements = new_rows(ElementState, m, volume=mesh.V0.copy(), T=T, sigma_y=sigma_y)
         self.f_ext, self.dt_of = np.zeros((n, 3)), np.zeros(m)
-        self.start, self.table = k.node_to_element(mesh.conn, n)
         self.conduction = Conduction(n, m) if conduction else None
         self.inertia = ElementInertia()
         self.force_suffix_sum = np.zeros((n + 1, 3))
@@ -155,7 +157,7 @@ class Target:
 
     def _weigh(self) -> None:
         """Masses (n,) kg of the nodes; those that are held count as infinite."""
-        self.mass = self.mesh.node_volume * self.laws["rho"][self.law_of_node]
+        self.mass = self.mesh.node_volume * self.laws["rho"][self.metals.of_node]
         if self.least_mass > 0.0:
             surface = occurring(self.mesh.facets, len(self.mass))
             self.mass[surface] = np.maximum(self.mass[surface], self.least_mass)
@@ -232,19 +234,14 @@ class Target:
         """
         n, e = self._active_counts(self.reach + self.wave_speed * ahead)
         e = max(e, 1)
-        bounds: list[tuple[float, int]] = []
-
-        def bound_of(lo: int, hi: int) -> None:
-            bounds.append(
-                k.stable_dt(lo, hi, self.nodes.x, self.mesh.conn, self.nodes.J, self.laws, self.law_of, self.dt_of)
-            )
-
-        share(bound_of, e, LEAST_ELEMENTS)
-        bound, where = min(bounds)
+        nodes = self.nodes
+        share(
+            lambda lo, hi: k.stable_dt(lo, hi, nodes.x, nodes.J, self.cells, self.metals, self.dt_of), e, LEAST_ELEMENTS
+        )
         if self.inertia.most > 0.0:
             self.inertia.choose(self, self.dt_of[:e], enough)
-            where = int(np.argmin(self.dt_of[:e]))
-            bound = float(self.dt_of[where])
+        where = int(np.argmin(self.dt_of[:e]))
+        bound = float(self.dt_of[where])
         if springs is not None:
             load = springs.load(len(self.nodes.x))[:n]
             bound = 1.0 / np.sqrt(1.0 / bound**2 + 0.25 * float(np.max(load / self.mass[:n])))
@@ -277,18 +274,12 @@ class Target:
 
         Raises SolverError when a tetrahedron inverts.
         """
-        mesh, e = self.mesh, self.elements
         self.nodes = n = replace(self.nodes, f=self.nodes.f_old, f_old=self.nodes.f)
         smallest, sums = np.full(PARTS, np.inf), np.zeros((PARTS, 3))
+        active = Active(kicked, self.active_nodes, self.active_elements)
         together(
-            k.advance, kicked, self.active_nodes, self.active_elements, kick, dt,
-            (n.total, inv_mass, n.v, n.x, self.f_ext),
-            (n.x, mesh.conn, e.volume),
-            (self.start, self.table, e.volume, e.heat, mesh.node_volume, self._laws_of_pressure, self.law_of_node, n.J, n.p, n.energy),
-            (dt, *viscosity, n.x, n.v, mesh.conn, mesh.B, mesh.V0, e.volume, n.p, n.J, self._laws_of_flow, self.law_of,
-             e.s, e.sigma_y, e.eps_p, e.rate, e.T, e.heat, e.fe, e.eps_gradient),
-            (self.start, self.table, e.fe, n.f),
-            smallest, sums,
+            k.advance, active, kick, dt, viscosity, self.cells, self._of_pressure, self._of_flow,
+            Nodes.of(n, self.f_ext, inv_mass), Elements.of(self.elements), smallest, sums,
         )  # fmt: skip
         if smallest.min() <= 0.0:
             raise SolverError(inverted(self))
@@ -402,7 +393,7 @@ class Target:
 
     def _store_inactive_forces(self) -> None:
         forces = np.zeros_like(self.force_suffix_sum)
-        k.gather_forces(0, len(self.nodes.x), self.start, self.table, self.elements.fe, forces)
+        k.gather_forces(0, len(self.nodes.x), self.cells, self.elements.fe, forces)
         self.force_suffix_sum = np.cumsum(forces[::-1], axis=0)[::-1]
 
     def velocity(self) -> np.ndarray:
@@ -420,10 +411,8 @@ class Target:
 
     def elastic(self) -> float:
         """Recoverable energy in J: deviators, the volumetric energy less the heat in it, and the springs of half-space and edge."""
-        m = len(self.mesh.conn)  # inactive elements may be under stress
-        shear = k.elastic_shear_energy(
-            0, m, self.elements.volume, self.mesh.V0, self.laws, self.law_of, self.elements.s
-        )
+        m, e = len(self.mesh.conn), self.elements  # inactive elements may be under stress
+        shear = k.elastic_shear_energy(0, m, self.mesh.V0, self.metals, e.volume, e.s)
         way = self.nodes.x[self.spring_nodes] - self.spring_rest
         shear += 0.5 * float(np.einsum("ai,aij,aj->", way, self.springs, way))
         if self.edge is not None:
@@ -443,19 +432,7 @@ class Target:
             self.reach = float(np.nextafter(reached, np.inf))
             self._activate(0.0)
         gain = np.asarray(np.bincount(elements, heat, len(self.elements.T)), float)
-        mesh, m = self.mesh, self.active_elements
-        self.sums[2] += take_heat(
-            0,
-            m,
-            gain,
-            mesh.V0,
-            self.laws,
-            self.law_of,
-            self.elements.T,
-            self.elements.heat,
-            self.elements.sigma_y,
-            self.elements.eps_p,
-        )
+        self.sums[2] += take_heat(0, self.active_elements, gain, self.cells, self.metals, Elements.of(self.elements))
 
     def warm_around(self, nodes: np.ndarray, heat: np.ndarray) -> None:
         """Put heat (J, one for each of `nodes`, of any shape) into the elements around nodes, in equal parts."""

@@ -6,10 +6,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Floats, Ints
+from ..core.arrays import Floats
 from ..geometry.matrix_kernels import applied, inverse, polar, product, transposed
 from ..geometry.vector_kernels import add
 from .explicit import Target
+from .model import Cells
 
 
 @contextmanager
@@ -20,31 +21,20 @@ def growing(target: Target) -> Iterator[None]:
         return
     before = target.elements.eps_p.copy()
     yield
-    mesh, hardens = target.mesh, target.laws["gradient_length"][target.law_of] > 0.0
+    hardens = target.laws["gradient_length"][target.law_of] > 0.0
     grown = np.where(hardens, target.elements.eps_p - before, 0.0)
     at_node, share = np.empty((2, len(target.nodes.x)))
-    _grow(
-        target.active_elements,
-        grown,
-        target.nodes.x,
-        mesh.conn,
-        mesh.B,
-        mesh.V0,
-        at_node,
-        share,
-        target.elements.eps_gradient,
-    )
+    _grow(target.active_elements, grown, target.nodes.x, target.cells, at_node, share, target.elements.eps_gradient)
 
 
 @njit(cache=True, nogil=True)
-def _grow(
-    m: int, grown: Floats, x: Floats, conn: Ints, B: Floats, V0: Floats, at_node: Floats, share: Floats, eps_gradient: Floats
-) -> None:  # fmt: skip
+def _grow(m: int, grown: Floats, x: Floats, c: Cells, at_node: Floats, share: Floats, eps_gradient: Floats) -> None:
     """Add the gradient of the plastic strain of a window of steps to that of the first m elements, eps_gradient (m,3) 1/m.
 
     grown (m,): that strain, averaged at the nodes over the volumes around them, at_node and share (n,), which are overwritten. In the
     present place, R^T F^-T = U^-1, and in the unrotated frame, in which it stays: as Huang et al. (2004) integrate it.
     """
+    conn, V0 = c.conn, c.V0
     for e in range(m):
         for a in conn[e]:
             at_node[a] = share[a] = 0.0
@@ -56,7 +46,7 @@ def _grow(
         if not grown[e] > 0.0:
             continue
         n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        first, b = at_node[n0] / share[n0], B[e]
+        first, b = at_node[n0] / share[n0], c.B[e]
         d1, d2, d3 = at_node[n1] / share[n1] - first, at_node[n2] / share[n2] - first, at_node[n3] / share[n3] - first
         edges = (
             x[n1, 0] - x[n0, 0], x[n2, 0] - x[n0, 0], x[n3, 0] - x[n0, 0], x[n1, 1] - x[n0, 1], x[n2, 1] - x[n0, 1],

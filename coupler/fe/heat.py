@@ -18,12 +18,13 @@ from typing import Annotated
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Floats, Ints, Laws
+from ..core.arrays import Floats, Ints
 from ..core.records import Shape, assign, collect
 from ..core.threads import share
 from ..physics.constitutive import conductivity, heat_capacity, heated, softened
 from .blocks import edge_cofactors
 from .mesh import FiniteElements
+from .model import Cells, Elements, Metals
 
 EVERY = 10  # mechanical steps to one of conduction: about its own stable step in copper, far less in steel
 CONDUCTION_SAFETY = 0.9
@@ -95,23 +96,12 @@ class Conduction:
         excesses(lo, hi, dt, t.mesh.conn, self.T, t.elements.T, self.rate, self.own)
 
     def _change_nodes(self, t: FiniteElements, dt: float, lo: int, hi: int) -> None:
-        changes(lo, hi, dt, t.start, t.table, self.flow, self.capacity, self.mean, self.change)
+        changes(lo, hi, dt, t.cells, self.flow, self.capacity, self.mean, self.change)
         self.T[lo:hi] += self.change[lo:hi]
 
     def _change_elements(self, t: FiniteElements, lo: int, hi: int) -> None:
         gains(lo, hi, t.mesh.conn, self.share, self.change, self.own, self.gain)
-        take_heat(
-            lo,
-            hi,
-            self.gain,
-            t.mesh.V0,
-            t.laws,
-            t.law_of,
-            t.elements.T,
-            t.elements.heat,
-            t.elements.sigma_y,
-            t.elements.eps_p,
-        )
+        take_heat(lo, hi, self.gain, t.cells, t.metals, Elements.of(t.elements))
         self.last[lo:hi] = t.elements.T[lo:hi]
 
     def _sync_nodes(self, t: FiniteElements) -> None:
@@ -131,10 +121,10 @@ class Conduction:
     def _means(self, t: FiniteElements, value: np.ndarray) -> None:
 
         def carried(lo: int, hi: int) -> None:
-            shares(lo, hi, t.mesh.V0, t.laws, t.law_of, t.elements.T, self.share)
+            shares(lo, hi, t.cells, t.metals, t.elements.T, self.share)
 
         def averaged(lo: int, hi: int) -> None:
-            means(lo, hi, t.start, t.table, self.share, value, self.capacity, self.mean)
+            means(lo, hi, t.cells, self.share, value, self.capacity, self.mean)
 
         share(carried, t.active_elements, LEAST)
         share(averaged, t.active_nodes, LEAST)
@@ -144,44 +134,29 @@ class Conduction:
         fastest: list[float] = []
 
         def flow(lo: int, hi: int) -> None:
-            fastest.append(
-                flows(
-                    lo,
-                    hi,
-                    t.nodes.x,
-                    t.mesh.conn,
-                    t.elements.volume,
-                    t.laws,
-                    t.law_of,
-                    self.T,
-                    self.share,
-                    self.rate,
-                    self.flow,
-                )
-            )
+            x, volume = t.nodes.x, t.elements.volume
+            fastest.append(flows(lo, hi, x, volume, t.cells, t.metals, self.T, self.share, self.rate, self.flow))
 
         share(flow, t.active_elements, LEAST)
         return max(fastest)
 
 
 @njit(cache=True, nogil=True)
-def shares(lo: int, hi: int, V0: Floats, laws: Laws, law_of: Ints, T: Floats, share: Floats) -> None:
+def shares(lo: int, hi: int, c: Cells, metals: Metals, T: Floats, share: Floats) -> None:
     """A quarter of each element's heat capacity, J/K, into share (m,): what each of its nodes carries."""
     for e in range(lo, hi):
-        law = laws[law_of[e]]
-        share[e] = 0.25 * law.rho * V0[e] * heat_capacity(law, T[e])
+        law = metals.laws[metals.of_element[e]]
+        share[e] = 0.25 * law.rho * c.V0[e] * heat_capacity(law, T[e])
 
 
 @njit(cache=True, nogil=True)
-def means(
-    lo: int, hi: int, start: Ints, table: Ints, share: Floats, value: Floats, capacity: Floats, mean: Floats,
-) -> None:  # fmt: skip
+def means(lo: int, hi: int, c: Cells, share: Floats, value: Floats, capacity: Floats, mean: Floats) -> None:
     """Mean of an element's value (m,) at nodes, weighted with heat capacities: mean (n,) and capacity (n,) J/K."""
     for a in range(lo, hi):
         total = 0.0
         weighted = 0.0
-        for r in range(start[a], start[a + 1]):
-            e = table[r] >> 2
+        for r in range(c.start[a], c.start[a + 1]):
+            e = c.table[r] >> 2
             total += share[e]
             weighted += share[e] * value[e]
         capacity[a] = total
@@ -198,8 +173,7 @@ def excesses(lo: int, hi: int, dt: float, conn: Ints, nodal: Floats, T: Floats, 
 
 @njit(cache=True, nogil=True)
 def flows(
-    lo: int, hi: int, x: Floats, conn: Ints, volume: Floats, laws: Laws, law_of: Ints, T: Floats, share: Floats, rate: Floats,
-    flow: Floats,
+    lo: int, hi: int, x: Floats, volume: Floats, c: Cells, metals: Metals, T: Floats, share: Floats, rate: Floats, flow: Floats,
 ) -> float:  # fmt: skip
     """Heat that each element conducts into its nodes, flow (m,4) W = -k v b_I . grad T, from nodal T (n,).
 
@@ -207,13 +181,14 @@ def flows(
     """
     largest = 0.0
     for e in range(lo, hi):
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
         # gradients of the shape functions of nodes 1 to 3, times six volumes
         p0, p1, p2, q0, q1, q2, r0, r1, r2, _ = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         s0, s1, s2 = p0 + q0 + r0, p1 + q1 + r1, p2 + q2 + r2
         t1, t2, t3 = T[n1] - T[n0], T[n2] - T[n0], T[n3] - T[n0]
         g0, g1, g2 = t1 * p0 + t2 * q0 + t3 * r0, t1 * p1 + t2 * q1 + t3 * r1, t1 * p2 + t2 * q2 + t3 * r2
-        weight = conductivity(laws[law_of[e]], 0.25 * (T[n0] + T[n1] + T[n2] + T[n3])) / (36.0 * volume[e])
+        law = metals.laws[metals.of_element[e]]
+        weight = conductivity(law, 0.25 * (T[n0] + T[n1] + T[n2] + T[n3])) / (36.0 * volume[e])
         f1, f2, f3 = p0 * g0 + p1 * g1 + p2 * g2, q0 * g0 + q1 * g1 + q2 * g2, r0 * g0 + r1 * g1 + r2 * g2
         flow[e, 1], flow[e, 2], flow[e, 3] = -weight * f1, -weight * f2, -weight * f3
         flow[e, 0] = weight * (f1 + f2 + f3)
@@ -226,13 +201,13 @@ def flows(
 
 @njit(cache=True, nogil=True)
 def changes(
-    lo: int, hi: int, dt: float, start: Ints, table: Ints, flow: Floats, capacity: Floats, mean: Floats, change: Floats,
-) -> None:  # fmt: skip
+    lo: int, hi: int, dt: float, c: Cells, flow: Floats, capacity: Floats, mean: Floats, change: Floats
+) -> None:
     """Rise of temperature of each node over dt (s), K, into change (n,): mean (n,) K and what flows in."""
     for a in range(lo, hi):
         heat = 0.0
-        for r in range(start[a], start[a + 1]):
-            heat += flow[table[r] >> 2, table[r] & 3]
+        for r in range(c.start[a], c.start[a + 1]):
+            heat += flow[c.table[r] >> 2, c.table[r] & 3]
         change[a] = mean[a] + dt * heat / capacity[a] if capacity[a] > 0.0 else 0.0
 
 
@@ -245,22 +220,16 @@ def gains(lo: int, hi: int, conn: Ints, share: Floats, change: Floats, own: Floa
 
 
 @njit(cache=True, nogil=True)
-def take_heat(
-    lo: int, hi: int, gain: Floats, V0: Floats, laws: Laws, law_of: Ints, T: Floats, heat: Floats, sigma_y: Floats,
-    eps_p: Floats,
-) -> float:  # fmt: skip
-    """Give elements heat, gain (m,) J: T by enthalpy, softening of sigma_y (m,) at the plastic strains eps_p (m,).
-
-    heat (m,) J: what of it makes pressure. Returns that part of all of it, J.
-    """
+def take_heat(lo: int, hi: int, gain: Floats, c: Cells, metals: Metals, a: Elements) -> float:
+    """Give elements gain (m,) J: T by enthalpy, sigma_y by softening; heat grows by what makes pressure. Returns that in all, J."""
     total = 0.0
     for e in range(lo, hi):
         if gain[e] == 0.0:
             continue
-        law = laws[law_of[e]]
-        old = T[e]
-        T[e] = heated(law, old, gain[e] / (law.rho * V0[e]))
-        heat[e] += law.expansion * gain[e]
+        law = metals.laws[metals.of_element[e]]
+        old = a.T[e]
+        a.T[e] = heated(law, old, gain[e] / (law.rho * c.V0[e]))
+        a.heat[e] += law.expansion * gain[e]
         total += law.expansion * gain[e]
-        sigma_y[e] = softened(law, sigma_y[e], eps_p[e], old, T[e])
+        a.sigma_y[e] = softened(law, a.sigma_y[e], a.eps_p[e], old, a.T[e])
     return total

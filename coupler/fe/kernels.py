@@ -1,7 +1,7 @@
 """Kernels of the explicit tetrahedral target: kinematics, averaged nodal pressure, stress, forces, time step.
 
 Each kernel works on a range [lo, hi) of elements or nodes and writes only its own rows, so that any split of the
-range over threads gives the same numbers to the last bit. Voigt order everywhere: xx yy zz yz xz xy. The averaged
+range over threads gives the same numbers to the last bit. The arrays are those of `fe.model`. The averaged
 nodal pressure is that of Bonet & Burton (1998): the volume ratio, and with it the pressure, is a nodal quantity; a
 tetrahedron takes the mean of its four nodes, which keeps linear tetrahedra from locking in isochoric flow.
 """
@@ -11,11 +11,12 @@ from math import acos, cos, log, sqrt
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Arrays, Floats, Ints, Laws, Vector
+from ..core.arrays import Floats, Ints, Vector
 from ..core.loops import ranges
 from ..physics import motion
 from ..physics.constitutive import bulk_stiffness, harden, heat_capacity, mie_gruneisen, norm, on
 from .blocks import BLOCK, ROWS, edge_cofactors, kinematics, nodal_forces, rows_of
+from .model import Active, Cells, Elements, Metals, Nodes
 
 LEAST_ELEMENTS, LEAST_NODES = 250, 400  # in a range of a loop that threads share
 SHAPE_LIMIT = 0.5
@@ -34,26 +35,24 @@ def volumes(lo: int, hi: int, x: Floats, conn: Ints, volume: Floats) -> float:
 
 @njit(cache=True, nogil=True)
 def nodal_pressure(
-    lo: int, hi: int, m: int, start: Ints, table: Ints, volume: Floats, heat: Floats, V0_node: Floats, laws: Laws, law_of_node: Ints,
-    J: Floats, p: Floats, energy: Floats,
-) -> None:  # fmt: skip
-    """Averaged nodal volume ratio and the pressure that goes with it.
+    lo: int, hi: int, m: int, c: Cells, metals: Metals, nodes: Nodes, volume: Floats, heat: Floats
+) -> None:
+    """Averaged nodal volume ratio J and the pressure p that goes with it, from the volumes (m,) m3 of the elements at n+1.
 
-    start (n+1,), table: rows 4 e + local of the elements around each node. volume m3 now; heat J put into each element during the
-    last step, which counts of the first m, the active ones: that of others waits. J, p (Pa), energy (J per reference m3) of shape
-    (n,) move on in place.
+    heat (m,) J: what each element was given during the last step counts of the first m, the active ones: that of others waits.
     """
+    J, p, energy = nodes.J, nodes.p, nodes.energy
     for a in range(lo, hi):
-        law = laws[law_of_node[a]]
+        law = metals.laws[metals.of_node[a]]
         vol = 0.0
         q = 0.0
-        for r in range(start[a], start[a + 1]):
-            e = table[r] >> 2
+        for r in range(c.start[a], c.start[a + 1]):
+            e = c.table[r] >> 2
             vol += volume[e]
             if e < m and on(law.expansion):
                 q += heat[e]
-        J_new = 0.25 * vol / V0_node[a]
-        p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / V0_node[a])
+        J_new = 0.25 * vol / c.V0_node[a]
+        p[a], energy[a] = mie_gruneisen(law, J[a], J_new, p[a], energy[a], 0.25 * q / c.V0_node[a])
         J[a] = J_new
 
 
@@ -71,22 +70,20 @@ def shape_strain(J: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def element_forces(
-    lo: int, hi: int, dt: float, b1: float, b2: float, x: Floats, v: Floats, conn: Ints, B: Floats, V0: Floats, volume:
-    Floats, p: Floats, J_node: Floats, laws: Laws, law_of: Ints, s: Floats, sigma_y: Floats, eps_p: Floats, rate: Floats, T:
-    Floats, heat: Floats, fe: Floats, eps_gradient: Floats,
-) -> Vector:  # fmt: skip
+    lo: int, hi: int, dt: float, viscosity: tuple[float, float], c: Cells, metals: Metals, nodes: Nodes, a: Elements
+) -> Vector:
     """Stress update and internal nodal forces of each tetrahedron, from n to n+1.
 
-    x (n,3) positions at n+1, v (n,3) velocities at n+1/2; B (m,3,3) reference gradients of nodes 1 to 3; s (m,6)
-    Cauchy deviator, updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y (m,).
-    fe (m,4,3) receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T. heat (m,) receives
-    the heat of the step in J that makes pressure; eps_gradient (m,3) 1/m: `fe.gradients`.
-    Returns the plastic work, the work of the bulk viscosity and that heat, J.
+    x at n+1, v at n+1/2. The deviator s is updated by a Jaumann rate with an exact (Cayley) rotation and a radial return to sigma_y.
+    fe receives the force each element puts on its nodes, -V0 P B with P = J sigma F^-T; heat that of the step which makes pressure.
+    viscosity: coefficients of the linear and the quadratic bulk viscosity. Returns the plastic work, the work of the bulk viscosity
+    and that heat, J.
 
-    laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
+    The laws: as `constitutive.specialised` sees them for FLOW, or plain records. Only what depends on their effects is here:
     the flow of one element after the other. What goes before and after it is done block by block (`fe.blocks`), and only there
     is arithmetic fast: what flows is the same to the last bit whichever effects its kernel leaves out.
     """
+    laws, (b1, b2), heat = metals.laws, viscosity, a.heat
     plastic = warmth = viscous = 0.0
     w = np.empty((ROWS, BLOCK))
     b = rows_of(w)
@@ -95,12 +92,12 @@ def element_forces(
     for i in range(len(laws)):
         two_G[i] = 2.0 * laws[i].G
     for first in range(lo, hi, BLOCK):
-        kinematics(first, hi, dt, x, v, conn, B, V0, volume, p, two_G, law_of, s, w)
+        kinematics(first, hi, dt, c, nodes, a, two_G, metals.of_element, w)
         for i in range(min(BLOCK, hi - first)):
             e = first + i
-            law = laws[law_of[e]]
+            law = laws[metals.of_element[e]]
             # radial return to the yield stress the last step left behind
-            sy = sigma_y[e]
+            sy = a.sigma_y[e]
             deps = 0.0
             flow = sy
             if b.q_squared[i] > sy * sy:
@@ -111,12 +108,12 @@ def element_forces(
                 for k in range(6):
                     S[k, i] *= sy / q_trial
             warm = 0.0
-            if deps > 0.0 or rate[e] > 0.0:
-                eta = norm(eps_gradient, e) if on(law.gradient_length) else 0.0
-                eps_p[e], rate[e], T[e], sy, work = harden(
-                    law, deps, dt, b.J[i], flow, sy, eps_p[e], rate[e], T[e], eta
+            if deps > 0.0 or a.rate[e] > 0.0:
+                eta = norm(a.eps_gradient, e) if on(law.gradient_length) else 0.0
+                a.eps_p[e], a.rate[e], a.T[e], sy, work = harden(
+                    law, deps, dt, b.J[i], flow, sy, a.eps_p[e], a.rate[e], a.T[e], eta
                 )
-                sigma_y[e] = sy
+                a.sigma_y[e] = sy
                 plastic += b.V0[i] * work
                 if on(law.taylor_quinney) and on(law.expansion):
                     warm = b.V0[i] * law.expansion * law.taylor_quinney * work
@@ -124,32 +121,32 @@ def element_forces(
             if on(law.expansion):
                 heat[e] = warm
             for k in range(6):
-                s[e, k] = S[k, i]
+                a.s[e, k] = S[k, i]
             # bulk viscosity, linear and quadratic in the rate of compression, over the element's length
             if div[i] < 0.0:
-                c = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
-                qv = law.rho * length[i] * (b2 * b2 * length[i] * div[i] * div[i] - b1 * c * div[i])
+                speed = sqrt((law.K + 4.0 / 3.0 * law.G) / law.rho)
+                qv = law.rho * length[i] * (b2 * b2 * length[i] * div[i] * div[i] - b1 * speed * div[i])
                 loss = -qv * div[i] * dt * b.volume[i]
                 viscous += loss
                 b.pressure[i] += qv
                 if on(law.dissipation):  # the yield stress follows with the next plastic flow
-                    T[e] += law.dissipation * loss / (b.V0[i] * law.rho * heat_capacity(law, T[e]))
+                    a.T[e] += law.dissipation * loss / (b.V0[i] * law.rho * heat_capacity(law, a.T[e]))
                     if on(law.expansion):
                         warm = law.expansion * law.dissipation * loss
                         heat[e] += warm
                         warmth += warm
             b.pressure[i] -= SHAPE_STIFFNESS * law.K * shape_strain(b.J[i]) / b.J[i]
-        nodal_forces(first, hi, B, w, fe)
+        nodal_forces(first, hi, c.B, w, a.fe)
     return plastic, viscous, warmth
 
 
 @njit(cache=True, nogil=True)
-def gather_forces(lo: int, hi: int, start: Ints, table: Ints, fe: Floats, f: Floats) -> None:
-    """Sum the element forces at each node: f (n,3) is overwritten for nodes [lo, hi)."""
+def gather_forces(lo: int, hi: int, c: Cells, fe: Floats, f: Floats) -> None:
+    """Sum the element forces fe (m,4,3) at each node: f (n,3) is overwritten for nodes [lo, hi)."""
     for a in range(lo, hi):
         f0 = f1 = f2 = 0.0
-        for r in range(start[a], start[a + 1]):
-            e, k = table[r] >> 2, table[r] & 3
+        for r in range(c.start[a], c.start[a + 1]):
+            e, k = c.table[r] >> 2, c.table[r] & 3
             f0 += fe[e, k, 0]
             f1 += fe[e, k, 1]
             f2 += fe[e, k, 2]
@@ -158,28 +155,28 @@ def gather_forces(lo: int, hi: int, start: Ints, table: Ints, fe: Floats, f: Flo
 
 @njit(cache=True, nogil=True)
 def advance(
-    team: Ints, kicked: int, n: int, m: int, half_step: float, dt: float, of_motion: Arrays, of_volume: Arrays, of_pressure: Arrays,
-    of_forces: Arrays, of_sum: Arrays, smallest: Floats, sums: Floats,
+    team: Ints, active: Active, half_step: float, dt: float, viscosity: tuple[float, float], c: Cells, of_pressure: Metals, of_flow:
+    Metals, nodes: Nodes, elements: Elements, smallest: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Move the first nodes and compute the internal forces of the first n nodes and m elements where they are then, in all threads.
+    """Accelerate nodes by their total forces over half_step s, move them for dt s, and compute the internal forces where they are then,
+    in all threads. f_ext is set to zero.
 
-    kicked: how many nodes get the forces of n over half_step s; n of them move. of_motion: total N, 1/mass, v, x, and f_ext, which
-    is set to zero, (N,...); the other tuples: arguments of the kernels above. smallest (PARTS,) m3: volumes, sums (PARTS,3): those of
+    The metals: with laws as the kernels of pressure and of flow take them. smallest (PARTS,) m3: volumes, sums (PARTS,3): those of
     `element_forces`, part by part; both are written.
     """
-    total, inv_mass, v, x, f_ext = of_motion
-    for lo, hi, _ in ranges(team, 0, len(x), LEAST_NODES):
-        motion.kick(lo, min(hi, kicked), half_step, total, inv_mass, v)
-        motion.drift(lo, min(hi, n), dt, v, x)
-        f_ext[lo:hi] = 0.0
+    n, m = active.nodes, active.elements
+    for lo, hi, _ in ranges(team, 0, len(nodes.x), LEAST_NODES):
+        motion.kick(lo, min(hi, active.kicked), half_step, nodes.total, nodes.inv_mass, nodes.v)
+        motion.drift(lo, min(hi, n), dt, nodes.v, nodes.x)
+        nodes.f_ext[lo:hi] = 0.0
     for lo, hi, part in ranges(team, 1, m, LEAST_ELEMENTS):
-        smallest[part] = volumes(lo, hi, *of_volume)
+        smallest[part] = volumes(lo, hi, nodes.x, c.conn, elements.volume)
     for lo, hi, _ in ranges(team, 2, n, LEAST_NODES):
-        nodal_pressure(lo, hi, m, *of_pressure)
+        nodal_pressure(lo, hi, m, c, of_pressure, nodes, elements.volume, elements.heat)
     for lo, hi, part in ranges(team, 3, m, LEAST_ELEMENTS):
-        sums[part, 0], sums[part, 1], sums[part, 2] = element_forces(lo, hi, *of_forces)
+        sums[part, 0], sums[part, 1], sums[part, 2] = element_forces(lo, hi, dt, viscosity, c, of_flow, nodes, elements)
     for lo, hi, _ in ranges(team, 4, n, LEAST_NODES):
-        gather_forces(lo, hi, *of_sum)
+        gather_forces(lo, hi, c, elements.fe, nodes.f)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -196,19 +193,15 @@ def _largest_eigenvalue(a: float, b: float, c: float, d: float, e: float, f: flo
 
 
 @njit(cache=True, nogil=True)
-def stable_dt(
-    lo: int, hi: int, x: Floats, conn: Ints, J_node: Floats, laws: Laws, law_of: Ints, dt_of: Floats,
-) -> tuple[float, int]:  # fmt: skip
-    """Bound on the stable time step of each element, s, into dt_of (m,); returns (smallest, its element).
+def stable_dt(lo: int, hi: int, x: Floats, J_node: Floats, c: Cells, metals: Metals, dt_of: Floats) -> None:
+    """Bound on the stable time step of each element, s, into dt_of (m,): 0 where it is inverted or no number.
 
     omega^2 <= (4 / rho) (lambda tr M + 2 G lambda_max(M)), M = sum_I b_I (x) b_I with current gradients b: the
     element's largest eigenvalue bounds the mesh's. K stiffens with compression.
     """
-    smallest = 1e300
-    where = -1
     for e in range(lo, hi):
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        law = laws[law_of[e]]
+        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
+        law = metals.laws[metals.of_element[e]]
         c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         i2 = 1.0 / (det * det)
         s0, s1, s2 = c00 + c10 + c20, c01 + c11 + c21, c02 + c12 + c22
@@ -222,29 +215,16 @@ def stable_dt(
         lame = bulk_stiffness(law, J) / J - 2.0 / 3.0 * law.G
         stiffness = lame * (xx + yy + zz) + 2.0 * law.G * _largest_eigenvalue(xx, yy, zz, yz, xz, xy)
         omega2 = 4.0 * J / law.rho * stiffness  # density now is rho0 / J
-        dt = 2.0 / sqrt(omega2) if det > 0.0 else 0.0
-        dt_of[e] = dt
-        if dt < smallest:
-            smallest, where = dt, e
-    return smallest, where
+        dt_of[e] = 2.0 / sqrt(omega2) if det > 0.0 and omega2 > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True)
-def elastic_shear_energy(lo: int, hi: int, volume: Floats, V0: Floats, laws: Laws, law_of: Ints, s: Floats) -> float:
+def elastic_shear_energy(lo: int, hi: int, V0: Floats, metals: Metals, volume: Floats, s: Floats) -> float:
     """Recoverable energy of the elements, sum of v s:s / 4G over the volumes now, and of `shape_strain`, in J."""
     total = 0.0
     for e in range(lo, hi):
-        law = laws[law_of[e]]
+        law = metals.laws[metals.of_element[e]]
         ss = s[e, 0] ** 2 + s[e, 1] ** 2 + s[e, 2] ** 2 + 2.0 * (s[e, 3] ** 2 + s[e, 4] ** 2 + s[e, 5] ** 2)
         total += volume[e] * ss / (4.0 * law.G)
         total += V0[e] * 0.5 * SHAPE_STIFFNESS * law.K * shape_strain(volume[e] / V0[e]) ** 2
     return total
-
-
-def node_to_element(conn: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows 4 e + local around each node: (start (nodes+1,), table (4 m,)), in element order, so that sums have one order."""
-    flat = np.asarray(conn).ravel()
-    table = np.argsort(flat, kind="stable").astype(np.int32)
-    start = np.zeros(nodes + 1, np.int64)
-    np.cumsum(np.bincount(flat, minlength=nodes), out=start[1:])
-    return start, table

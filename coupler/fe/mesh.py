@@ -10,6 +10,7 @@ from ..core.records import Shape
 from ..errors import SolverError
 from ..geometry.tetrahedra import oriented, volumes
 from ..geometry.triangles import area_vectors
+from .model import Cells, Metals
 from .state import ElementState, NodeState
 
 
@@ -42,9 +43,8 @@ class FiniteElements(Protocol):
     mesh: TetMesh
     laws: np.ndarray
     law_of: np.ndarray
-    law_of_node: np.ndarray
-    start: np.ndarray
-    table: np.ndarray
+    cells: Cells
+    metals: Metals
     nodes: NodeState
     elements: ElementState
     mass: np.ndarray
@@ -101,6 +101,15 @@ def prepare_ordered(
     conn, facets, behind = (np.ascontiguousarray(ids, np.int32) for ids in (tets, corners, element))
     prepared = TetMesh(points, conn, gradients, V0, node_volume, facets, behind, sets, reach_node, reach)
     return prepared, order, by_reach
+
+
+def cells_of(mesh: TetMesh) -> Cells:
+    """A mesh as kernels take it, the elements around each node in their order: sums have one order."""
+    flat, n = mesh.conn.ravel(), len(mesh.points)
+    start = np.zeros(n + 1, np.int64)
+    np.cumsum(np.bincount(flat, minlength=n), out=start[1:])
+    table = np.argsort(flat, kind="stable").astype(np.int32)
+    return Cells(mesh.conn, mesh.B, mesh.V0, mesh.node_volume, start, table)
 
 
 def name_sides(points: np.ndarray, corners: np.ndarray) -> dict[str, np.ndarray]:

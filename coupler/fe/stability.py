@@ -8,12 +8,12 @@ longest step.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 
 from ..compiling import njit
-from ..core.arrays import Arrays, Floats, Ints, Laws
+from ..core.arrays import Floats, Ints
 from ..core.loops import ranges
 from ..core.records import Shape
 from ..core.threads import together
@@ -24,46 +24,54 @@ from .blocks import edge_cofactors
 from .inertia import ElementInertia
 from .kernels import LEAST_ELEMENTS, LEAST_NODES, SHAPE_STIFFNESS, gather_forces, shape_strain, stable_dt
 from .mesh import FiniteElements
+from .model import Cells, Metals
 
 FREQUENCY_SAFETY = 0.85
 LONGEST = 3.0  # times the element bound
 PERTURBED_ELEMENTS = 12  # elements with the smallest bound whose own modes are mixed into the vector
 
 
+class Response(NamedTuple):
+    """A small motion w (n,3) of the nodes, and what the operator makes of it: change dv (m,) of volumes and dp (n,) of mean stresses,
+    forces fe (m,4,3) of elements and f (n,3) of nodes, per unit of the motion."""
+
+    w: Floats
+    dv: Floats
+    dp: Floats
+    fe: Floats
+    f: Floats
+
+
 @njit(cache=True, nogil=True)
-def _volume_change(lo: int, hi: int, x: Floats, w: Floats, conn: Ints, dv: Floats) -> None:
-    """Change of each element's volume (m,) per unit of the nodal motion w (n,3)."""
+def _volume_change(lo: int, hi: int, x: Floats, c: Cells, r: Response) -> None:
+    """Change of each element's volume, into dv."""
+    w = r.w
     for e in range(lo, hi):
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
+        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
         c00, c01, c02, c10, c11, c12, c20, c21, c22, _ = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         total = c00 * (w[n1, 0] - w[n0, 0]) + c01 * (w[n1, 1] - w[n0, 1]) + c02 * (w[n1, 2] - w[n0, 2])
         total += c10 * (w[n2, 0] - w[n0, 0]) + c11 * (w[n2, 1] - w[n0, 1]) + c12 * (w[n2, 2] - w[n0, 2])
         total += c20 * (w[n3, 0] - w[n0, 0]) + c21 * (w[n3, 1] - w[n0, 1]) + c22 * (w[n3, 2] - w[n0, 2])
-        dv[e] = total / 6.0
+        r.dv[e] = total / 6.0
 
 
 @njit(cache=True, nogil=True)
-def _nodal_stiffening(
-    lo: int, hi: int, start: Ints, table: Ints, dv: Floats, V0_node: Floats, J: Floats, laws: Laws, law_of_node: Ints, dp:
-    Floats,
-) -> None:  # fmt: skip
-    """Change of mean stress at each node, K dJ, into dp (n,)."""
+def _nodal_stiffening(lo: int, hi: int, J: Floats, c: Cells, metals: Metals, r: Response) -> None:
+    """Change of mean stress at each node, K dJ, into dp."""
     for a in range(lo, hi):
         total = 0.0
-        for r in range(start[a], start[a + 1]):
-            total += dv[table[r] >> 2]
-        dp[a] = bulk_stiffness(laws[law_of_node[a]], J[a]) * 0.25 * total / V0_node[a]
+        for q in range(c.start[a], c.start[a + 1]):
+            total += r.dv[c.table[q] >> 2]
+        r.dp[a] = bulk_stiffness(metals.laws[metals.of_node[a]], J[a]) * 0.25 * total / c.V0_node[a]
 
 
 @njit(cache=True, nogil=True)
-def _forces(
-    lo: int, hi: int, x: Floats, w: Floats, conn: Ints, V0: Floats, dv: Floats, dp: Floats, laws: Laws, law_of: Ints, fe:
-    Floats,
-) -> None:  # fmt: skip
-    """Elastic forces of the motion w, element by element, into fe (m,4,3)."""
+def _forces(lo: int, hi: int, x: Floats, c: Cells, metals: Metals, r: Response) -> None:
+    """Elastic forces of the motion, element by element, into fe."""
+    w, dp, fe = r.w, r.dp, r.fe
     for e in range(lo, hi):
-        n0, n1, n2, n3 = conn[e, 0], conn[e, 1], conn[e, 2], conn[e, 3]
-        law = laws[law_of[e]]
+        n0, n1, n2, n3 = c.conn[e, 0], c.conn[e, 1], c.conn[e, 2], c.conn[e, 3]
+        law = metals.laws[metals.of_element[e]]
         c00, c01, c02, c10, c11, c12, c20, c21, c22, det = edge_cofactors(x[n0], x[n1], x[n2], x[n3])
         i = 1.0 / det
         g = np.empty((3, 3))
@@ -74,10 +82,10 @@ def _forces(
             g[d, 2] = (u * c02 + v * c12 + z * c22) * i
         third = (g[0, 0] + g[1, 1] + g[2, 2]) / 3.0
         mean = 0.25 * (dp[n0] + dp[n1] + dp[n2] + dp[n3])
-        J = det / 6.0 / V0[e]
+        J = det / 6.0 / c.V0[e]
         beyond = shape_strain(J)
         if beyond != 0.0:
-            mean += SHAPE_STIFFNESS * law.K * max(1.0 - beyond, 0.0) / (J * J) * dv[e] / V0[e]
+            mean += SHAPE_STIFFNESS * law.K * max(1.0 - beyond, 0.0) / (J * J) * r.dv[e] / c.V0[e]
         G = law.G
         sxx = 2 * G * (g[0, 0] - third) + mean
         syy = 2 * G * (g[1, 1] - third) + mean
@@ -95,25 +103,23 @@ def _forces(
 
 
 @njit(cache=True, nogil=True)
-def _resist(
-    team: Ints, n: int, m: int, of_volume: Arrays, of_pressure: Arrays, of_forces: Arrays, of_sum: Arrays
-) -> None:
+def _resist(team: Ints, n: int, m: int, x: Floats, J: Floats, c: Cells, metals: Metals, r: Response) -> None:
     """The kernels above, one after the other, for the first n nodes and m elements in all threads."""
     for lo, hi, _ in ranges(team, 0, m, LEAST_ELEMENTS):
-        _volume_change(lo, hi, *of_volume)
+        _volume_change(lo, hi, x, c, r)
     for lo, hi, _ in ranges(team, 1, n, LEAST_NODES):
-        _nodal_stiffening(lo, hi, *of_pressure)
+        _nodal_stiffening(lo, hi, J, c, metals, r)
     for lo, hi, _ in ranges(team, 2, m, LEAST_ELEMENTS):
-        _forces(lo, hi, *of_forces)
+        _forces(lo, hi, x, c, metals, r)
     for lo, hi, _ in ranges(team, 3, n, LEAST_NODES):
-        gather_forces(lo, hi, *of_sum)
+        gather_forces(lo, hi, c, r.fe, r.f)
 
 
 def masses_for(t: FiniteElements, dt: float) -> np.ndarray:
     """The mass (n,) kg of each node of a target with which all of its elements just bear a step of dt (s): those of the elements
     together, each of them times (dt / its own step)^2."""
     conn = t.mesh.conn
-    stable_dt(0, len(conn), t.nodes.x, conn, t.nodes.J, t.laws, t.law_of, t.dt_of)
+    stable_dt(0, len(conn), t.nodes.x, t.nodes.J, t.cells, t.metals, t.dt_of)
     mass = t.laws["rho"][t.law_of] * t.mesh.V0 * (dt / t.dt_of) ** 2
     return lumped(conn, mass, len(t.nodes.x))
 
@@ -143,23 +149,21 @@ class HighestFrequency:
 
     def __init__(self, nodes: int, elements: int):
         self._random = np.random.default_rng(1)
-        self._w = np.zeros((nodes, 3))
-        self._f = np.zeros((nodes, 3))
-        self._dv, self._dp = np.zeros(elements), np.zeros(nodes)
-        self._fe = np.zeros((elements, 4, 3))
+        (w, f), dp = np.zeros((2, nodes, 3)), np.zeros(nodes)
+        self._r = Response(w, np.zeros(elements), dp, np.zeros((elements, 4, 3)), f)
         self._warm = False
         self._known = 0  # nodes that had a part in the vector so far
         self._elements = 0  # those of the last call
 
     def state(self) -> FrequencyState:
         """The vector as it is, and the random numbers to come."""
-        return FrequencyState(self._warm, self._known, dict(self._random.bit_generator.state), self._w.copy())
+        return FrequencyState(self._warm, self._known, dict(self._random.bit_generator.state), self._r.w.copy())
 
     def restore(self, state: FrequencyState) -> None:
         """Put a `state` into the iteration of the same target. Raises CheckpointError where it does not fit."""
-        if len(state.w) != len(self._w) or not 0 <= state.known <= len(self._w):
+        if len(state.w) != len(self._r.w) or not 0 <= state.known <= len(self._r.w):
             raise CheckpointError("a state does not fit: the vector of the highest frequency has another length")
-        self._w[:], self._warm, self._known = state.w, state.warm, state.known
+        self._r.w[:], self._warm, self._known = state.w, state.warm, state.known
         try:
             self._random.bit_generator.state = state.random
         except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -182,8 +186,8 @@ class HighestFrequency:
         """
         mesh, inertia = t.mesh, inertia or ElementInertia()
         mass, inverse = masses or (t.mass, t.inv_mass)
-        w, f = self._w[:n], self._f
-        for of_element in (self._dv, self._fe):  # those that are no longer active have no part in it
+        w, f = self._r.w[:n], self._r.f
+        for of_element in (self._r.dv, self._r.fe):  # those that are no longer active have no part in it
             of_element[m : self._elements] = 0.0
         self._elements = m
         size = float(np.sqrt(np.mean(w * w))) if self._warm else 0.0
@@ -200,9 +204,9 @@ class HighestFrequency:
         for _ in range(4 if self._warm else 25):
             w *= (inverse[:n] > 0)[:, None]
             before = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
-            self._apply(t, n, m)
+            together(_resist, n, m, t.nodes.x, t.nodes.J, t.cells, t.metals, self._r)
             if springs is not None:
-                springs.resist(self._w, f, n)
+                springs.resist(self._r.w, f, n)
             inertia.slow(f)
             w[:] = f[:n] * inverse[:n, None]
             after = float(mass[:n] @ np.einsum("ai,ai->a", w, w)) + inertia.twice_kinetic(w)
@@ -210,13 +214,3 @@ class HighestFrequency:
             w *= 1.0 / np.sqrt(after / mass[:n].sum())
         self._warm = True
         return float(min(max(FREQUENCY_SAFETY * 2.0 / np.sqrt(omega2), bound), LONGEST * bound))
-
-    def _apply(self, t: FiniteElements, n: int, m: int) -> None:
-        """Elastic forces of the motion of the first n nodes, by the first m elements."""
-        mesh = t.mesh
-        together(
-            _resist, n, m, (t.nodes.x, self._w, mesh.conn, self._dv),
-            (t.start, t.table, self._dv, mesh.node_volume, t.nodes.J, t.laws, t.law_of_node, self._dp),
-            (t.nodes.x, self._w, mesh.conn, mesh.V0, self._dv, self._dp, t.laws, t.law_of, self._fe),
-            (t.start, t.table, self._fe, self._f),
-        )  # fmt: skip

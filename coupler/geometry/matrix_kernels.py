@@ -3,7 +3,7 @@
 from ..compiling import njit
 from ..core.arrays import Floats, Matrix, Vector
 
-ROUNDING = {"contract", "arcp", "nsz"}  # fast arithmetic that changes last bits only
+ROUNDING = {"contract", "arcp", "nsz"}  # of fast arithmetic what changes the last bits alone, and does not hide a NaN
 ZERO = (0.0,) * 9
 
 

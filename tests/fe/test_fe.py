@@ -9,6 +9,7 @@ from conftest import elastic
 from coupler.errors import SolverError
 from coupler.fe import explicit, kernels, mesh
 from coupler.fe.explicit import Target
+from coupler.fe.model import Elements, Nodes
 from coupler.geometry import mesher
 from coupler.geometry.triangles import areas_and_normals
 from coupler.physics.constitutive import law_record, sound_speed
@@ -297,14 +298,12 @@ def test_elements_are_computed_alike_wherever_a_range_begins(block: mesh.TetMesh
         t.finish()
     m, names = len(block.conn), ("s", "sigma_y", "eps_p", "rate", "T", "heat", "fe", "eps_gradient")
     assert m % kernels.BLOCK
-    ends = []
+    ends, nodes = [], Nodes.of(t.nodes, t.f_ext, t.inv_mass)
     for cuts in ([0, m], [0, 1, 5, 38, 102, m - 1, m], [*range(0, m, 7), m]):
         own = {name: vars(t.elements)[name].copy() for name in names}
         for lo, hi in pairwise(cuts):
-            kernels.element_forces(
-                lo, hi, 1e-6, 0.06, 1.2, t.nodes.x, t.nodes.v, block.conn, block.B, block.V0, t.elements.volume, t.nodes.p, t.nodes.J,
-                t.laws, t.law_of, *own.values(),
-            )  # fmt: skip
+            elements = Elements.of(t.elements)._replace(**own)
+            kernels.element_forces(lo, hi, 1e-6, (0.06, 1.2), t.cells, t.metals, nodes, elements)
         ends.append(own)
     for own in ends[1:]:
         assert all(np.array_equal(own[name], ends[0][name]) for name in names)

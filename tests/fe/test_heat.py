@@ -12,6 +12,7 @@ from coupler.errors import SolverError
 from coupler.fe import kernels, mesh
 from coupler.fe.explicit import Target
 from coupler.fe.heat import Conduction
+from coupler.fe.model import Metals
 from coupler.fe.state import ElementState, NodeState
 from coupler.geometry import mesher
 from coupler.physics.constitutive import law_record
@@ -29,7 +30,7 @@ class Block:
         known = {"T": T.astype(float), "sigma_y": np.full(len(T), 1e8), "volume": m.V0.copy()}
         self.elements = new_rows(ElementState, len(T), **known)
         self.law_of = np.zeros(len(T), np.int32) if law_of is None else law_of.astype(np.int32)
-        self.start, self.table = kernels.node_to_element(m.conn, len(m.points))
+        self.cells, self.metals = mesh.cells_of(m), Metals(laws, self.law_of, np.zeros(len(m.points), np.int32))
         self.active_nodes, self.active_elements = len(m.points), len(T)
         self.conduction = Conduction(len(m.points), len(T))
         self.z = m.points[m.conn][:, :, 2].mean(axis=1)
@@ -278,7 +279,7 @@ def test_bodies_of_different_materials_in_one_domain_are_as_alone(rng: np.random
     ]
     for i, t in enumerate(alone):
         elements = np.flatnonzero(body == i)
-        nodes = np.flatnonzero(joined.law_of_node == i)
+        nodes = np.flatnonzero(joined.metals.of_node == i)
         for of_kind, own, whole, fields in (
             (elements, t.elements, joined.elements, ("s", "T", "eps_p", "sigma_y", "heat", "volume")),
             (nodes, t.nodes, joined.nodes, ("x", "v", "f", "p", "energy", "J")),

@@ -194,10 +194,10 @@ def flowing(laws: np.ndarray, general: bool = False, replaced: int | None = None
     m = meshes.prepare(*mesher.box((1.0, 1.0, 1.0), 0.25))
     t = Target(m, laws, 400.0, fixed=(), track_wave=False)
     if general:
-        t._laws_of_pressure = t._laws_of_flow = t.laws
+        t._of_pressure = t._of_flow = t.metals
     if replaced is not None:
-        t._laws_of_pressure, t._laws_of_flow = t._laws_of_pressure.copy(), t._laws_of_flow.copy()
-        for record in (t._laws_of_pressure, t._laws_of_flow):
+        t._of_pressure, t._of_flow = (own._replace(laws=own.laws.copy()) for own in (t._of_pressure, t._of_flow))
+        for record in (t._of_pressure.laws, t._of_flow.laws):
             for name in (name for name in record.dtype.names if record.dtype[name] == np.int64):
                 record[name] = replaced
     x = m.points - 0.5

@@ -135,7 +135,8 @@ def test_quality_of_known_tetrahedra() -> None:
 def test_step_length_is_the_solvers_bound() -> None:
     from types import SimpleNamespace
 
-    from coupler.fe import kernels
+    from coupler.fe import kernels, mesh
+    from coupler.fe.model import Metals
     from coupler.geometry import mesher
     from coupler.physics.constitutive import law_record, sound_speed
     from coupler.physics.strength import Strength
@@ -147,15 +148,10 @@ def test_step_length_is_the_solvers_bound() -> None:
         taylor_quinney=0.0, forest=(0.0, 0.0), gradient_length=0.0, cp=((300.0, 450.0),), k=((300.0, 50.0),),
     )  # fmt: skip
     points, tets = mesher.box((1.0, 1.0, 1.0), 0.4)
-    dt = np.zeros(len(tets))
-    kernels.stable_dt(
-        0,
-        len(tets),
-        points,
-        tets.astype(np.int32),
-        np.ones(len(points)),
-        law_record(steel),
-        np.zeros(len(tets), np.int32),
-        dt,
+    block = mesh.prepare(points, tets)
+    dt, ones = np.zeros(len(tets)), np.ones(len(points))
+    metals = Metals(law_record(steel), np.zeros(len(tets), np.int32), np.zeros(len(points), np.int32))
+    kernels.stable_dt(0, len(tets), block.points, ones, mesh.cells_of(block), metals, dt)
+    assert quality.step_lengths(block.points, block.conn) / sound_speed(rho, steel.K, steel.G) == pytest.approx(
+        dt, rel=1e-6
     )
-    assert quality.step_lengths(points, tets) / sound_speed(rho, steel.K, steel.G) == pytest.approx(dt, rel=1e-6)

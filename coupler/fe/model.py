@@ -1,0 +1,77 @@
+"""The arrays of a target of n nodes and m elements, as its kernels take them. SI units.
+
+Voigt order everywhere: xx yy zz yz xz xy. Nodes and elements are numbered outwards: those that are computed come first.
+"""
+
+from typing import NamedTuple
+
+from ..core.arrays import Floats, Ints, Laws
+from .state import ElementState, NodeState
+
+
+class Cells(NamedTuple):
+    """conn (m,4): corners; B (m,3,3) 1/m: reference gradients of corners 1 to 3; V0 (m,) and V0_node (n,) m3: reference volumes;
+    start (n+1,), table (4m,): 4 e + corner of the elements around each node."""
+
+    conn: Ints
+    B: Floats
+    V0: Floats
+    V0_node: Floats
+    start: Ints
+    table: Ints
+
+
+class Metals(NamedTuple):
+    """LAW records, and which of them elements (m,) and nodes (n,) follow."""
+
+    laws: Laws
+    of_element: Ints
+    of_node: Ints
+
+
+class Active(NamedTuple):
+    """How many nodes get the forces of n, and how many nodes and elements are computed at n+1."""
+
+    kicked: int
+    nodes: int
+    elements: int
+
+
+class Nodes(NamedTuple):
+    """(n,3): x m, v m/s, internal forces f, external f_ext and all forces total N; (n,): inv_mass 1/kg, volume ratio J, p Pa, energy J
+    per reference m3."""
+
+    x: Floats
+    v: Floats
+    f: Floats
+    f_ext: Floats
+    total: Floats
+    inv_mass: Floats
+    J: Floats
+    p: Floats
+    energy: Floats
+
+    @classmethod
+    def of(cls, n: NodeState, f_ext: Floats, inv_mass: Floats) -> "Nodes":
+        """Those of a state, with these forces and masses."""
+        return cls(n.x, n.v, n.f, f_ext, n.total, inv_mass, n.J, n.p, n.energy)
+
+
+class Elements(NamedTuple):
+    """(m,): volume m3, sigma_y Pa, eps_p, rate 1/s, T K, heat J; s (m,6) Pa: Cauchy deviator; fe (m,4,3) N: forces on the corners;
+    eps_gradient (m,3) 1/m."""
+
+    volume: Floats
+    s: Floats
+    sigma_y: Floats
+    eps_p: Floats
+    rate: Floats
+    T: Floats
+    heat: Floats
+    fe: Floats
+    eps_gradient: Floats
+
+    @classmethod
+    def of(cls, e: ElementState) -> "Elements":
+        """Those of a state."""
+        return cls(e.volume, e.s, e.sigma_y, e.eps_p, e.rate, e.T, e.heat, e.fe, e.eps_gradient)
